@@ -53,7 +53,10 @@ def test_a_tuning_of_an_older_version_is_told(sigmaswarm, tmp_path: Path):
     options = ["--particles", "4", "--generations", "2"]
     assert sigmaswarm("tune", str(folder), "--out", str(tmp_path / "tuned"), *options).code == 0
     file = tmp_path / "tuned" / "tuning.toml"
-    now, run = file.read_text(), ("run", str(file), str(folder), "--out", str(tmp_path / "x.csv"))
+    now, run = (
+        file.read_text(),
+        ("run", str(file), str(folder), "--out", str(tmp_path / "x.csv"), "--overwrite"),
+    )
     assert "was tuned by" not in sigmaswarm(*run).err
     for version in ("0.2.0", "0.1.3"):
         file.write_text(re.sub(r'sigmaswarm = "[^"]*"', f'sigmaswarm = "{version}"', now))

@@ -403,7 +403,7 @@ def test_run_tells_of_restarts(sigmaswarm, tuned: Path, here: Path):
     assert restarts
     ended = sigmaswarm("run", "gated.toml", "aside", "--out", "e.csv", "--json")
     assert json.loads(ended.out)["restarts_s"] == restarts
-    said = sigmaswarm("run", "gated.toml", "aside", "--out", "e.csv").out
+    said = sigmaswarm("run", "gated.toml", "aside", "--out", "e.csv", "--overwrite").out
     assert f"the filter diverged and was reset at t = {restarts[0]:.2f}" in said
 
 
@@ -479,7 +479,7 @@ def test_run_says_why_the_beginning_is_missing_and_writes_its_fixes(sigmaswarm, 
     first = pl.read_csv("e.csv")["t"][0]
     assert len(pl.read_csv("f.csv")) == np.count_nonzero(drive.gps.time < first) > 10
     library.write_drive(replace(drive, imu=at_rest_before(drive.imu, 8.0)), "stood")
-    said = sigmaswarm("run", tuned, "stood", "--out", "e.csv", "--before", "f.csv").out
+    said = sigmaswarm("run", tuned, "stood", "--out", "e.csv", "--before", "f.csv", "--overwrite").out
     earlier = pl.read_csv("e.csv")["t"][0] + 8.0
     assert (
         f"the first {earlier:.1f} s have no estimate, since a filter starts at the first fix that has a heading, or"
@@ -602,7 +602,9 @@ def test_what_is_next_for_one_log_can_be_pasted(sigmaswarm, drives: Path, here: 
     told = sigmaswarm(*shlex.split(command)).out
     report, export = re.findall(r"^(?:next|then): sigmaswarm (.*)", told, re.MULTILINE)
     assert report == "report evaluation"
-    assert export == f"export t --to c99 --out filter-c --check {shlex.quote(test)}"
+    assert (
+        export == f"export t --to c99 --out filter-c --replay {shlex.quote(test)} --check {shlex.quote(test)}"
+    )
     assert sigmaswarm(*shlex.split(export)).code == 0
     assert (Path(test) / "imu.csv").exists()
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -81,18 +82,19 @@ def test_the_warning_not_to_use_a_filter_is_repeated_in_the_last_line(
     sigmaswarm: Command, tuned: Path, drives: Path, here: Path, monkeypatch
 ):
     drive = drives / "urban-clear-00"
+    export = ("export", "bad.toml", "--to", "filterpy", "--out", "py", "--overwrite")
     text = tuned.read_text()
     monkeypatch.setattr(Evaluation, "is_worse_than_untuned", False)
     for remedy, repeated in ((REMEDY, True), ("tune with more trials", False)):
         warned = {"cost": 1.0, "objective": "innovation-t", "warnings": [to_do(remedy, "it diverges")]}
         Path("bad.toml").write_text(text + tomli_w.dumps({"result": warned}))
-        ended = sigmaswarm("export", "bad.toml", "--to", "filterpy", "--out", "py")
+        ended = sigmaswarm(*export)
         assert ended.code == 0 and Path("py/run_filter.py").exists()
         assert ("bad.toml: DO NOT USE THIS FILTER; " in ended.err) is repeated
         assert "it diverges" in ended.err or not repeated
         with monkeypatch.context() as joined:
             joined.setattr(sys, "stderr", sys.stdout)
-            last = sigmaswarm("export", "bad.toml", "--to", "filterpy", "--out", "py").out.splitlines()[-1]
+            last = sigmaswarm(*export).out.splitlines()[-1]
         assert ("DO NOT USE" in last, last.startswith("next: ")) == (repeated, not repeated)
         evaluated = sigmaswarm("evaluate", "bad.toml", drive, "--out", "e", "--overwrite").out
         assert ("sigmaswarm export" not in evaluated) is repeated
@@ -149,7 +151,16 @@ def test_the_c_is_checked_on_drives(sigmaswarm: Command, tuned: Path, drives: Pa
     (found,) = re.findall(pattern, ended.out, re.MULTILINE)
     assert float(found[0]) < 1e-9 and float(found[1]) < 10.0 and float(found[2]) < 0.01
     ended = sigmaswarm(
-        "export", tuned, "--to", "c99", "--out", "c", "--json", "--check", drives / "urban-clear-00"
+        "export",
+        tuned,
+        "--to",
+        "c99",
+        "--out",
+        "c",
+        "--overwrite",
+        "--json",
+        "--check",
+        drives / "urban-clear-00",
     )
     (checked,) = json.loads(ended.out)["checked"]
     assert checked["drive"] == "urban-clear-00" and checked["double"]["state"] < 1e-9
@@ -160,7 +171,7 @@ def test_the_c_is_checked_on_drives(sigmaswarm: Command, tuned: Path, drives: Pa
 def test_a_new_export_removes_what_was_built_from_an_earlier_one(
     sigmaswarm: Command, tuned: Path, drives: Path, here: Path
 ):
-    export = ("export", tuned, "--to", "c99", "--out", "c")
+    export = ("export", tuned, "--to", "c99", "--out", "c", "--overwrite")
     assert sigmaswarm(*export, "--check", drives / "urban-clear-00").code == 0
     assert {"libins_gps.so", "libins_gps_float.so"} <= {file.name for file in Path("c").iterdir()}
     for name in ("replay", "estimate.csv", "main.c"):
@@ -177,11 +188,18 @@ def test_a_new_export_removes_what_was_built_from_an_earlier_one(
     assert "libins_gps.so: cannot open shared object file" in loaded.stderr
 
 
-def test_export_says_how_to_go_on(sigmaswarm: Command, tuned: Path, here: Path):
+def test_export_says_how_to_go_on(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
+    drive = drives / "urban-clear-00"
     said = sigmaswarm("export", tuned, "--to", "filterpy", "--out", "py").out
     assert said.endswith("next: python py/run_filter.py DRIVE estimate.csv\n")
-    said = sigmaswarm("export", tuned, "--to", "c99", "--out", "c").out
-    assert said.endswith("-o replay\n")  # nothing to replay yet
+    export = ("export", str(tuned), "--to", "c99", "--out", "c")
+    said = sigmaswarm(*export, "--check", drive).out
+    (again,) = re.findall(r"next: sigmaswarm (.*?)    \(adds an input", said)
+    assert shlex.split(again) == [*export, "--replay", str(drive), "--overwrite"]
+    (shell,) = re.findall("next: (.*)", sigmaswarm(*shlex.split(again)).out)
+    subprocess.run(shell, shell=True, check=True)
+    assert (here / "c/estimate.csv").read_text().count("\n") > 100
+    assert "--replay DRIVE --overwrite" in sigmaswarm(*export, "--overwrite").out
 
 
 @pytest.mark.parametrize(
@@ -255,7 +273,10 @@ def test_results_replace_no_files_of_anyone_else(sigmaswarm: Command, tuned: Pat
     drive = drives / "urban-clear-00"
     assert sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--replay", drive).code == 0
     assert (here / "c/replay.csv").exists()
-    assert sigmaswarm("export", tuned, "--to", "c99", "--out", "c").code == 0
+    again = ("export", tuned, "--to", "c99", "--out", "c")
+    ended = sigmaswarm(*again)
+    assert ended.code == 2 and "already exists; choose another name, or add --overwrite" in ended.err
+    assert sigmaswarm(*again, "--overwrite").code == 0
     assert not (here / "c/replay.csv").exists()
     (here / "mine").mkdir()
     (here / "mine/page.html").write_text("mine")
@@ -276,7 +297,7 @@ def test_results_replace_no_files_of_anyone_else(sigmaswarm: Command, tuned: Pat
         assert "choose another --out" in ended.err, ended.err
     assert [file.name for file in (here / "mine").iterdir()] == ["page.html"]
     (here / "mine/ins_gps.h").write_text("mine")  # an export may be next to other files, but replaces none
-    ended = sigmaswarm("export", tuned, "--to", "c99", "--out", "mine")
+    ended = sigmaswarm("export", tuned, "--to", "c99", "--out", "mine", "--overwrite")
     assert ended.code == 2 and "ins_gps.h: is not part of an earlier export" in ended.err
     (here / "mine/ins_gps.h").unlink()
     assert sigmaswarm("export", tuned, "--to", "c99", "--out", "mine").code == 0

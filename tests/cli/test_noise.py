@@ -8,6 +8,7 @@ import polars as pl
 import pytest
 import yaml
 
+from cli.conftest import Command
 from static_logs import static_log
 
 
@@ -97,3 +98,37 @@ def test_a_mistake_is_one_line(sigmaswarm, log: Path, here: Path, case: str):
     assert expected in ended.err
     assert "Traceback" not in ended.err
     assert ended.err.strip().splitlines()[-1].startswith("sigmaswarm: ")
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "file"),
+    [
+        (("noise", "LOG", "--out", "n"), (), "n"),
+        (("plot", "DRIVE"), (), "urban-clear-00.png"),
+        (("plot", "DRIVE", "--out", "p.png"), (), "p.png"),
+        (("run", "TUNED", "DRIVE", "--out", "e.csv"), (), "e.csv"),
+        (("run", "TUNED", "DRIVE", "--out", "e.ros2"), (), "e.ros2"),
+        (("run", "TUNED", "DRIVE", "--out", "e.csv", "--truth", "t.tum"), ("--out", "f.csv"), "t.tum"),
+        (("report", "E", "--out", "r.html"), (), "r.html"),
+        (("import", "LOG", "--show", "--save-recipe", "r.toml"), (), "r.toml"),
+    ],
+)
+def test_output_is_replaced_only_with_overwrite(
+    sigmaswarm: Command, tuned: Path, drives: Path, log: Path, here: Path, first, second, file: str
+):
+    places = {"DRIVE": drives / "urban-clear-00", "TUNED": tuned, "LOG": log, "E": "e"}
+    if "E" in first:
+        assert sigmaswarm("evaluate", tuned, places["DRIVE"], "--out", "e").code == 0
+    command = [places.get(word, word) for word in first]
+    again = [*command, *second]
+    if second:  # a repeated option
+        place = command.index("--out")
+        again = [*command[:place], *second, *command[place + 2 :]]
+    assert sigmaswarm(*command).code == 0
+    before = (here / file).stat()
+    ended = sigmaswarm(*again)
+    assert ended.code == 2 and ended.err.count("\n") == 1
+    assert file in ended.err and "add --overwrite" in ended.err
+    assert (here / file).stat() == before
+    assert sigmaswarm(*again, "--overwrite").code == 0
+    assert (here / file).stat() != before

@@ -61,6 +61,16 @@ def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *
         require_replaceable(folder.resolve(), overwrite, "add --overwrite, or name another folder")
 
 
+def require_free(*files: Path | None, overwrite: bool) -> None:
+    """Raise `InputError` if a file, or a bag of `sigmaswarm run`, exists and must not be overwritten."""
+    from sigmaswarm.errors import InputError
+    from sigmaswarm.exports.foxglove import LAYOUT_FILE
+
+    for file in filter(None, files):
+        if not overwrite and (file.is_file() or (file / LAYOUT_FILE).is_file()):
+            raise InputError(f"{file}: already exists; choose another name, or add --overwrite")
+
+
 def require_result_folder(
     out: Path, sources: "Iterable[Location | None]", kind: str, mark: str = "", *, overwrite: bool = True
 ) -> None:

@@ -21,7 +21,7 @@ from sigmaswarm.cli.common import (
     require_tuning,
 )
 from sigmaswarm.cli.findings import Remedy
-from sigmaswarm.cli.options import FIELDS, AsRecorded, Cluster, Json, Places, Seed, TrustLog
+from sigmaswarm.cli.options import FIELDS, AsRecorded, Cluster, Json, Overwrite, Places, Seed, TrustLog
 from sigmaswarm.cli.remarks import name_training_files
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.files import free_path
@@ -48,8 +48,6 @@ class EvaluateOptions:
         robot_localization.
     out
         Folder for scores.csv, scores.json, figures and the data for `sigmaswarm report`.
-    overwrite
-        Replace an earlier evaluation in this folder.
     outage_length
         Length of an outage, s; drift is the error at its end. Outages of 1 and 30 s are added.
     outage_seed
@@ -65,7 +63,7 @@ class EvaluateOptions:
 
     against: Path | None = None
     out: Path | None = None
-    overwrite: bool = False
+    overwrite: Overwrite = False
     outage_length: float = 5.0
     outage_seed: Seed = 0
     as_recorded: AsRecorded = False
@@ -111,18 +109,21 @@ def evaluate(
     from sigmaswarm.api import tuned_filter
     from sigmaswarm.learned.folder import load_learned
     from sigmaswarm.reports.evaluation import save_evaluation
+    from sigmaswarm.scoring.remarks import other_sensors
     from sigmaswarm.tuning.record import TuningRecord
 
     _check_input(tuning, options)
     learned, tuned, out = load_learned(tuning), tuned_filter(tuning), options.out
     remedies: list[Remedy] = []
     result = _evaluated(tuning, tuned, drives, options, learned, remedies)
+    record = TuningRecord.read(tuning)
     _warn_of_training_drives(result)
+    for message in filter(None, (other_sensors(drive, record.data) for drive in result.setup.data)):
+        warnings.warn(message, SigmaswarmWarning, stacklevel=2)
     written = save_evaluation(result, out, tuning, learned and learned.save) if out else []
     if options.json:
         print_json(result.to_dict())
         return
-    record = TuningRecord.read(tuning)
     training_drives = [drive.name for drive in record.data]
     more = name_training_files(record.result.warnings, training_drives, drives) if record.result else ()
     print_evaluation(result, verbose=options.verbose, more=more)
@@ -178,6 +179,7 @@ def _export(tuning: Path, tuned: "TunedFilter", drives: Sequence[str]) -> Iterat
         local = [quote(place) for place in drives if not is_url(place)][:1]
         checkable = local and (target != "c99" or find_compiler())
         check = f" --check {local[0]}" if checkable else ""
+        check = f" --replay {local[0]}{check}" if local and target == "c99" else check
         yield f"then: sigmaswarm export {quote(str(tuning))} --to {target} --out {free_path(folder)}{check}"
         return
 

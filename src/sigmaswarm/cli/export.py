@@ -11,8 +11,15 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_json, print_lines, read_drives, read_silently, require_tuning
-from sigmaswarm.cli.options import FIELDS, Json
+from sigmaswarm.cli.common import (
+    print_json,
+    print_lines,
+    read_drives,
+    read_silently,
+    require_free,
+    require_tuning,
+)
+from sigmaswarm.cli.options import FIELDS, Json, Overwrite
 from sigmaswarm.exports.names import AnyTarget, next_command
 from sigmaswarm.wording import TO_DO
 
@@ -31,7 +38,7 @@ class ExportOptions:
         c99: a C library. filterpy: a Python script (only planar models). robot_localization: a YAML file (accurate only
         for --model robot-localization).
     out
-        Folder to write to. An earlier export, with the files built from it, is replaced; other files are kept.
+        Folder to write to. --overwrite replaces an earlier export, with the files built from it, and keeps other files.
     replay
         c99: also write this drive as replay.csv, the input of the program replay.c.
     check
@@ -51,6 +58,7 @@ class ExportOptions:
     against: Path | None = None
     lanes: int = 1
     seed: int = 0
+    overwrite: Overwrite = False
     json: Json = False
 
 
@@ -91,6 +99,7 @@ def export(
     drives = read_drives(options.check or [])
     settings = tuned.settings("as_recorded", lanes=options.lanes, seed=options.seed)
     texts = export_texts(parameters, to, replay=drive, **tuned.settings("mounting", "imu_axes", **settings))
+    require_free(*(out / name for name in texts), overwrite=options.overwrite)
     if drives and ros:
         evaluation = evaluate(drives, parameters, against=options.against, seen=tuned.seen)
         texts["README.md"] += accuracy_section(evaluation)
@@ -106,7 +115,8 @@ def export(
             *(f"wrote {path}" for path in written), *(_describe(check, options.lanes) for check in checked)
         )
         print_lines(
-            *_mounting_notes(to, record, replay=drive is not None), f"next: {next_command(to, out, texts)}"
+            *_mounting_notes(to, record, replay=drive is not None),
+            f"next: {next_command(to, out, texts) or _with_replay(tuning, options)}",
         )
     for warning in record.unusable:  # printed last, so that the user sees it
         warnings.warn(f"{tuning}: {warning.removeprefix(TO_DO)}", sigmaswarm.SigmaswarmWarning, stacklevel=1)
@@ -137,6 +147,14 @@ def _mounting_notes(target: AnyTarget, record: "TuningRecord", *, replay: bool) 
             "note: the training drives have different mountings, so the export contains no rotation; rotate raw "
             "samples to x forward, y left, z up before the filter, or tune on drives with one mounting"
         )
+
+
+def _with_replay(tuning: Path, options: ExportOptions) -> str:
+    """Return the command that repeats the export with an input for its program."""
+    drive = quote(str(options.check[0])) if options.check else "DRIVE"
+    lanes = f" --lanes {options.lanes} --seed {options.seed}" if options.lanes > 1 else ""
+    command = f"sigmaswarm export {quote(str(tuning))} --to c99 --out {quote(str(options.out))}{lanes}"
+    return f"{command} --replay {drive} --overwrite    (adds an input for the program replay.c)"
 
 
 def _describe(check: "ExportCheck", lanes: int) -> str:

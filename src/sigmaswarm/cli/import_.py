@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from sigmaswarm.cli.common import parse_numbers, print_json, print_lines, stdout
+from sigmaswarm.cli.common import parse_numbers, print_json, print_lines, require_free, stdout
 from sigmaswarm.cli.findings import affects_axes, next_steps, print_diagnosis
 from sigmaswarm.cli.options import FIELDS, MORE, Hyphened, Json, Overwrite
 from sigmaswarm.cli.terminal import progress_bar
@@ -212,6 +212,7 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
     if any(out.resolve() in (place, place.parent) for place in read) and out.exists():
         raise InputError(f"{out}: contains a log that this command reads; choose another folder")
     require_replaceable(out.resolve(), options.overwrite, "add --overwrite, or choose another folder")
+    require_free(options.save_recipe, overwrite=options.overwrite)
     with progress_bar("importing") as show, warnings.catch_warnings():
         warnings.simplefilter("ignore", DriveWarning)  # the diagnosis contains the same checks in more detail
         imported = import_drive(request, options.name or out.resolve().name, lambda share: show(share, 1.0))
@@ -291,6 +292,7 @@ def _show(request: "Request", options: ImportOptions) -> None:
 
     inspection = inspect_request(request)
     if options.save_recipe:
+        require_free(options.save_recipe, overwrite=options.overwrite)
         inspection.recipe.save(options.save_recipe)
     if options.json:
         content = {"recipe": inspection.recipe.to_toml(), "notes": inspection.notes}
@@ -334,8 +336,9 @@ def _print_inspection(inspection: "Inspection", options: ImportOptions) -> None:
 def _command(inspection: "Inspection", options: ImportOptions) -> str:
     typed = [word for word in sys.argv[1:] if word != "--show"]
     out = [] if options.out else ["--out", "drive"]
-    # The proposal was checked without --mount.
-    out += ["--mount", inspection.mount] if inspection.mount and not inspection.proposal else []
+    # A proposal for the IMU's columns is corrected to the drive's axes.
+    corrected = inspection.proposal and re.search(r"\b[ag][xyz]=", inspection.proposal)
+    out += ["--mount", inspection.mount] if inspection.mount and not corrected else []
     command = printable(shlex.join(["sigmaswarm", *typed, *out]), 4000)
     return f"{command} {printable(inspection.proposal, 4000)}".rstrip()
 

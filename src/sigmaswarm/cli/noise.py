@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from sigmaswarm.cli.common import print_json, print_lines, require_result_folder
-from sigmaswarm.cli.options import FIELDS, Json
+from sigmaswarm.cli.options import FIELDS, Json, Overwrite
 from sigmaswarm.errors import InputError
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ class NoiseOptions:
     to
         Packages in whose format and units the noise is printed or, with --out, written to files.
     out
-        Folder for the files of --to and, for a log, noise.png, noise.svg and noise.json. An earlier result is replaced.
+        Folder for the files of --to and, for a log, noise.png, noise.svg and noise.json.
     recipe
         Use the recipe in a file that `sigmaswarm import --save-recipe` wrote.
     map
@@ -46,6 +46,7 @@ class NoiseOptions:
     map: list[str] | None = None
     time: str | None = None
     imu_topic: Annotated[str | None, Parameter(alias="--imu-table")] = None
+    overwrite: Overwrite = False
     json: Json = False
 
 
@@ -72,7 +73,7 @@ def noise(
     from sigmaswarm.exports.imu_noise import noise_texts
 
     if options.out is not None:
-        require_result_folder(options.out, [log, options.tuned], RESULT_KIND)
+        require_result_folder(options.out, [log, options.tuned], RESULT_KIND, overwrite=options.overwrite)
     measured = _noise_of(log, options)
     texts = {
         file: text for target in options.to or () for file, text in noise_texts(measured, target).items()

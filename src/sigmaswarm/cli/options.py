@@ -40,7 +40,7 @@ Cluster = Annotated[
     ),
 ]
 TrustLog = Annotated[bool, Parameter(help="Skip the check of the drives for serious faults.")]
-Overwrite = Annotated[bool, Parameter(help="Replace existing drives.")]
+Overwrite = Annotated[bool, Parameter(help="Replace earlier output of this command.")]
 AsRecorded = Annotated[
     bool,
     Parameter(

@@ -5,8 +5,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from sigmaswarm.cli.common import print_result, read_silently
-from sigmaswarm.cli.options import Json
+from sigmaswarm.cli.common import print_result, read_silently, require_free
+from sigmaswarm.cli.options import Json, Overwrite
 
 
 def plot(
@@ -14,6 +14,7 @@ def plot(
     /,
     *,
     out: Path | None = None,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Plot the path, speed, IMU, fixes and outages of a drive.
@@ -30,7 +31,7 @@ def plot(
     drive
         A drive folder.
     out
-        File to write, NAME.png, by default named after the drive; an existing file is replaced.
+        File to write, NAME.png, by default named after the drive.
     """
     from sigmaswarm.reports.drive import drive_figure
     from sigmaswarm.reports.figures import check_file, save
@@ -40,5 +41,6 @@ def plot(
     read = read_silently(drive)
     picture = out or Path(f"{read.name.replace('/', '-')}.png")
     check_file(picture)
+    require_free(picture, overwrite=overwrite)
     save(drive_figure(read), picture)
     print_result(json, {"out": str(picture)}, f"wrote {picture}")

@@ -5,8 +5,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from sigmaswarm.cli.common import print_result
-from sigmaswarm.cli.options import Json
+from sigmaswarm.cli.common import print_result, require_free
+from sigmaswarm.cli.options import Json, Overwrite
 
 
 def report(
@@ -14,6 +14,7 @@ def report(
     /,
     *,
     out: Path | None = None,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Write an HTML page about a folder of results.
@@ -30,9 +31,10 @@ def report(
     folder
         A folder that `sigmaswarm tune`, `evaluate` or `study` wrote.
     out
-        File to write, NAME.html; by default page.html in FOLDER. An existing file is replaced.
+        File to write, NAME.html; by default page.html in FOLDER, which each report replaces.
     """
     from sigmaswarm.reports.folders import save_page
 
+    require_free(out, overwrite=overwrite)
     file = save_page(folder, out)
     print_result(json, {"out": str(file)}, f"wrote {file}")

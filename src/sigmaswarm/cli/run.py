@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from sigmaswarm.cli.common import print_result, read_silently, require_tuning
-from sigmaswarm.cli.options import FIELDS, AsRecorded
+from sigmaswarm.cli.common import print_result, read_silently, require_free, require_tuning
+from sigmaswarm.cli.options import FIELDS, AsRecorded, Overwrite
 from sigmaswarm.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ class RunOptions:
     Attributes
     ----------
     out
-        File to write: NAME.csv, .mat, .tum, .kitti, .geojson, .gpx, .kml or .ros2; an existing file is replaced.
+        File to write: NAME.csv, .mat, .tum, .kitti, .geojson, .gpx, .kml or .ros2.
     origin
         LAT,LON of x = y = 0 in degrees, for a map of a drive without an origin.
     truth
@@ -51,6 +51,7 @@ class RunOptions:
     as_recorded: AsRecorded = False
     smooth: bool = False
     bank: Annotated[bool, Parameter(alias="--swarm")] = False
+    overwrite: Overwrite = False
     json: bool = False
 
 
@@ -118,9 +119,11 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
         raise InputError(f"{drive}: already has an origin; leave --origin out")
     target: dict[str, Any] = {"origin": place or read.origin, "time_origin": time_origin_of(read)}
     true = true_trajectory(read) if truth else None
-    check_target(out, target["origin"], options.merge)
+    banks, replace = _bank_files(out) if options.bank else (), options.overwrite
+    require_free(out, truth, before, *banks, overwrite=replace)
+    check_target(out, target["origin"], options.merge, replace=replace)
     if truth:
-        check_target(truth, target["origin"])
+        check_target(truth, target["origin"], replace=replace)
     if before:
         check_fixes_target(before, target["origin"])
     if options.bank:
@@ -135,10 +138,10 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     if out.suffix == BAG and not options.bank and learned is None:
         innovations = FilterRun(replay, tuned.parameters, recover=True).finished().innovations
     more: dict[str, Any] = {"merge": options.merge, "innovations": innovations, "name": read.name}
-    write_pieces(estimates_of(run), (first, last), out, **more, **target)
+    write_pieces(estimates_of(run), (first, last), out, replace=replace, **more, **target)
     fixes = write_fixes(read, first, before, **target) if before else 0
     if truth and true:
-        write_estimate(true, truth, name=f"{read.name}: truth", **target)
+        write_estimate(true, truth, name=f"{read.name}: truth", replace=replace, **target)
     summary: dict[str, Any] = {"out": str(out), "estimates": len(time), "start_s": first, "end_s": last}
     summary["restarts_s"] = [*run.restarts]
     summary |= _save_bank(run, out) if options.bank else {}

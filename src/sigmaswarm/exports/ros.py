@@ -48,10 +48,11 @@ def ros2(
     origin: Origin | None = None,
     innovations: Innovations | None = None,
     merge: Path | None = None,
+    replace: bool = False,
 ) -> None:
     """Write a bag (a folder with MCAP storage) and a layout for Foxglove, with parameters as in `write_pieces`.
 
-    ``path`` must not exist. Topics of ``merge`` with an unknown type are omitted with a warning.
+    Without ``replace``, ``path`` must not exist. Topics of ``merge`` of unknown type are omitted with a warning.
 
     Raises
     ------
@@ -72,7 +73,7 @@ def ros2(
     store = get_typestore(Stores.ROS2_HUMBLE)
     with (
         _reader(merge, first, last) if merge else nullcontext() as recorded,
-        atomic_folder(path) as new,
+        atomic_folder(path, replace=replace) as new,
         Writer(new, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
     ):
         originals = _copied(merge, recorded, writer) if merge else iter(())

@@ -11,6 +11,7 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.attitude import quaternions, rotations
+from sigmaswarm.exports.foxglove import LAYOUT_FILE
 from sigmaswarm.exports.maps import MAPS
 from sigmaswarm.exports.ros import ros2
 from sigmaswarm.files import atomic_file
@@ -34,6 +35,7 @@ def write_pieces(
     innovations: Innovations | None = None,
     merge: str | Path | None = None,
     name: str | None = None,
+    replace: bool = False,
 ) -> None:
     """Write an estimate, in pieces, to a file; the extension selects the format.
 
@@ -64,6 +66,8 @@ def write_pieces(
         .ros2: copy the messages of this ROS 2 bag unchanged into the new bag.
     name : str, optional
         Name of the track in a map; by default the name of the file.
+    replace : bool
+        .ros2: replace a bag that this function wrote.
 
     Raises
     ------
@@ -71,14 +75,14 @@ def write_pieces(
         If the extension is unknown, the folder does not exist, a map has no origin, or ``merge`` can't be used.
     """
     path = Path(path)
-    check_target(path, origin, merge)
+    check_target(path, origin, merge, replace=replace)
     if path.suffix in MAPS and origin is not None:
         rows = [np.column_stack([piece.time, piece.mean[:, :2]]) for piece in pieces]
         time, east, north = np.concatenate(rows).T
         MAPS[path.suffix](time + time_origin, _degrees(east, north, origin), path, name or path.stem)
     elif path.suffix == BAG:
         options: dict[str, Any] = {"time_origin": time_origin, "origin": origin, "innovations": innovations}
-        ros2(pieces, span, path, merge=Path(merge) if merge else None, **options)
+        ros2(pieces, span, path, merge=Path(merge) if merge else None, replace=replace, **options)
     else:
         with atomic_file(path) as file:
             _WRITERS[path.suffix](pieces, file)
@@ -123,7 +127,10 @@ def time_origin_of(drive: Drive) -> float:
     return float(stated) if usable else 0.0
 
 
-def check_target(path: Path, origin: Origin | None = None, merge: str | Path | None = None) -> None:
+def check_target(
+    path: Path, origin: Origin | None = None, merge: str | Path | None = None, *, replace: bool = False
+) -> None:
+    """Raise `InputError` if an estimate can't be written; ``replace`` permits to replace a bag of this function."""
     endings = [*_WRITERS, BAG, *MAPS]
     if path.suffix not in endings:
         raise InputError(
@@ -131,9 +138,9 @@ def check_target(path: Path, origin: Origin | None = None, merge: str | Path | N
         )
     if merge and path.suffix != BAG:
         raise InputError(f"{path}: --merge copies the messages of a bag into a bag; end the name in {BAG}")
-    if path.suffix == BAG and path.exists():
+    if path.suffix == BAG and path.exists() and not (replace and (path / LAYOUT_FILE).is_file()):
         raise InputError(f"{path}: already exists; delete it, or choose another name")
-    if path.is_dir():
+    if path.suffix != BAG and path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if not path.parent.is_dir():
         raise InputError(f"{path.parent}: no such folder; create it first")
