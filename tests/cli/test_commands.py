@@ -13,6 +13,7 @@ from typing import get_args
 import numpy as np
 import polars as pl
 import pytest
+import tomli_w
 
 import sigmaswarm as library
 from sigmaswarm.cli.app import app
@@ -653,3 +654,17 @@ def test_drives_of_different_vehicles_are_reported_once(sigmaswarm, drives: Path
     assert (ended.code, ended.err.count("different vehicles or sensors: the IMU of ")) == (0, 1)
     alone = sigmaswarm("tune", drives, "--out", "u", *QUICK, "--model", "planar5")
     assert "different vehicles" not in alone.err
+
+
+@pytest.mark.parametrize("rate", [1.0, 4.0])
+def test_an_evaluation_on_other_sensors_is_named(
+    sigmaswarm, tuned: Path, drives: Path, here: Path, rate: float
+):
+    drive = read_drive(min(drives.iterdir()))
+    samples = round(rate * len(drive.imu))
+    about = {"name": "monday", "duration_s": drive.duration, "imu_samples": samples, "fixes": len(drive.gps)}
+    Path("t.toml").write_text(f"{tuned.read_text()}\n[[data]]\n{tomli_w.dumps(about)}")
+    ended = sigmaswarm("evaluate", "t.toml", min(drives.iterdir()))
+    assert ended.code == 0
+    said = f"Hz instead of {samples / drive.duration:.3g} Hz). On other sensors a filter can be far less accurate"
+    assert (said in " ".join(ended.err.split())) == (rate > 1)

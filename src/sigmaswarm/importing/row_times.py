@@ -13,18 +13,15 @@ from sigmaswarm.importing.expressions import compile_expression
 from sigmaswarm.importing.gather import ROW
 from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.source import Log, Part, Role
-from sigmaswarm.importing.times import quoted_column
+from sigmaswarm.importing.times import column_numbers, quoted_column
 from sigmaswarm.wording import count_of, printable
 
-MIN_CLOCK_STEPS, MIN_REGULAR_SHARE = (
-    20,
-    0.9,
-)  # of a column that is a clock: changes, and the share of usual changes
+# Of a column that is a clock: smallest number of changes, and smallest share of usual changes
+MIN_CLOCK_STEPS, MIN_REGULAR_SHARE = 20, 0.9
 MIN_LOST = 0.3  # s, smallest total length of gaps that is reported
-NEIGHBORS, MIN_RATIO = (
-    5,
-    1.8,
-)  # steps on each side of a gap between fixes; smallest ratio of its length to theirs
+# Steps on each side of a gap between fixes, the smallest ratio of its length to theirs, and its largest angle, rad, to
+# the mean direction of travel
+NEIGHBORS, MIN_RATIO, MAX_TURN = 5, 2.5, 0.3
 
 
 def rows_as_clock(part: Part, log: Log) -> bool:
@@ -55,26 +52,26 @@ def gaps_by_clock(parts: Sequence[tuple[Role, Part]], log: Log) -> list[str]:
         )
         where, note = f"{role}: {printable(table)}", "times from row numbers do not show gaps of the logger"
         for column in frame.columns:
-            if (found := _gaps_of(frame[column].cast(pl.Float64, strict=False), time)) is None:
+            clock = column_numbers(frame[column])
+            if len(clock) < len(frame) or (found := _gaps_of(clock.to_numpy(), time)) is None:
                 continue
-            (unit, lost, row), clock, note = found, quoted_column(column), ""
+            (unit, lost, row), name, note = found, quoted_column(column), ""
             if lost > MIN_LOST:
                 notes.append(
-                    f"{where}: according to column {clock}, rows for {lost:.3g} s are missing, for example after row "
+                    f"{where}: according to column {name}, rows for {lost:.3g} s are missing, for example after row "
                     f"{row}, so the times {text} are too early after these; instead, write --map "
-                    f'"{role}.t={clock}*{unit:.6g}"'
+                    f'"{role}.t={name}*{unit:.6g}"'
                 )
             break
         notes += [f"{where}: {note}, after which all times would be too early"] if note else []
     return notes
 
 
-def _gaps_of(clock: pl.Series, time: Array) -> tuple[float, float, int] | None:
-    """Return the unit of a clock, s, the total length of its gaps, s, and the row before the largest gap.
+def _gaps_of(values: Array, time: Array) -> tuple[float, float, int] | None:
+    """Return the unit of a clock (n,), s, the total length of its gaps, s, and the row before the largest gap.
 
     Return None if the column is no clock, which increases by a constant amount. ``time`` (n,): times from row numbers.
     """
-    values = clock.fill_null(np.nan).to_numpy()
     new = np.flatnonzero(np.diff(values)) + 1
     if len(new) <= MIN_CLOCK_STEPS or not (np.diff(values) >= 0).all():
         return None
@@ -83,24 +80,27 @@ def _gaps_of(clock: pl.Series, time: Array) -> tuple[float, float, int] | None:
     if np.mean(np.abs(steps - usual) <= 0.5 * usual) < MIN_REGULAR_SHARE:
         return None
     unit = float(np.median(rows)) * float(time[-1] - time[0]) / (len(time) - 1) / usual
-    return unit, unit * float(np.sum((steps - usual)[steps > MIN_RATIO * usual])), int(new[gap + 1])
+    return unit, unit * float(np.sum((steps - usual)[steps > 1.5 * usual])), int(new[gap + 1])
 
 
 def gaps_by_distance(drive: Drive) -> str:
     """Report fixes that are missing, since two fixes are much farther apart than those before and after; else ""."""
     position = drive.gps.x + 1j * drive.gps.y
-    steps, noise = np.abs(np.diff(position)), white_noise(position)
-    if len(steps) < 4 * NEIGHBORS:
+    moves, noise = np.diff(position), white_noise(position)
+    if len(moves) < 4 * NEIGHBORS:
         return ""
-    sides = np.lib.stride_tricks.sliding_window_view(steps, NEIGHBORS)
-    before, after = (np.median(side, axis=1) for side in (sides[: -NEIGHBORS - 1], sides[NEIGHBORS + 1 :]))
-    inner, usual = steps[NEIGHBORS:-NEIGHBORS], np.maximum(before, after)
-    gaps = np.flatnonzero(inner > MIN_RATIO * usual + 6 * noise)
+    near = np.lib.stride_tricks.sliding_window_view(moves, NEIGHBORS).mean(axis=1)
+    before, after, inner = near[: -NEIGHBORS - 1], near[NEIGHBORS + 1 :], moves[NEIGHBORS:-NEIGHBORS]
+    usual = np.maximum(np.abs(before), np.abs(after))
+    steady = np.minimum(np.abs(before), np.abs(after)) > np.maximum(usual / 2, noise / 2)
+    # jumps of a receiver have any direction, and often return
+    ahead = np.abs(np.angle(inner * np.conj(before + after))) < MAX_TURN
+    gaps = np.flatnonzero(steady & ahead & (np.abs(inner) > MIN_RATIO * usual + 6 * noise))
     if not len(gaps):
         return ""
-    lost = float(np.sum(inner[gaps] / usual[gaps] - 1))
+    lost = float(np.sum(np.abs(inner[gaps]) / usual[gaps] - 1))
     return (
         f"gps: {count_of(len(gaps), 'step')} from fix to fix, for example after fix {gaps[0] + NEIGHBORS + 1}, "
         f"{'is' if len(gaps) == 1 else 'are'} much longer than the steps around, so about {lost:.0f} fixes are "
-        "missing, and the times from row numbers are too early after these; use the receiver's time instead"
+        "probably missing, and the times from row numbers are too early after these; use the receiver's time instead"
     )
