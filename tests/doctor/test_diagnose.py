@@ -634,7 +634,7 @@ def test_a_diagnosis_that_is_kept_is_that_of_the_same_numbers_and_name():
     assert sigmaswarm.diagnose(drive) is found
     assert sigmaswarm.diagnose(replace(drive, name="other")).drive == "other"
     stated = replace(drive, metadata={**drive.metadata, "gps_std_m": 50.0})  # no column has it
-    assert sigmaswarm.diagnose(stated).codes != found.codes
+    assert sigmaswarm.diagnose(stated).findings != found.findings
     turned = replace(drive, imu=replace(drive.imu, gz=-drive.imu.gz))
     assert "gyro-sign" in sigmaswarm.diagnose(turned).codes - found.codes
     assert sigmaswarm.diagnose(drive) == found

@@ -96,11 +96,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         remedy = "if you know a better value, write gps_std_m at the top of drive.toml"
         yield Finding("gps-noise", "note", what, "drive.toml, gps_std_m", span, 0.95, remedy)
         return
-    stated, typed = float(np.mean(known)), evidence.drive.metadata.get("gps_std_m", np.nan)
-    if gps.std_x is not None and abs(np.log(typed / stated)) > np.log(MAX_OBSERVED_RATIO):  # false for NaN
-        what = f"gps_std_m = {typed:g} is not used, since gps.csv states {stated:.2g} m (median)"
-        remedy = "remove the columns std_x and std_y if they are wrong"
-        yield Finding("gps-noise", "note", what, "drive.toml, gps_std_m", span, 1.0, remedy)
+    stated = float(np.mean(known))
     where = "drive.toml, gps_std_m" if gps.std_x is None else "gps.csv, std_x, std_y"
     unseen = motion_in_noise(float(np.median(np.diff(gps.time))))
     if stated < MIN_STATED_STD:
