@@ -110,9 +110,7 @@ def test_a_fix_without_the_accuracy_that_the_filter_goes_by_is_named(tmp_path: P
         [program], input=replay_rows(equipped()), capture_output=True, text=True, check=False
     )
     assert done.returncode == 2
-    assert done.stderr.startswith(
-        "replay: a fix states no accuracy, std_x,std_y, which this filter goes by: fix,"
-    )
+    assert done.stderr.startswith("replay: a fix lacks std_x,std_y, which this filter uses: fix,")
 
 
 @needs_shared

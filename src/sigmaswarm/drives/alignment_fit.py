@@ -3,9 +3,9 @@
     p(t) = p_i - exp(i theta_i) * integral_t^t_i  v(s) exp(i (psi(s) - psi_i)) ds
     v(s) = v_i + integral_t_i^s a_x + b (s - t_i)
 
-Positions are complex numbers east + i north, psi is the integrated yaw rate, a_x the forward specific force, and b its
-correction for tilt and bias. The unknowns are position p_i, heading theta_i, speed v_i and b. The compiled functions
-have no complex numbers, since `exports.c_alignment` translates them to C.
+Positions are complex numbers east + i north, t_i is the time of the last fix, psi the integrated yaw rate, a_x the
+forward specific force, and b its correction for tilt and bias. The unknowns are position p_i, heading theta_i and speed
+v_i at t_i, and b. The compiled functions have no complex numbers, since `exports.c_alignment` translates them to C.
 """
 
 from collections.abc import Mapping
@@ -49,7 +49,7 @@ EAST, NORTH, YAW, SPEED, SLOPE, TRAVEL, MISFIT, YAW_BIAS, YAW_VARIANCE, RESULTS 
 
 Then travel (m), 0 if backward, largest residual (m), remaining gyro bias (rad/s) and its variance.
 """
-RESIDUAL = 5  # column of the two equations of a fix, behind the derivatives by the unknowns
+RESIDUAL = 5  # column of the residuals in the two equations of a fix, after the derivatives by the unknowns
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,15 +85,19 @@ class AlignmentFit:
     taken : subtracted gyro bias, rad/s
     yaw_bias, yaw_std, bias_std : gyro bias about the vertical, its standard deviation, and the part of the standard
         deviation that is due to the residuals of the fit, rad/s
-    travel, misfit : m; heading_std : rad; span : s
+    travel, misfit : length of the path, and largest residual of a fix, m
+    heading_std : standard deviation of the heading without slip, rad
+    span : time from the first to the last fix, s
     """
 
     def __init__(
         self, drive: Drive, integrals: Mapping[str, Array], time: Array, position: NDArray[np.complex128]
     ) -> None:
-        """Fit without a gyro bias; ``integrals``: of the IMU's axes since its first sample."""
+        """Fit to the fixes ``time`` (s) and ``position`` (m), without a gyro bias.
+
+        ``integrals``: integrals of the IMU's axes since its first sample.
+        """
         imu, end = drive.imu, time[-1]
-        # the IMU's times from the first to the last fix
         inside = slice(*np.searchsorted(imu.time, [time[0]], side="right"), *np.searchsorted(imu.time, [end]))
         self._grid = grid = np.concatenate([[time[0]], imu.time[inside], [end]])
         psi, gained = (_integral_at(imu, axis, integrals, grid) for axis in ("gz", "ax"))
@@ -117,7 +121,7 @@ class AlignmentFit:
         self._solve()
 
     def subtract(self, bias: float) -> None:
-        """Fit again with a gyro bias, rad/s."""
+        """Subtract a gyro bias (rad/s) from the yaw rate, and fit again."""
         turn_path(self._fixes, len(self._fixes), self._path, bias - self.taken)
         self.taken = bias
         self._solve()
@@ -128,7 +132,7 @@ class AlignmentFit:
         fit_path(fixes, len(fixes), self._path, self._coasting, fit, self._covariance, self._turns)
         self.travel, self.misfit, more, variance = fit[TRAVEL:].tolist()
         self.yaw_bias, self.bias_std = self.taken + more, float(np.sqrt(variance))
-        # Part of a turn may look like a bias in any fit. A NumPy float, since its square may overflow without an error.
+        # Part of a turn may look like a bias in any fit. The square of np.float64 overflows without an error.
         turn = np.float64(np.ptp(self._psi - self.yaw_bias * self._grid)) / self.span
         self.yaw_std = float(np.sqrt(variance + YAW_STD**2 + (TURN_SHARE * turn) ** 2))
 
@@ -137,7 +141,7 @@ class AlignmentFit:
         return float(np.sqrt(self._covariance[YAW, YAW]))
 
     def add_bias_variance(self, variance: float) -> None:
-        """Add the effect of a variance of the gyro's bias, (rad/s)^2, to the covariance of the unknowns."""
+        """Add the effect of a variance of the gyro's bias, (rad/s)^2, to the covariance of position, heading, speed."""
         self._covariance[:SLOPE, :SLOPE] += variance * np.outer(self._turns[:SLOPE], self._turns[:SLOPE])
 
     def state(self, *, tilts: bool = True) -> InitialState:
@@ -171,9 +175,9 @@ class AlignmentFit:
 
 
 def _integral_at(imu: Imu, axis: str, integrals: Mapping[str, Array], time: Array) -> Array:
-    """Return the integral of an axis at some times, s, up to a fix; 0 if it is not among the integrals.
+    """Return the integral of an axis at times (s) up to a fix; 0 if ``integrals`` lacks the axis.
 
-    A live filter has no sample after the last fix, so the last sample before the fix is repeated.
+    The integral at the fix is extrapolated from the last sample before it, since a live filter has no later sample.
     """
     if axis not in integrals:
         return np.zeros(len(time))
@@ -187,8 +191,8 @@ def _integral_at(imu: Imu, axis: str, integrals: Mapping[str, Array], time: Arra
 def turn_path(fixes: Array, n: int, path: Array, bias: float) -> None:
     """Correct the path of n fixes for a gyro bias (rad/s).
 
-    Each piece of path between two fixes is rotated by the bias, integrated from the middle of the piece to the last
-    fix.
+    Each piece of the path between two fixes is rotated by the integral of the bias from the middle of the piece to the
+    last fix.
     """
     end = fixes[n - 1, TIME]
     for k in range(n):
@@ -236,9 +240,10 @@ def _multiply(matrix: Array, vector: Array, product: Array) -> None:
 
 @cached(error_model="numpy")
 def _equations_of(fix: Array, way: Array, fit: Array, c: float, s: float, rows: Array) -> None:
-    """Set the equations of a fix, (2, 6), in the frame of the heading, whose cosine and sine are c and s.
+    """Set rows (2, 6), the equations of a fix forward and left with respect to the heading with cosine c and sine s.
 
-    In addition, the first equation contains the forward position, the second one the left position, with coefficient 1.
+    The columns of the position are not set. They are 1 for the forward position in the first equation and for the left
+    position in the second equation, otherwise 0.
     """
     v, slope = fit[SPEED], fit[SLOPE]
     x, y = fix[X] - fit[EAST], fix[Y] - fit[NORTH]
@@ -257,7 +262,11 @@ def _equations_of(fix: Array, way: Array, fit: Array, c: float, s: float, rows: 
 def fit_path(
     fixes: Array, n: int, path: Array, coasting: float, fit: Array, covariance: Array, turns: Array
 ) -> None:
-    """Fit the unknowns to n fixes by Gauss-Newton, and then the gyro bias."""
+    """Fit the unknowns to n fixes by Gauss-Newton, and then the gyro bias.
+
+    ``coasting`` is the part of the travel that is due to changes of speed, m. The results are ``fit``, ``covariance``
+    of the unknowns, and ``turns``, their derivatives with respect to the gyro bias.
+    """
     east, north = fixes[n - 1, X] - fixes[0, X], fixes[n - 1, Y] - fixes[0, Y]
     forward, left = path[0, BY_SPEED], path[0, BY_SPEED + 1]
     fit[EAST], fit[NORTH] = fixes[n - 1, X], fixes[n - 1, Y]
@@ -321,7 +330,8 @@ def _fit_bias(
 ) -> None:
     """Fit the remaining gyro bias, from the part of its effect on the path that the other unknowns do not explain.
 
-    ``inverse``: inverse of the normal matrix; ``prior``: weight of the prior of b in the normal matrix.
+    ``inverse``: inverse of the normal matrix; ``prior``: weight of the prior of b in the normal matrix; ``turns``: as
+    in `fit_path`.
     """
     c, s = np.cos(fit[YAW]), np.sin(fit[YAW])
     rows, right = np.zeros((2, 6)), np.zeros(5)
@@ -376,8 +386,8 @@ def _convert_change(c: float, s: float, v: float, e: Array) -> None:
 def convert_to_start(fit: Array, mean: Array, covariance: Array, turns: Array, change: Array) -> float:
     """Convert a fit to the mean x, y, vx, vy, theta of a start; return the variance of b without its prior.
 
-    ``covariance`` and ``turns`` are converted in place. ``change`` receives the change of the mean per m/s2 of forward
-    force.
+    ``covariance`` and ``turns`` are converted in place. The change of the mean per m/s2 of forward force is stored in
+    ``change``.
     """
     c, s, v, posterior = (
         np.cos(fit[YAW]),

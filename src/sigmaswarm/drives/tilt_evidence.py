@@ -18,8 +18,8 @@ from sigmaswarm.compilation import cached
 from sigmaswarm.drives.tables import Array
 
 GRAVITY = 9.81  # m/s2
-FORWARD_STD = 0.15  # m/s2, standard deviation of changes of bias and slope in a window, unknown to the gyro
-LEFT_STD = 0.05  # m/s2, standard deviation of other lateral accelerations in the mean of a window
+FORWARD_STD = 0.15  # m/s2, standard deviation of changes of bias and slope in a window, not shown by the gyro
+LEFT_STD = 0.05  # m/s2, standard deviation of a window's mean lateral acceleration that the model lacks
 SPEED_ERROR = 0.3  # m/s, standard deviation of an alignment's speed, which is multiplied by the turn rate
 FORCE, VARIANCE, TURN, DRIFT, MEAN_SPEED, ASSUMED, ASSUMED_VARIANCE, CHANGE = 0, 2, 4, 6, 8, 9, 10, 11
 """Indices of `TiltEvidence.numbers`."""
@@ -27,8 +27,8 @@ NUMBERS = 16  # length of `TiltEvidence.numbers`
 TIME, X, Y, TURNED, GAINED, ROLLED, PITCHED, LATERAL_SPEED = range(8)
 """Columns of the fixes of a window: time (s), position (m) and the integrals of the IMU's axes at the fix.
 
-The integrals are heading (rad), speed (m/s), rotation about the forward and left axes (rad), and lateral acceleration
-(m/s).
+The integrals are those of yaw rate (rad), forward acceleration (m/s), rates about the forward and left axes (rad), and
+lateral acceleration (m/s).
 """
 
 
@@ -46,7 +46,7 @@ class TiltEvidence:
     numbers: Array
 
     def with_bias(self, known: float) -> "TiltEvidence":
-        """Return the evidence about the raw gyro, if ``known`` (rad/s) was subtracted from its yaw rate."""
+        """Return the evidence with respect to the raw yaw rate, if ``known`` (rad/s) was subtracted from it before."""
         numbers = self.numbers.copy()
         numbers[FORCE + 1] -= numbers[MEAN_SPEED] * known
         return TiltEvidence(numbers)

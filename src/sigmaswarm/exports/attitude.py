@@ -1,4 +1,4 @@
-"""Quaternions, rotations, and velocities in body axes, of estimates; planar models are level."""
+"""Attitudes and velocities in body axes of estimates. In planar models roll and pitch are 0."""
 
 import numpy as np
 
@@ -34,7 +34,7 @@ def body_velocity(mean: Array) -> tuple[Array, Array]:
     """Return the velocity along the body axes x and y, (k, 2) m/s, of means (k, n), and its Jacobian (k, 2, 3 or 5).
 
     The velocity is R' (vx, vy, vz), where vz is such that the velocity along the body's z axis is 0. The Jacobian is
-    with respect to vx, vy, theta and, for a model with them, roll and pitch.
+    with respect to vx, vy, theta and, if the model has them, roll and pitch.
     """
     c, s, vx, vy = np.cos(mean[:, THETA]), np.sin(mean[:, THETA]), mean[:, 2], mean[:, 3]
     ahead, left = c * vx + s * vy, c * vy - s * vx  # planar

@@ -52,7 +52,7 @@ FILES = (
     "ins_gps.py",
     "ins_gps_shared.c",
 )
-MIN_INTERVAL = 1e-4  # s; with a shorter IMU interval, the history of one second would take megabytes
+MIN_INTERVAL = 1e-4  # s; at this IMU interval, the history of one second takes 3 to 15 MB
 SINGLE_LANE = Lanes()
 
 
@@ -66,13 +66,14 @@ def c99(
 ) -> dict[str, str]:
     """Return the text of each file by name. Q refers to steps of ``interval`` s; ``as_recorded``: see `PreparedDrive`.
 
-    ``mounting``: roll, pitch and yaw of the IMU, deg, for a function in the files that rotates raw samples.
-    ``imu_axes``: expressions with which the import read the IMU's axes, for the README.
+    ``mounting``: roll, pitch and yaw of the IMU, deg, for the C function that rotates raw samples. ``lanes``: filters
+    of a bank. ``imu_axes``: expressions with which the import read the IMU's axes, for the README.
 
     Raises
     ------
     InputError
-        If a parameter cannot be written as a C constant, or the IMU's sampling rate is too high.
+        If a parameter cannot be written as a C constant, the IMU's sampling rate is too high, or the model has no C
+        text for this kind of filter.
     """
     if interval < MIN_INTERVAL:
         raise InputError(
@@ -162,8 +163,8 @@ def replay_events(
 def _fixes(gps: Gps, heading: bool) -> list[list[float]]:
     """Return rows of time (s), position (m) and, if logged, velocity (m/s) and standard deviations (m), east and north.
 
-    With ``heading`` the rows have all these columns, and also the heading and its standard deviation, rad. A missing
-    velocity is NaN, and a missing standard deviation is 0.
+    With ``heading``, if fixes have headings, the rows have all these columns, and also the heading and its standard
+    deviation, rad. A missing velocity or heading is NaN, and missing standard deviations of the position are 0.
     """
     heading = heading and gps.heading is not None
     columns = [gps.time, gps.x, gps.y]
@@ -183,7 +184,7 @@ def _fixes(gps: Gps, heading: bool) -> list[list[float]]:
 
 def _sigma_points(p: FilterParameters) -> tuple[float, float]:
     """Return alpha^2 (n + kappa) and alpha^2 (n + kappa - 1) + beta."""
-    of = f"the spread of the sigma points, of alpha = {p.alpha:g}, beta = {p.beta:g}, kappa = {p.kappa:g},"
+    of = f"the spread of the sigma points (alpha = {p.alpha:g}, beta = {p.beta:g}, kappa = {p.kappa:g})"
     square = p.alpha**2 if p.alpha < 1e150 else math.inf
     n = len(FILTERS[p.kernel].states)
     gamma_squared = in_range(square * (n + p.kappa), of)
@@ -192,7 +193,7 @@ def _sigma_points(p: FilterParameters) -> tuple[float, float]:
 
 
 def fits_float(p: FilterParameters) -> bool:
-    """Check if all numbers of a filter are in the range of float."""
+    """Return True if each parameter of a filter, and each derived constant, is 0 or a normal number in float."""
     numbers: list[float | None] = [*p.process_noise, *p.measurement_noise]
     numbers += [*p.bias_std, *p.fuzzy_widths, *p.fuzzy_gains]
     numbers += [getattr(p, name) for name in PARAMETERS if name not in ("alpha", "beta", "kappa")]
@@ -220,7 +221,7 @@ def _texts_of_axes(p: FilterParameters, uses_std: bool) -> dict[str, str]:
     tilted = MODELS[p.model].tilts is not None
     axes = ["ax", "ay", *(["az", "gx", "gy"] if tilted else []), "yaw_rate"]
     turning = [axis for axis in axes if axis != "az" and (tilted or axis != "ay")]
-    row = ["t", "ax", "ay", "yaw_rate", "az", "gx", "gy"]  # of a replay
+    row = ["t", "ax", "ay", "yaw_rate", "az", "gx", "gy"]  # columns of an imu row of replay.csv
 
     def replayed(names: list[str]) -> str:
         return ", ".join(f"(ins_gps_real)z[{row.index(name)}]" for name in names)
@@ -271,7 +272,7 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "BLOCKS": round(1.0 / standstill.BLOCK),
         "N_MEMORY": standstill.N_MEMORY,
         "HISTORY": max(1, math.ceil(1.0 / interval)),  # default of LiveFilter
-        "FIXES": 64,  # 6 s at 10 Hz
+        "FIXES": 64,  # 6.4 s at 10 Hz
     }
     if p.kind != "ekf":
         gamma_squared, spread = _sigma_points(p)
@@ -289,13 +290,13 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "NUMERIC_VERSION": ".".join(__version__.split(".")[:3]),
         "STATES": repr(names),
         "COUNTERS": ", time_jumps, too_fast and frozen" if stands else ", time_jumps and frozen",
-        "CALM_NOTE": ": the filter estimates the noise at rest" if stands else "",
+        "CALM_NOTE": ", from which the filter estimates the noise at rest" if stands else "",
         "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
         "STD_NOTE": "; this filter uses them" if weighs else "; 0 if none are stated",
         "STD_UNUSED": "    (void)std;\n" if lasting and not weighs else "",
         "BELIEF_NOTE": " /* and the correlated fix error, m east and north */" if lasting else "",
         "LEVER_AXES": ", left and up" if tilted else " and left",
         "LEVER_COLUMNS": ",left,up" if tilted else ",left",
-        "SAMPLE": f"m/s2 forward{', left and up, rad/s about the same' if tilted else ' and left, rad/s'}",
+        "SAMPLE": f"m/s2 forward{', left and up, rad/s about these axes' if tilted else ' and left, rad/s'}",
         "CSV_HEADER": ",".join(["t", *names, *(f"std_{name}" for name in names)]),
     }

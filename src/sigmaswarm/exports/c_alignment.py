@@ -15,7 +15,7 @@ from sigmaswarm.filters.compiled import live, monitor
 from sigmaswarm.filters.tilted import add_tilt_evidence
 
 MODULES = alignment, alignment_fit, gyro_bias, tilt_evidence, divergence, monitor, live
-"""Modules with constants of the C text."""
+"""Modules that define constants of the C text."""
 _FIX = ("motion.time", "x", "y", "motion.turned", "motion.gained", "motion.leaned[0]", "motion.leaned[1]")
 _PAIRS = ("force", "force_variance", "turn", "drift")
 _NUMBERS = (
@@ -40,7 +40,7 @@ class _OfFit(Rule):
 
 
 class _OfFilter(_OfFit):
-    """Translation of a function on the state of a filter; its states have the names of ins_gps.c."""
+    """Translation of a function on the state of a filter, with the names that states have in ins_gps.c."""
 
     enumerators: ClassVar = {"THETA": "HEADING", **{name: name for name in STATES}}
     pointers: ClassVar = {
@@ -62,7 +62,7 @@ class _OfMonitor(_OfFit):
 
 
 def alignment_of(*, biases: bool, tilted: bool) -> dict[str, str]:
-    """Return the C text of the fit, of its evidence for a filter, and of the rules of the divergence monitor."""
+    """Return C text by name: the fit, the update of a filter with its evidence, and rules of the divergence monitor."""
     fit = [alignment_fit.turn_path, alignment_fit.fit_path, alignment_fit.convert_to_start]
     fit += [tilt_evidence.mean_forces] if tilted else []
     evidence = [*((gyro_bias.mix_biases, gyro_bias.update_biases) if biases else ())]

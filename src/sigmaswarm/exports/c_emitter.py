@@ -1,4 +1,4 @@
-"""Translate the kernels of the compiled filter to C99, for one column and without terms that are 0 in a filter."""
+"""Translate the kernels of the compiled filter to C99, for one batch column, without terms that are 0 in a filter."""
 
 import ast
 import re
@@ -64,8 +64,8 @@ class Emitter:
     ) -> None:
         """Translate a kernel or a plain function, and before it the functions that it calls.
 
-        ``name`` is the name in calls, by default that of the function. ``known`` contains the values of parameters. A
-        function with `Elements` ``e`` writes its results to these.
+        ``name`` is the name in calls, by default that of the function. ``known`` contains the values of parameters. If
+        its ``e`` are `Elements`, the function writes its results to these.
         """
         if isinstance(function, Kernel):
             function, known = function.source, {**function.known, **known}
@@ -76,7 +76,10 @@ class Emitter:
     def signature_of(
         self, name: str, function: Any, translation: "type[_Function]"
     ) -> tuple[str, list[list[str]]]:
-        """Return the name in C and the parameters of a function that a translated function calls by a name."""
+        """Return the C name and parameters of a called function, which is translated at its first call.
+
+        ``name`` is its name in the call.
+        """
         if name not in self.signatures:
             self.add(function, name, translation)
         return self.signatures[name]
@@ -224,7 +227,7 @@ class _Function(ast.NodeTransformer):
     def store_results(self, targets: list[ast.expr], call: ast.Call, depth: int) -> None:
         """Print a call with results, which C returns through pointers."""
         if ast.unparse(call.func) == "spread_of" and number_of(self.fold(call.args[0])) == 0.0:
-            # sigma points without spread; d/4 is only a divisor
+            # extended filter: sigma points without spread; d/4 is only a divisor, so any value but 0 is correct
             self.store_all(targets, [ast.Constant(1.0), ast.Constant(1.0), ast.Constant(0.0)], depth)
             return
         outs: list[str] = []
@@ -293,7 +296,7 @@ class _Function(ast.NodeTransformer):
             rows = self.evaluate(steps)
             nodes = [node for statement in body for node in ast.walk(statement)] if len(rows) > 1 else []
             self.changing |= {n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
-            for value in rows:  # one after another
+            for value in rows:  # unroll the loop
                 self.known, before = {**self.known, name: value}, self.known
                 self.block(body, depth)
                 self.known = before
@@ -343,7 +346,7 @@ class _Function(ast.NodeTransformer):
     def value(self, node: ast.expr) -> Any:
         """Return the value of an expression, or None if it depends on the state."""
         if isinstance(node, ast.BinOp) and ast.unparse(node.left) == "events":
-            return None if self.evaluate(node.right) else 0  # an event that this filter does not have
+            return None if self.evaluate(node.right) else 0  # 0: this filter does not have the event
         try:
             return self.evaluate(node)
         except _UNKNOWN:
@@ -353,7 +356,7 @@ class _Function(ast.NodeTransformer):
         return RENAMED.get(name, name)
 
     def written(self, node: ast.expr) -> tuple[str | None, str]:
-        """Return the `place` of an assignment's target, or None if C computes the target from other values."""
+        """Return the `place` of an assignment's target; None if the target is not stored in C."""
         place, mirror = self.place(node)
         return (None if place is not None and " * " in place else place), mirror
 
@@ -378,7 +381,7 @@ class _Function(ast.NodeTransformer):
             return self.mirrored(*(self.emitter.states[MEAN.index(letter)] for letter in name))
         if name[:3] in ("C1_", "C2_"):
             return f"work->{name[:2]}[{self.emitter.states[MEAN.index(name[3:])]}]", ""
-        if row < N_KEPT:  # only scratch rows are written before they are read
+        if row < N_KEPT:  # only scratch rows, which a step writes before it reads them, can be in Work
             raise TypeError(f"{self.name}: row {name} has no C text; add it to c_kernels._rows")
         return f"work->{name.lower()}", ""
 

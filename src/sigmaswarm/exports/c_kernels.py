@@ -1,7 +1,6 @@
 """Translate the kernels of a filter to C for its model and parameters."""
 
 # pyright: reportPrivateUsage=false, reportArgumentType=false
-# Only this module uses the private parts of kernels outside of their modules.
 
 from collections.abc import Mapping
 from typing import Any
@@ -65,7 +64,7 @@ def kernels_of(
 
 
 def _add_prediction(emitter: Emitter) -> None:
-    """Add the parts of tilted12's prediction; the template contains their order."""
+    """Add the parts of tilted12's prediction, which a function in the template calls."""
     for function in (tilted12._half_turn, tilted12._move):
         emitter.add(function)
     coefficients = [f"work->{NAMES[row].lower()}" for row in transition.COEFFICIENTS["tilted12"]]
@@ -107,7 +106,7 @@ def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> 
         **{"FUZZY": "FORGETTING", "QUICK": "b->quick", "SLOW": "b->slow"},
         **{"TIMES_R": "b->times_r", "TIMES_Q": "b->times_q"},
         **{name: name for name in ("WIDTH_RATIO", "WIDTH_TREND", "GAIN_R", "GAIN_Q")},
-        **dict.fromkeys(SUMS[: SUMS.index("OK")]),  # scores, which C does not have
+        **dict.fromkeys(SUMS[: SUMS.index("OK")]),  # sums for scores, which C does not compute
         **{"DOF": "ROBUST_DOF", "PATIENCE": "PATIENCE", "OUTLIERS": "b->outliers", "SPAN": "b->span"},
         "OK": "b->failed",
         **{name: name for name in ("FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR")},

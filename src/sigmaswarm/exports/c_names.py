@@ -38,7 +38,7 @@ INPUTS = {
     "wheels": {k: f"wheels->{name}" for k, name in enumerate(WHEELS)},
     "lever": {k: f"lever[{k}]" for k in range(3)},
 }
-"""C text of the elements of a step, a fix, an odometer reading and the lever arm."""
+"""C text of the elements of a step, a fix, an odometer measurement and the lever arm."""
 _FUNCTIONS = ("SIN", "COS", "SQRT", "HYPOT", "EXP", "LOG", "FLOOR")
 CALLS = {
     **{f"{module}.{name.lower()}": name for module in ("np", "math") for name in _FUNCTIONS},

@@ -54,7 +54,7 @@ _CASTS = {"int": "(int)", "float": "(real)"}
 
 
 def rules_of(features: Mapping[str, bool], used: int) -> dict[str, str]:
-    """Return the C text of the rules and of the call of `sample_events`, by name; ``used``: see `events.bits_of`."""
+    """Return by name the C text of the rules and the call of `sample_events`; ``used``: see `events.bits_of`."""
     emitter = Emitter({}, settings={"used": used})
     emitter.add(live._until, "fixes_until", Rule)
     if features["USE_ODOMETER"]:
@@ -199,7 +199,7 @@ class Rule(_Function):
         return ast.Name(name + "".join(f"[{self.c(index)}]" for index in indices))
 
     def visit_BoolOp(self, node: ast.BoolOp) -> ast.expr:
-        known = [self.value(each) for each in node.values]  # events that the filter uses
+        known = [self.value(each) for each in node.values]  # known operands do not decide the result
         left = [self.visit(each) for each, value in zip(node.values, known, strict=True) if value is None]
         return left[0] if len(left) == 1 else ast.BoolOp(node.op, left)
 

@@ -72,9 +72,9 @@ def in_c(comment: str) -> str:
 
 @cache
 def constants_of(module: Any) -> dict[str, str]:
-    """Return the description of each constant that a module defines: the string below it, or the comment in its line.
+    """Return descriptions of a module's constants, by name: the string below a definition, or the comment in its line.
 
-    The names of constants that are defined together are the key.
+    Constants that are defined together have one key: their names, separated by commas.
     """
     definitions = re.findall(
         r'^([A-Z]\w*(?:, [A-Z]\w*)*) = .*?(?:  # (.*)|\n"""([^"]*)""")?$',
@@ -88,7 +88,7 @@ def constants_of(module: Any) -> dict[str, str]:
 
 
 def with_constants(text: str, modules: Iterable[Any]) -> str:
-    """Replace ``@CONSTANTS@`` by definitions of the constants of modules that the text uses but does not define."""
+    """Replace ``@CONSTANTS@`` by definitions of the constants in ``modules`` that the text uses but does not define."""
     used = set(re.findall(r"\b[A-Z][A-Z_0-9]+\b", re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)))
     used -= set(re.findall(r"#define (\w+)", text))
     lines: list[str] = []

@@ -1,4 +1,4 @@
-"""Compile an exported C filter, run it through its Python module, and compare it with `run_filter`."""
+"""Compile an exported C filter, run it through the exported Python module, and compare it with sigmaswarm."""
 
 import importlib.util
 import os
@@ -57,7 +57,7 @@ def check_export(
 ) -> list[ExportCheck]:
     """Compile the exported C library in ``folder`` and compare it on drives, with arguments as in `export_texts`.
 
-    If ``lanes`` exceeds 1, the reference is a `LiveFilterBank` without searches.
+    The reference is `run_filter` without resets or, if ``lanes`` exceeds 1, a `LiveFilterBank` without searches.
 
     Raises
     ------
@@ -86,7 +86,6 @@ def check_export(
 
 
 def _expected(drive: Drive, parameters: FilterParameters, lanes: Lanes, *, as_recorded: bool) -> Array:
-    """Return the means (k, n) that sigmaswarm computes."""
     if lanes.n == 1:
         return run_filter(drive, parameters, recover=False, as_recorded=as_recorded).mean
     replay = whole_pass(drive, as_recorded=as_recorded)
@@ -122,7 +121,7 @@ def _shared_object(folder: Path, name: str, *flags: str) -> Path:
 def _replay(
     folder: Path, library: Path, parameters: FilterParameters, events: Sequence[tuple[str, list[float]]]
 ) -> Array:
-    """Return the means (k, n) after each sample that the exported Python module computes."""
+    """Return the means (k, n) that the exported Python module computes after each sample later than the start."""
     spec = importlib.util.spec_from_file_location("ins_gps", folder / "ins_gps.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -76,7 +76,7 @@ NUMBERS = {
     "PER_ODOMETER_SCALE": "true speed / reading",
     "ODOMETER_LATENCY": "s: delay of a reading: its time stamp minus the time at which its value was true",
 }
-"""Numbers that a template may use, and the comments in their definitions."""
+"""Comments in the definitions of the numbers that a template may use."""
 
 
 def with_definitions(text: str, numbers: Mapping[str, str]) -> str:

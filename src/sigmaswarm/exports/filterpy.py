@@ -32,12 +32,12 @@ from sigmaswarm.versions import __version__
 
 FILE = "run_filter.py"
 _ABSENT = ("imu_noise", "imu_gate", "fix_error", "fix_error_time", "fix_std")
-"""Parameters of filters that a script does not have."""
+"""Parameters that only filters without an exported script use."""
 MODEL = {
     models: "THETA ACCEL_BIAS GYRO_BIAS planar5 planar8 gps_position velocity lateral_arm lateral_velocity "
     "wheel_speed heading gyro_bias"
 }
-"""Parts of the model that a script contains, by module; likewise FILTER and DRIVE. An empty text: all."""
+"""Names in each module that the script contains; an empty text means all. Likewise FILTER and DRIVE."""
 FILTER = {
     gaussian: "Innovation Prediction GaussianFilter",
     ekf: "complex_step",

@@ -66,7 +66,7 @@ _white = attrgetter("white.value")
 
 
 def _walk_of(noise: Noise, sensor: str) -> Callable[[AxisNoise], float]:
-    """Return a function from an axis to the random walk of its bias, unit/sqrt(s), or to a typical value."""
+    """Return a function from an axis to the random walk of its bias, unit/sqrt(s); typical if it was not measured."""
 
     def walk(axis: AxisNoise) -> float:
         std, time = axis.bias(noise.longest)

@@ -35,7 +35,7 @@ class Lanes:
 
     def values(self, tuning: FilterParameters) -> dict[str, str]:
         filters = self.filters(tuning)
-        biases = {"GYRO_BIAS_STDS": listed([p.bias_std[1] for p in filters])}  # initial
+        biases = {"GYRO_BIAS_STDS": listed([p.bias_std[1] for p in filters])}
         if self.n == 1:
             return {"Q": "process_noise", "R": "measurement_noise", "LANES": "1", **biases}
         spread = OffsetPrior(tuning)
@@ -48,8 +48,7 @@ class Lanes:
             "Q": "lanes[b->lane].process_noise",
             "R": "lanes[b->lane].measurement_noise",
             "LANES": str(self.n),
-            "DESCRIPTION": f"{tuning.model}, {tuning.kind}: {self.n} lanes with different parameters, and their "
-            "mixture",
+            "DESCRIPTION": f"{tuning.model}, {tuning.kind}: bank of {self.n} filters with different parameters",
             "LANE_ROWS": ",\n".join(map(_row, filters, penalties)),
         }
 
@@ -58,7 +57,7 @@ class Lanes:
 
 
 _NUMBERS = ("accuracy_scale", *NOISE_OF.values(), "rear_axle", "tire_slip")
-"""Scalar parameters that may differ between the filters, in addition to Q, R and initial biases."""
+"""Scalar parameters that may differ between the filters, in addition to Q, R and the initial `bias_std`."""
 
 
 def _numbers(p: FilterParameters) -> dict[str, float]:

@@ -1,6 +1,6 @@
 """Write tracks for maps: GeoJSON (RFC 7946), GPX 1.1 and KML 2.2, in degrees on WGS-84, without heights.
 
-Times that can be Unix times by their size are written as dates in UTC.
+Times of 1e9 to 2.5e11 s (years 2001 to 9892) are assumed to be Unix times, and are written as dates in UTC.
 """
 
 import json
@@ -58,7 +58,7 @@ def gpx(time: Array, places: Array, path: Path, name: str) -> None:
 
 
 def kml(time: Array, places: Array, path: Path, name: str) -> None:
-    """Write a gx:Track if the times are dates, else a line, cut at the antimeridian."""
+    """Write a track if the times are Unix times, otherwise a line without times; both are cut at the antimeridian."""
     if _stamps(time[:1]):
         _timed_kml(time, places, path, name)
         return
@@ -97,8 +97,8 @@ def split_at_antimeridian(time: Array, places: Array) -> list[tuple[Array, Array
     low, high = np.minimum(turned[:-1], turned[1:]), np.maximum(turned[:-1], turned[1:])
     edge = 360.0 * np.floor((low + 180.0) / 360.0) + 180.0
     at = np.flatnonzero(edge < high)
-    share = (edge - turned[:-1])[at] / np.diff(turned)[at]
-    on_it = track[at] + share[:, np.newaxis] * (track[at + 1] - track[at])
+    fraction = (edge - turned[:-1])[at] / np.diff(turned)[at]
+    on_it = track[at] + fraction[:, np.newaxis] * (track[at + 1] - track[at])
     on_it[:, 2] = edge[at]
     track = np.insert(track, at + 1, on_it, axis=0)
     turn = np.floor((0.5 * (track[:-1, 2] + track[1:, 2]) + 180.0) / 360.0)  # full turns

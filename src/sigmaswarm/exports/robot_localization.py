@@ -1,8 +1,8 @@
-"""Write a configuration of ROS's robot_localization, from its tuned model or from another filter.
+"""Write a configuration of ROS's robot_localization, from a filter with the model robot-localization or another model.
 
 robot_localization adds ``process_noise_covariance`` times the time step, so Q is divided by the nominal interval. Its
-gate is the square root of a NIS. Source: https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel,
-filter_base.cpp.
+rejection threshold is the square root of a limit of the NIS. Source: https://github.com/cra-ros-pkg/robot_localization,
+branch rolling-devel, filter_base.cpp.
 """
 
 import math
@@ -25,7 +25,7 @@ DEFAULT_PROCESS_NOISE = (
 )
 """Default process noise per second: x, y, z; roll, pitch, yaw; their rates; accelerations."""
 SMALL, FIRST_FIX = 1e-6, 1.0
-"""Initial variance of states that stay at 0, and smallest initial variance of x and y (m2)."""
+"""Initial variance of states that `two_d_mode` keeps at 0, and smallest initial variance of x and y (m2)."""
 START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
 """Initial variances of vx, vy, yaw, ax, ay, yaw rate, for an initial_state set as in README.md."""
 
@@ -36,7 +36,7 @@ def robot_localization(
     """Return the text of each file by name. Q refers to steps of ``interval`` s.
 
     ``mounting``: roll, pitch and yaw of the IMU, deg, for the static transform that ROS needs. The third argument is
-    ignored, since this filter has no preprocessing.
+    ignored, since robot_localization has no preprocessing.
 
     Raises
     ------

@@ -34,7 +34,7 @@ INNOVATION, INNOVATION_SIGMA, NIS = (
 )
 INTERVAL = 0.1  # s between messages of the topics SIGMA and FIX
 NOT_ESTIMATED = 1e6
-"""Variance of quantities that a filter does not estimate: height and rates; in planar models also roll and pitch."""
+"""Variance of what a filter does not estimate: height, vertical velocity, rates; in planar models roll and pitch."""
 RawMessage = tuple[int, Any, Any]  # ns, connection in the new bag, bytes
 Message = tuple[int, str, Any]  # ns, topic, message
 
@@ -58,7 +58,7 @@ def ros2(
     ------
     InputError
         If rosbags is not installed, a time is before 0, or ``merge`` is damaged, covers other times, or already
-        contains the topic. No file remains.
+        contains /sigmaswarm/odometry. No file remains.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
@@ -206,7 +206,7 @@ class MessageFactory:
 def _messages(
     pieces: Iterable[Estimate], factory: MessageFactory, origin: Origin | None
 ) -> Iterator[Message]:
-    """Yield estimates and, every `INTERVAL`, a NavSatFix and standard deviations of x, y (m) and heading (rad)."""
+    """Yield estimates and, every `INTERVAL`, standard deviations and, if the origin is known, a NavSatFix."""
     before = -1
     for estimate in pieces:
         velocity, jacobian = body_velocity(estimate.mean)
@@ -228,7 +228,7 @@ def _messages(
 
 
 def _of_innovations(innovations: Innovations | None, factory: MessageFactory) -> Iterator[Message]:
-    """Yield the innovations of the fixes, m east and north, with standard deviations (m) and NIS."""
+    """Yield innovations, m east and north, their standard deviations (m) and NIS, of the fixes before a failure."""
     if innovations is None:
         return
     sound = definite(innovations.covariance)  # False after a failure of the filter

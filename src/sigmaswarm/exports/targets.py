@@ -59,7 +59,7 @@ def export_texts(
     ------
     InputError
         If the target is unknown or does not support the model, ``replay`` or ``lanes``; if the parameters lack the
-        nominal interval; or if a variance is not positive.
+        nominal interval; or if a variance of Q is negative, or one of R is not positive.
     """
     target = target_named(target)
     interval = _checked(parameters, target)

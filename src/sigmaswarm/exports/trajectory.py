@@ -39,8 +39,8 @@ def write_pieces(
 ) -> None:
     """Write an estimate, in pieces, to a file; the extension selects the format.
 
-    ``.csv``: t, x, y, vx, vy, theta and std_x ... std_theta (s, m, m/s, rad); for planar8 and tilted12 also biases,
-    roll and pitch with standard deviations. ``.mat``, for MATLAB: t, the states by name, and covariance (n, states,
+    ``.csv``: t, x, y, vx, vy, theta and std_x ... std_theta (s, m, m/s, rad); also further states of the model with
+    their standard deviations. ``.mat``, for MATLAB: t, the states by name, and covariance (n, states,
     states). ``.tum``: one line ``t x y z qx qy qz qw`` per estimate, z = 0 and the attitude as a quaternion.
     ``.kitti``: one line of 12 numbers per estimate, the 3 x 4 matrix of the pose row by row, without time. ``.ros2``: a
     ROS 2 bag (a folder) with the estimate as nav_msgs/Odometry and, with an origin, as sensor_msgs/NavSatFix; also
@@ -97,8 +97,7 @@ def write_fixes(
 ) -> int:
     """Write the fixes before ``until`` (s), for example the start of a filter; return the number of written fixes.
 
-    Formats: ``.csv`` (t, x, y in s and m), and the maps ``.geojson``, ``.gpx`` and ``.kml``. Other formats raise
-    `InputError`.
+    Formats: ``.csv`` (t in s, x and y in m), ``.geojson``, ``.gpx`` and ``.kml``. Other formats raise `InputError`.
     """
     path = Path(path)
     check_fixes_target(path, origin)

@@ -5,8 +5,8 @@ has diverged if, for `DIVERGED_AFTER` seconds, its heading differs from this ali
 by far more than the covariances allow. It is then reset to the alignment.
 
 The thresholds were chosen on nine recordings. For filters that had not diverged, the heading differed by more than 20
-deg from the alignments for at most 8 s. The position differed by more than 20 m and 5 sigma from the fixes for at most
-6 s. For diverged filters, both differences persisted for at least 18 s.
+deg from the alignments for at most 8 s. The position differed by more than 20 m and 5 standard deviations from the
+fixes for at most 6 s. For diverged filters, both differences persisted for at least 18 s.
 """
 
 import math
@@ -27,14 +27,12 @@ from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA, planar5
 from sigmaswarm.filters.schedule import starts_of
 from sigmaswarm.geodesy import wrap_angle
 
-DIVERGED_AFTER = 10.0  # s; bad fixes in a city and the recovery of robust filters are shorter contradictions
-MIN_CHECKS = 5  # smallest number of checks with a contradiction in this time
+DIVERGED_AFTER = 10.0  # s; bad fixes in a city, and recoveries of robust filters, contradict for less time
+MIN_CHECKS = 5  # smallest number of consecutive checks with a contradiction before a reset
 MANY_SIGMAS = 5.0  # smallest difference, in combined standard deviations of filter and fix or alignment
 HEADING_OFF = np.radians(20.0)  # rad, smallest difference of the heading from the alignment
 POSITION_OFF = 20.0  # m, smallest difference of a fix from its prediction
-SUSPECT_HEADING = np.radians(
-    10.0
-)  # rad, difference from the rough heading above which an alignment is computed
+SUSPECT_HEADING = np.radians(10.0)  # rad, difference from the rough heading that requires an alignment
 SPEED_STD = 10.0  # m/s per axis, standard deviation of the velocity after a reset to the last fix
 CHECKS, SINCE, LAST = range(3)
 """Indices in the record of a contradiction: number of checks, times of the first and the last check (s)."""
@@ -47,7 +45,7 @@ class CheckTimes:
 
 
 def check_times(line: Timeline) -> CheckTimes:
-    """Find the first IMU sample in each `CHECK_INTERVAL` that follows a new fix within `LATEST_CHECK`.
+    """Find, in each `CHECK_INTERVAL`, the first IMU sample that follows a new fix within `LATEST_CHECK`.
 
     A sample after a gap of more than `LEAP` is omitted, since a live filter uses it only after the next sample.
     """
@@ -89,7 +87,7 @@ class StateCheck:
 
     @property
     def heading_contradicts(self) -> bool | None:
-        """True if the filter's heading is far from the alignment's; None if the alignment's heading is unknown."""
+        """True if the filter's heading is far from that of the alignment; None if there is no alignment."""
         theta, heading = float(self.mean[THETA]), self.heading()
         if not math.isfinite(heading):
             return None
@@ -103,7 +101,7 @@ class StateCheck:
         return bool(off > max(HEADING_OFF, MANY_SIGMAS * std))
 
     def _turned_by_bias(self, aligned: InitialState) -> float:
-        """Return the change of an alignment's heading if it used the filter's gyro bias, rad."""
+        """Return the correction of the alignment's heading at the check for the gyro bias of the filter, rad."""
         gyro = aligned.gyro
         if gyro is None or len(self.mean) <= GYRO_BIAS:
             return 0.0
@@ -174,7 +172,7 @@ class DivergenceMonitor:
 
 
 def record_check(contradiction: Array, time: float, contradicts: bool) -> None:
-    """Record the result of a check."""
+    """Record the result of a check at a time, s."""
     if contradicts:
         if contradiction[CHECKS] == 0:
             contradiction[SINCE] = time
@@ -210,7 +208,7 @@ def describe_restarts(drive: str, times: Sequence[float]) -> str:
 
 
 class _Contradiction:
-    """Duration of an uninterrupted contradiction."""
+    """Record of an uninterrupted contradiction."""
 
     def __init__(self) -> None:
         self._record = np.zeros(3)
@@ -251,14 +249,14 @@ def steps_since(samples: Array, time: float) -> Array:
     return steps
 
 
-_MAX_MAGNITUDE = 1e12  # m, m/s2 or rad/s; with larger numbers, least squares fail and LAPACK prints a message
+_MAX_MAGNITUDE = 1e12  # m, m/s2 or rad/s; samples and fixes with larger numbers are not used
 
 
 def align_stream(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> InitialState | None:
     """Align with the last few seconds of a live filter's data.
 
-    ``samples`` (k, 4 or 6): time, ax, ay, gz, gx, gy; ``fixes`` (m, 3): time (s), x, y (m); ``gyro_bias``: known bias
-    of gz, rad/s.
+    ``samples`` (k, 4 or 6): time, ax, ay, gz and, if present, gx, gy; ``fixes`` (m, 3): time (s), x, y (m);
+    ``gyro_bias``: known bias of gz, rad/s.
     """
     columns = samples[(np.abs(samples[:, 1:]) < _MAX_MAGNITUDE).all(axis=1)].T
     fixes = fixes[(np.abs(fixes[:, 1:]) < _MAX_MAGNITUDE).all(axis=1)]

@@ -55,7 +55,7 @@ class Car:
     ) -> None:
         p = parameters
         self.timeline, self.parameters, self.model, self.filter = timeline, p, model, filter
-        # Q of the fix error, which changes only at fixes
+        # Q of the fix error is 0 in a step, since the error is propagated only at fixes
         self._fix_error_noise = np.zeros(len(filter.mean) - len(p.process_noise))
         q = process_noise_per_step(p, timeline.nominal_interval)
         r = np.array(p.measurement_noise)
@@ -134,7 +134,10 @@ class Car:
         self._since = 0.0
 
     def _update_with_heading(self, theta: float, stated: float, yaw_rate: float) -> None:
-        """Update with a heading that is ``latency`` s old; S is increased if the NIS would exceed `HEADING_GATE`."""
+        """Update with a heading (rad) that is ``latency`` s old, and its stated variance (rad2); ``yaw_rate``: rad/s.
+
+        S is increased if the NIS would exceed `HEADING_GATE`.
+        """
         p, near = self.parameters, float(self.filter.mean[THETA])
         z = near + wrap_angle(theta + p.latency * yaw_rate - near)
         noise = np.array([[(p.heading_noise or 0.0) + stated]])
@@ -143,7 +146,10 @@ class Car:
         self.filter.correct(replace(innovation, variance=np.maximum(innovation.variance, least)))
 
     def _age_fix_error(self, stated: Array) -> None:
-        """Propagate the correlated error to the next fix; ``stated``: variances of the next fix, (2,) m2, or 0."""
+        """Propagate the correlated error from the previous fix to this fix.
+
+        ``stated``: variances of this fix that the receiver states, (2,) m2; 0 if it states none.
+        """
         raise NotImplementedError
 
 
