@@ -242,8 +242,7 @@ def _multiply(matrix: Array, vector: Array, product: Array) -> None:
 def _equations_of(fix: Array, way: Array, fit: Array, c: float, s: float, rows: Array) -> None:
     """Set rows (2, 6), the equations of a fix forward and left with respect to the heading with cosine c and sine s.
 
-    The columns of the position are not set. They are 1 for the forward position in the first equation and for the left
-    position in the second equation, otherwise 0.
+    The columns of the position (forward, left) are not set, since they are those of the identity matrix.
     """
     v, slope = fit[SPEED], fit[SLOPE]
     x, y = fix[X] - fit[EAST], fix[Y] - fit[NORTH]
@@ -264,8 +263,8 @@ def fit_path(
 ) -> None:
     """Fit the unknowns to n fixes by Gauss-Newton, and then the gyro bias.
 
-    ``coasting`` is the part of the travel that is due to changes of speed, m. The results are ``fit``, ``covariance``
-    of the unknowns, and ``turns``, their derivatives with respect to the gyro bias.
+    ``coasting``: part of the travel that is due to changes of speed, m. Results: ``fit``; ``covariance`` of the
+    unknowns; ``turns``, their derivatives with respect to the gyro bias.
     """
     east, north = fixes[n - 1, X] - fixes[0, X], fixes[n - 1, Y] - fixes[0, Y]
     forward, left = path[0, BY_SPEED], path[0, BY_SPEED + 1]
@@ -330,8 +329,7 @@ def _fit_bias(
 ) -> None:
     """Fit the remaining gyro bias, from the part of its effect on the path that the other unknowns do not explain.
 
-    ``inverse``: inverse of the normal matrix; ``prior``: weight of the prior of b in the normal matrix; ``turns``: as
-    in `fit_path`.
+    ``inverse``: inverse of the normal matrix; ``prior``: weight of the prior of b in the normal matrix.
     """
     c, s = np.cos(fit[YAW]), np.sin(fit[YAW])
     rows, right = np.zeros((2, 6)), np.zeros(5)

@@ -74,7 +74,7 @@ def kml(time: Array, places: Array, path: Path, name: str) -> None:
 
 
 def _timed_kml(time: Array, places: Array, path: Path, name: str) -> None:
-    """Write a track with times in Google's extension of KML 2.2: all times, then all places."""
+    """Write a track in Google's extension of KML 2.2; each part lists all times, then all positions."""
     lines = [
         '<kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"><Document>',
         f"<Placemark><name>{_escaped(name)}</name><gx:MultiTrack>",

@@ -172,7 +172,6 @@ class DivergenceMonitor:
 
 
 def record_check(contradiction: Array, time: float, contradicts: bool) -> None:
-    """Record the result of a check at a time, s."""
     if contradicts:
         if contradiction[CHECKS] == 0:
             contradiction[SINCE] = time
