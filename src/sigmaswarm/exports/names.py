@@ -75,7 +75,7 @@ def target_named(target: AnyTarget) -> Target:
 
 
 def next_command(target: AnyTarget, folder: str | Path, texts: Mapping[str, str]) -> str:
-    """Return the shell command that uses the exported files ``texts`` (by name) in a folder, or "" for C without a drive."""
+    """Return the shell command that uses exported ``texts`` (by file name) in a folder; "" for C without a drive."""
     commands = DESCRIPTIONS[target_named(target)].commands
     node = "ukf_node" if "\nukf_filter_node:" in texts.get("robot_localization.yaml", "") else "ekf_node"
     if target == "c99" and "replay.csv" not in texts:  # the program would wait for an input
