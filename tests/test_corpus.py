@@ -125,12 +125,14 @@ def assert_equal(found: Any, expected: Any, tolerance: float = TOLERANCE, where:
         assert found == expected, where
 
 
-def assert_same_numbers(new: Path, old: Path) -> None:
-    """Compare the columns of two CSV files; columns that are new are allowed."""
+def assert_same_numbers(new: Path, old: Path, *, changed: tuple[str, ...] = ()) -> None:
+    """Compare the columns of two CSV files, except those with an end in ``changed``; columns that are new are allowed."""
     after, before = (list(csv.DictReader(path.read_text().splitlines())) for path in (new, old))
     assert len(after) == len(before)
     for row, was in zip(after, before, strict=True):
         for name, cell in was.items():
+            if name.endswith(changed):
+                continue
             try:
                 assert_equal(float(row[name]), float(cell), where=name)
             except ValueError:
@@ -313,7 +315,8 @@ def test_comparisons_are_gone_on_with(
         ],
         *("--workers", "1", "--out", out, "--resume"),
     )
-    assert_same_numbers(out / "comparison.csv", Path("comparison/comparison.csv"))
+    intervals = ("_low", "_high")  # too narrow in 0.3.0
+    assert_same_numbers(out / "comparison.csv", Path("comparison/comparison.csv"), changed=intervals)
 
 
 @pytest.mark.long

@@ -35,7 +35,7 @@ os.fsync = dying
     + COMMAND
 )
 COMMANDS: dict[str, tuple[str, ...]] = {
-    "run": ("run", "{tuned}", "{drive}", "--out", "out/e.csv"),
+    "run": ("run", "{tuned}", "{drive}", "--out", "out/e.csv", "--overwrite"),
     "run-bag": ("run", "{tuned}", "{drive}", "--out", "out/e.ros2"),
     "evaluate": ("evaluate", "{tuned}", "{drive}", "--out", "out", "--overwrite"),
     "export": ("export", "{tuned}", "--to", "c99", "--out", "out"),

@@ -276,7 +276,7 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
             "[filter]\nalpha=0.1\nbeta=2\nkappa=0\nprocess_noise=[1,1,1,-1,1]\nmeasurement_noise=[1,1]",
         ),
         "run p.toml good --out x.csv",
-        ["p.toml", "process_noise[3]", "-1", "positive"],
+        ["p.toml", "process_noise[3]", "-1", "negative"],
     ),
     "simulate-no-out": (nothing, "simulate", ["--out is missing: specify a folder"]),
     "simulate-no-runs": (nothing, "simulate --out s --runs 0", ["--runs"]),

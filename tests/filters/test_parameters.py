@@ -211,7 +211,7 @@ BAD_FILES: dict[str, tuple[str, list[str]]] = {
     "q-no-list": (with_value("process_noise", "1.0"), ["filter.process_noise", "1.0"]),
     "q-negative": (
         with_value("process_noise", "[1, 2, 3, -4, 5]"),
-        ["filter.process_noise[3]", "positive", "-4"],
+        ["filter.process_noise[3]", "negative", "-4"],
     ),
     "q-infinite": (with_value("process_noise", "[1, 2, 3, inf, 5]"), ["filter.process_noise.3", "is inf"]),
     "r-negative": (with_value("measurement_noise", "[-1, 2]"), ["filter.measurement_noise[0]", "-1"]),

@@ -308,7 +308,7 @@ def test_drives_that_were_tuned_on_are_not_called_held_out(
     save(found, tuned, out)
     report = read_report(out)
     assert "on 2 drives (PARTLY TRAINING DATA: the tuning used all of the 30 s of monday)" in report.lead[0]
-    assert any("tuned on" in remark for remark in report.remarks)
+    assert any("expect larger errors on other drives" in remark for remark in report.remarks)
     assert "NaN" not in unpacked(html_page(report))
 
 
