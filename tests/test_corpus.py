@@ -126,7 +126,7 @@ def assert_equal(found: Any, expected: Any, tolerance: float = TOLERANCE, where:
 
 
 def assert_same_numbers(new: Path, old: Path, *, changed: tuple[str, ...] = ()) -> None:
-    """Compare the columns of two CSV files, except those with an end in ``changed``; columns that are new are allowed."""
+    """Compare the columns of two CSV files, except those with an end in ``changed``; new columns are allowed."""
     after, before = (list(csv.DictReader(path.read_text().splitlines())) for path in (new, old))
     assert len(after) == len(before)
     for row, was in zip(after, before, strict=True):
