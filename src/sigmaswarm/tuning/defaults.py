@@ -26,8 +26,9 @@ With truth, truth-pose contains the drift of few outages. After tuning on three 
 forecasts, the 5 s drift on other drives was 1.9 m instead of 0.8 m.
 
 If the fix errors are correlated, a filter that is tuned by forecasts reproduces these errors: with a u-blox M8, its
-position RMSE was 11 m instead of 4 m. A planar filter overfits to the training roads: on a drive of another car, its
-position RMSE was 3.6 times that of the fixes.
+position RMSE was 11 m instead of 4 m. Without truth, a planar filter overfits to the training roads: on a drive of
+another car, its position RMSE was 3.6 times that of the fixes. With truth, forecasts increase the heading error of
+planar8 by 5% (ten cases).
 """
 FIX_ERROR_OBJECTIVE = "innovation-t + 0.2 truth-pose + 0.2 nees"
 """Objective with truth and fix-error: mainly the likelihood, since a drive has few independent position errors.
