@@ -620,7 +620,10 @@ def test_readme_states_that_raw_gps_and_the_imu_alone_need_truth(
     )
     for method in ("raw GPS", "IMU only"):
         assert method in with_truth and method not in without
-    assert "with truth, raw GPS and the IMU alone" in (Path(__file__).parents[2] / "README.md").read_text()
+    assert (
+        "if the drive has truth, raw GPS and dead reckoning"
+        in (Path(__file__).parents[2] / "README.md").read_text()
+    )
 
 
 @pytest.mark.parametrize(

@@ -91,7 +91,7 @@ def evaluate(
     """Evaluate a tuned filter on drives.
 
     The filter is compared with the baseline filter (typical parameters, not tuned) and with a filter that uses only the
-    fixes. --against adds another filter. With truth, the filter is also compared with raw GPS and with the IMU alone.
+    fixes. --against adds another filter. With truth, the filter is also compared with raw GPS and dead reckoning.
     Without truth, the scores are the consistency of the innovations and the drift in simulated outages, measured at the
     hidden fixes. All methods start at the same time from the same state. Use drives that the tuning did not use.
 

@@ -56,14 +56,14 @@ def learn(
     *,
     options: Annotated[LearnOptions, FIELDS],
 ) -> None:
-    """Train a network that supports a tuned filter.
+    """Train a network that assists a tuned filter.
 
     outage-lstm predicts the displacement of the vehicle in outages. noise-gru scales Q and R depending on the latest
     innovations, and needs a filter with the model planar5 or planar8. OUT also contains the filter, so that `sigmaswarm
     run` and `evaluate` read OUT like a tuning. Only training needs `pip install 'sigmaswarm[learned]'`.
 
-    Without --validation, the last quarter of each drive is held out. For outage-lstm with three or more drives, a third
-    of the drives, the last ones, is held out instead.
+    Without --validation, the last quarter of each drive is held out. For outage-lstm with three or more drives, the
+    last third of the drives is held out instead.
 
     For example:
 

@@ -138,7 +138,7 @@ def simulated_on(client: "Client", *what: Any, **options: Any) -> "Iterator[Driv
     Raises
     ------
     ClusterError
-        If a worker has other versions, or the scheduler no longer answers.
+        If a worker's software versions differ from the client's, or the scheduler no longer answers.
     """
     from sigmaswarm.datasets.cluster import Cluster
 

@@ -1,4 +1,4 @@
-"""Train a network that supports a tuned filter, and search for good settings."""
+"""Train a network that assists a tuned filter, and search for good settings."""
 
 import shutil
 import time
@@ -114,7 +114,7 @@ def learn(
     resume: bool = False,
     progress: Callable[[TrainingProgress], None] | None = None,
 ) -> LearnedNetwork:
-    """Train a network that supports a tuned filter, without truth.
+    """Train a network that assists a tuned filter, without truth.
 
     Parameters
     ----------
