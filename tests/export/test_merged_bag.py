@@ -120,9 +120,7 @@ def test_a_bag_that_breaks_on_the_way_leaves_nothing(tmp_path: Path, monkeypatch
 
 
 def test_only_into_a_bag(tmp_path: Path):
-    with pytest.raises(
-        InputError, match=r"--merge copies the messages of a bag into a bag; end the name in .ros2"
-    ):
+    with pytest.raises(InputError, match=r"--merge writes a ROS 2 bag; end the name of the output in .ros2"):
         write_estimate(estimated(a_drive()), tmp_path / "e.csv", merge=tmp_path / "bag")
 
 

@@ -195,7 +195,8 @@ def _require_size(path: Path, rows: int, columns: int) -> None:
         raise DriveError(f"{path}: {what}; leave out columns that a drive does not need")
     if rows * columns > MAX_CELLS:
         raise DriveError(
-            f"{path}: has {rows} rows of {columns} columns; the limit is {MAX_CELLS} cells; split the drive"
+            f"{path}: has {rows} rows of {columns} columns; the limit is {MAX_CELLS} cells; leave out "
+            "columns that a drive does not need, or divide the log before the import"
         )
 
 

@@ -13,7 +13,7 @@ def tilt_indices(n: int) -> tuple[int, ...]:
 
 
 def quaternions(mean: Array) -> Array:
-    """Return quaternions (..., 4), order x, y, z, w as in files, of means (..., n)."""
+    """Return quaternions (..., 4), order x, y, z, w as in files, for means (..., n)."""
     if tilt_indices(mean.shape[-1]):
         return np.roll(tilted.quaternion_of(mean), -1, axis=-1)
     half = mean[..., THETA] / 2
@@ -22,7 +22,7 @@ def quaternions(mean: Array) -> Array:
 
 
 def rotations(mean: Array) -> Array:
-    """Return rotations (k, 3, 3) from body to local frame of means (k, n)."""
+    """Return the rotation matrices (k, 3, 3) from body to local frame for means (k, n)."""
     if tilt_indices(mean.shape[-1]):
         return tilted.rotation(mean)
     c, s = np.cos(mean[:, THETA]), np.sin(mean[:, THETA])

@@ -206,7 +206,7 @@ class MessageFactory:
 def _messages(
     pieces: Iterable[Estimate], factory: MessageFactory, origin: Origin | None
 ) -> Iterator[Message]:
-    """Yield estimates and, every `INTERVAL`, standard deviations and, if the origin is known, a NavSatFix."""
+    """Yield estimates; once per `INTERVAL` also standard deviations, if known, and the NavSatFix, if ``origin`` is."""
     before = -1
     for estimate in pieces:
         velocity, jacobian = body_velocity(estimate.mean)

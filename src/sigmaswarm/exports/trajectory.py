@@ -136,7 +136,7 @@ def check_target(
             f"{path}: unknown format; end the name in {', '.join(endings[:-1])} or {endings[-1]}"
         )
     if merge and path.suffix != BAG:
-        raise InputError(f"{path}: --merge copies the messages of a bag into a bag; end the name in {BAG}")
+        raise InputError(f"{path}: --merge writes a ROS 2 bag; end the name of the output in {BAG}")
     if path.suffix == BAG and path.exists() and not (replace and (path / LAYOUT_FILE).is_file()):
         raise InputError(f"{path}: already exists; delete it, or choose another name")
     if path.suffix != BAG and path.is_dir():

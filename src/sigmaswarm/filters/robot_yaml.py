@@ -148,11 +148,11 @@ def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float |
 
 def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:
     if block.get("two_d_mode") is not True:
-        yield "evaluated in two_d_mode, which the file does not set"
+        yield "two_d_mode is assumed, although the file does not set it"
     if block.get("dynamic_process_noise_covariance") is True:
         yield "the setting dynamic_process_noise_covariance is ignored"
     if "alpha" in block:
-        yield "evaluated as an EKF, although it has settings of the UKF"
+        yield "an EKF is assumed, although the file has settings of the UKF"
     for name, entries in inputs.items():
         if block.get(f"{name}_differential") is True or block.get(f"{name}_relative") is True:
             yield f"{name}: the settings differential and relative are ignored"

@@ -138,7 +138,7 @@ class PartColumns:
 
 
 def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
-    """Mark values whose distance from the values not ``marked`` is large compared with the range of these values."""
+    """Mark values far from the median of those not ``marked``, relative to the 1% to 99% range of the latter."""
     rest = numbers.filter(~marked).drop_nulls().drop_nans()
     if not len(rest):
         return pl.zeros(len(numbers), dtype=pl.Boolean, eager=True)

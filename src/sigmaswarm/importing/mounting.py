@@ -104,8 +104,8 @@ def rotate(imu: dict[str, Array], rotation: Array) -> dict[str, Array]:
             if lost := [n for n in used if n not in imu]:
                 if name in ("ax", "ay", "gz"):
                     raise InputError(
-                        f"mount: the vehicle's {name} needs the {sensor}'s {lost[0]}, which the log lacks; map this "
-                        "column"
+                        f"mount: the vehicle's {name} needs the {sensor}'s {lost[0]}, which is not imported; map a "
+                        f"column of the log to {lost[0]}"
                     )
                 turned.pop(name, None)
                 continue

@@ -39,8 +39,8 @@ def require_same_axes(
 ) -> str:
     """Refuse a truth whose x and y are not m east and north: exchanged, rotated, or in another unit.
 
-    If z are the fixes and w is the truth, as complex numbers minus their means, wrong axes give z = a w or
-    z = a conj(w). Return a sentence if the clocks differ instead of the axes, else "".
+    With fixes z and truth w, as complex numbers minus their means, wrong axes or units give z = a w with a factor a
+    unlike 1, or z = a conj(w). If a clock offset explains the difference, return a message with the offset, else "".
     """
     inside, true = _true(seconds, truth)
     if len(true) < MIN_FIXES:

@@ -52,7 +52,7 @@ class Limits:
         found = list(islice(names, self.columns + 1))
         if len(found) > self.columns:
             raise InputError(
-                f"{path}: has more than {self.columns} columns; raise --max-columns if this number is correct"
+                f"{path}: has more than {self.columns} columns; raise --max-columns if the log is not damaged"
             )
         return tuple(name for name in found if name)
 

@@ -203,10 +203,7 @@ def sorted_times(
         say(chosen)
     if backwards := int(np.count_nonzero(np.diff(time) < 0)):
         order = np.argsort(time, kind="stable")
-        moved = int(np.count_nonzero(order != np.arange(len(order))))
-        say(
-            f"{where}: {moved} rows were out of order (the time decreases {backwards} times) and are sorted by time"
-        )
+        say(f"{where}: the time decreases at {count_of(backwards, 'row')}; the rows are sorted by time")
         time, rows = time[order], rows[order]
     time, note = spread_stamps(time, role, where)
     if note:

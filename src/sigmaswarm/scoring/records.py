@@ -21,13 +21,13 @@ MIN_OUTAGES = 4  # number of outages in a set; with fewer outages, all sets hide
 
 
 class DriftRecord(BaseModel):
-    """Number of outages of one length, and RMS drifts (m) of each random set by method; None for a failed filter."""
+    """Number of outages of one length in all placements; by method the RMS drift (m) per placement, None: failed."""
 
     outages: int
     each: dict[str, list[float | None]]
 
     def spread(self, method: str) -> tuple[float, float] | None:
-        """Return the lowest and the highest drift of a single set of outages, m."""
+        """Return the lowest and the highest drift of a single placement, m."""
         known = [v for v in self.each.get(method, []) if v is not None]
         return (min(known), max(known)) if known else None
 
@@ -48,7 +48,7 @@ class ScoresRecord(BaseModel):
     stale_fixes: dict[str, int] = Field(default_factory=dict)
 
     def describe_drift(self, measure: str, method: str = "tuned") -> str:
-        """Describe the outages of a drift, and the range over the sets of outages; return "" if unknown."""
+        """Describe the outages of a drift, and the range over their random placements; return "" if unknown."""
         drifts = [by_measure[measure] for by_measure in self.drifts.values() if measure in by_measure]
         drawn = [one.each.get(method, []) for one in drifts]
         count = min(map(len, drawn), default=0)

@@ -90,7 +90,7 @@ class EvaluationView:
         known = [m for m in self.measures if any(m in by_measure for by_measure in drifts.values())]
         columns = [Column("drive"), Column("method")]
         for m in known:
-            columns += [Column("outages"), _column(self.measures[m]), Column("a single set", "m")]
+            columns += [Column("outages"), _column(self.measures[m]), Column("a single placement", "m")]
         rows: list[tuple[Cell, ...]] = []
         for drive, by_measure in drifts.items():
             for method in (m for m in self.names if m not in NO_OUTAGES and m in self.scores.mean):
@@ -100,7 +100,9 @@ class EvaluationView:
                     cells += [one and float(one.outages), value, one and one.spread(method)]
                 rows.append((drive, self.names[method], *cells))
         strong = frozenset(i for i, row in enumerate(rows) if row[1] == self.names["tuned"])
-        return Table("Drifts over all sets of outages", tuple(columns), tuple(rows), strong)
+        return Table(
+            "RMS drifts over all random placements of the outages", tuple(columns), tuple(rows), strong
+        )
 
     def consistency_table(self) -> Table:
         columns: list[tuple[Column, Callable[[Consistency], Cell]]] = [
