@@ -211,7 +211,7 @@ def remote_datasets(
     DriveError
         If drives can't be read; the message names all of them.
     ClusterError
-        If a worker has other versions, or its drives don't fit into its memory.
+        If a worker's software versions differ from the client's, or its drives don't fit into its memory.
     """
     sources = [[source_of(drive) for drive in group] for group in groups]
     assignment = Assignment(cluster, [source for group in sources for source in group])

@@ -135,7 +135,7 @@ def run_filter(
     Raises
     ------
     AlignmentError
-        If ``initial`` is not given and the vehicle never moves far enough.
+        If ``initial`` is not given and the drive has no start.
     """
     replay = whole_pass(drive, initial, as_recorded=as_recorded)
     return estimate_of(FilterRun(replay, parameters, recover=recover), recover=recover)

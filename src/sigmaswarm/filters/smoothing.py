@@ -62,7 +62,7 @@ def smooth(
     Raises
     ------
     AlignmentError
-        If ``initial`` is not given and the vehicle never moves far enough.
+        If ``initial`` is not given and the drive has no start.
     """
     replay = whole_pass(drive, initial, as_recorded=as_recorded)
     return estimate_of(SmootherRun(replay, parameters, recover=recover), recover=recover)
@@ -224,7 +224,7 @@ class SmootherRun:
         return EstimateChunk(time, mean, covariance, np.arange(size) < sound, lost)
 
     def _estimate(self, states: Array) -> tuple[Array, Array]:
-        """Return means (r, n), with wrapped headings, and covariances (r, n, n) of states (r, s)."""
+        """Return means (r, n), with wrapped headings, and covariances (r, n, n) of packed states (r, s)."""
         mean, covariance = state_estimate(states.T, self._kernel)
         mean[:, THETA] = wrap_angle(mean[:, THETA])
         return mean, covariance

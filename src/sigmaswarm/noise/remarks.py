@@ -90,7 +90,7 @@ def on_trend(axis: str, trend: float) -> list[str]:
 
 
 def on_misfit(axes: Sequence[AxisNoise], duration: float) -> list[str]:
-    """Remark on axes whose Allan deviation differs from that of the model; ``duration``: longest stretch, s."""
+    """Remark on axes whose Allan deviation differs from that of the model; ``duration``: longest time at rest, s."""
     misfits: list[str] = []
     for a in axes:
         parts = model_parts(a.tau, a.white.value, a.instability.value, a.walk.value, a.correlation_time)

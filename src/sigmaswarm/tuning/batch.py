@@ -80,7 +80,7 @@ def run_batch(
         If the objective is unknown, a drive is too short or lacks the truth that the objective needs, or an argument
         has the wrong type.
     AlignmentError
-        If a vehicle never moves far enough to start a filter.
+        If no filter can start on a drive, for example because the vehicle is too slow.
     """
     (dataset,) = make_datasets(drives, takes="run_batch takes Drives")
     sets: list[Any] = as_list(parameter_sets)

@@ -52,7 +52,7 @@ do not allow a larger increase: after tuning on 60 s of a highway, an increase o
 drift on other roads by 20%.
 """
 MIN_BIAS_RATIO = 5.0
-"""Mean of bias^2 / variance over starts and axes above which the starts show biases of the gyro.
+"""Smallest mean of bias^2 / variance, over starts and axes, at which the gyro biases are significant.
 
 This mean is at most 1.4 on real drives and with a simulated ICM-20602, and 7 to 90 with a simulated MPU-6050.
 """

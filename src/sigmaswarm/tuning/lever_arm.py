@@ -148,7 +148,7 @@ def estimate_lever_arm(
     Raises
     ------
     AlignmentError
-        If a vehicle never moves far enough to start a filter.
+        If no filter can start on a drive, for example because the vehicle is too slow.
     InputError
         If there are no drives, the drives state different lever arms or standard deviations, a filter fails, or
         ``within`` is not positive and finite.

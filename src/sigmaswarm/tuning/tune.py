@@ -103,14 +103,15 @@ def tune(
     ----------
     drives : Drive or sequence of Drive; Log or sequence of Log
         Training drives, or logs for a custom model. With ``cluster`` also paths and URLs of drives.
-    validation : Drive or sequence of Drive
-        Drives that the search does not use. The result reports the cost on these drives.
+    validation : as ``drives``
+        Drives or logs that the search does not use. The result reports the cost on them.
     out : path, optional
         Folder for results. Every generation is saved, so a stopped run can be resumed.
     executor : concurrent.futures.Executor, optional
         Executor that runs the filters; by default threads on all cores. The result is the same with every executor.
     cluster : distributed.Client, optional
-        Dask cluster whose workers read the drives and run the filters. The result is the same without a cluster.
+        Dask cluster whose workers read the drives and run the filters. On processors of one type, the result is the
+        same as without a cluster.
     progress : callable, optional
         Called with a `Progress` after every generation. If it returns False, the tuning stops.
     **options
@@ -127,11 +128,12 @@ def tune(
         If an option or the folder is invalid, a drive lacks the truth that the objective needs, or every parameter set
         has an infinite cost.
     AlignmentError
-        If a vehicle never moves far enough to start a filter.
+        If no filter can start on a drive, for example because the vehicle is too slow.
     TuningStopped
         If ``progress`` returned False.
     ClusterError
-        If the scheduler stopped, a worker has other versions, or the drives exceed the workers' memory.
+        If the scheduler stopped, a worker's software versions differ from the client's, or the drives exceed the
+        workers' memory.
     """
     resume, paper, start = (options.pop(name, None) for name in ("resume", "paper", "start"))
     options = _search_options(options, paper=bool(paper))

@@ -150,7 +150,7 @@ class StudyConfig(BaseModel):
     drives: tuple[str, ...] = ()
     """Folders or URLs of your own drives with truth, instead of simulated ones."""
     train_fraction: float = Field(default=0.7, gt=0, lt=1)
-    """Fraction of the drives of each condition that are training drives; drawn again in each trial."""
+    """Fraction of the drives of each condition used for training; each trial draws these drives again."""
     trials: int = Field(default=20, ge=2)
     """Number of repetitions, each with another split of the drives and another seed."""
     particles: int = Field(default=30, ge=2)

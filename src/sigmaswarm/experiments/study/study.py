@@ -126,8 +126,8 @@ def run_study(
     workers : int, optional
         Number of processes or threads; by default the number of cores. The result is the same with any number.
     cluster : distributed.Client, optional
-        Dask cluster whose workers simulate or read the drives and run the filters. The result is the same without a
-        cluster. Not available with rivals, since networks are trained locally.
+        Dask cluster whose workers simulate or read the drives and run the filters. On processors of one type, the
+        result is the same as without a cluster. Not available with rivals, since networks are trained locally.
     progress : callable, optional
         Called with a `StudyProgress` as tunings and trainings advance.
 
@@ -136,7 +136,7 @@ def run_study(
     InputError
         If the configuration, the folder or a drive is invalid.
     AlignmentError
-        If a vehicle never moves far enough to start a filter.
+        If no filter can start on a drive, for example because the vehicle is too slow.
     """
     if config.rivals:
         with double_precision():  # raises if JAX is missing

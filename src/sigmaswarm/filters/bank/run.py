@@ -204,7 +204,7 @@ def run_bank(
     Raises
     ------
     AlignmentError
-        If ``initial`` is not given and the vehicle never moves far enough.
+        If ``initial`` is not given and the drive has no start.
     """
     replay = whole_pass(drive, initial, as_recorded=as_recorded)
     run = BankRun(replay, parameters, seed=seed, searches=searches, recover=recover, as_recorded=as_recorded)

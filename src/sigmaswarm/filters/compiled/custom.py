@@ -280,7 +280,8 @@ def _limited_share(z, nis, limit, runs):
 def _limited(nis, limit):
     """Return the NIS, as a term of -2 log likelihood; above the limit, return limit (1 + log(NIS / limit)).
 
-    Above the limit, the derivative of this term by nu is 2 S^-1 nu limit / NIS, as if S were multiplied by NIS / limit.
+    Above the limit, its derivative with respect to the innovation nu is 2 S^-1 nu limit / NIS, as if S were
+    multiplied by NIS / limit.
     """
     return nis if nis <= limit else limit * (1 + math.log(nis / limit))
 

@@ -83,7 +83,7 @@ def _wrapped(angle):
 
 
 def _off_between(w, l, weight, true_x, true_y, true_theta, heading):
-    """Return errors in x, y and heading of the estimate, interpolated linearly between two IMU samples."""
+    """Interpolate the estimate linearly between two IMU samples; return its errors in x, y and heading."""
     x = w[R.BEFORE_X, l] + weight * (w[R.X, l] - w[R.BEFORE_X, l]) - true_x
     y = w[R.BEFORE_Y, l] + weight * (w[R.Y, l] - w[R.BEFORE_Y, l]) - true_y
     turn = _wrapped(w[heading, l] - w[R.BEFORE_T, l])

@@ -73,7 +73,7 @@ class SmoothedStates:
 def smooth_steps(
     stepper: Stepper, n_steps: int, *, plus: Retraction = add, minus: Retraction = sub
 ) -> SmoothedStates:
-    """Compute the steps up to a failure, and smooth them; ``plus``, ``minus``: see `Manifold`."""
+    """Run the filter until the last step or a failure, and smooth the states; ``plus``, ``minus``: see `Manifold`."""
     filter, failed = stepper.filter, -1
     filtered, predictions = [(filter.mean, filter.covariance)], list[Prediction]()
     for i in range(n_steps):
