@@ -176,7 +176,7 @@ def _measure_fix(w, z, lever, *, n):
 
 @kernel
 def _turn_lever(w, lever_x, lever_y):
-    """Compute the rotated lever arm, k times its derivative by theta, and e.
+    """Compute the rotated lever arm, k times its derivative with respect to theta, and e.
 
     k and e: see planar5.
     """

@@ -438,7 +438,7 @@ def _measure_along(w, u, wheels, *, lateral, bias, axis):
         e, c = axis(w, l), _up(w, l)
         (e0, e1, e2), (c0, c1, c2) = e, c
         vx, vy, climb = w[R.U, l], w[R.V, l], e2 / c2
-        d0, d1 = e0 - climb * c0, e1 - climb * c1  # derivative by the horizontal velocity
+        d0, d1 = e0 - climb * c0, e1 - climb * c1  # derivative with respect to the horizontal velocity
         if lateral:
             arm, noise = w[R.ARM, l], w[R.R_LATERAL, l]
             w[R.N1, l] = arm * (shown - w[bias, l]) - (d0 * vx + d1 * vy)
