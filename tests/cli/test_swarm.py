@@ -56,3 +56,13 @@ def test_it_has_no_hindsight(sigmaswarm, drives: Path, tuned: Path):
     ended = sigmaswarm("run", tuned, next(drives.iterdir()), "--out", "e.csv", "--swarm", "--smooth")
     assert ended.code == 2
     assert "leave one out" in ended.err
+
+
+def test_the_tuning_is_not_replaced(sigmaswarm, drives: Path, tuned: Path, here: Path):
+    before = tuned.read_bytes() if tuned.is_file() else (tuned / "tuning.toml").read_bytes()
+    Path("e.swarm.toml").write_bytes(before)
+    ended = sigmaswarm(
+        "run", "e.swarm.toml", min(drives.iterdir()), "--out", "e.csv", "--bank", "--overwrite"
+    )
+    assert ended.code == 2 and "e.swarm.toml: is also another file of this command" in ended.err
+    assert Path("e.swarm.toml").read_bytes() == before

@@ -141,3 +141,25 @@ def test_a_log_that_begins_in_reverse(seed: int, slow: float):
     known = replace(robot(True, seed, slow), metadata={"heading_deg": 40.0})
     assert "reverse-start" not in sigmaswarm.diagnose(known).codes
     assert "reverse-start" not in sigmaswarm.diagnose(robot(False, seed, slow)).codes
+
+
+def test_at_walking_speed_no_offset_is_invented():
+    rng, time = np.random.default_rng(2), np.arange(0.0, 600.0, 0.02)
+    yaw_rate = 0.12 * np.sin(2 * np.pi * time / 45) + 0.08 * np.sin(2 * np.pi * time / 19)
+    heading = np.cumsum(yaw_rate) * 0.02
+    x, y = (np.cumsum(0.3 * f(heading)) * 0.02 for f in (np.cos, np.sin))
+    noise = rng.normal(0.0, [0.05] * 3 + [2e-3] * 3, (len(time), 6)).T
+    force = np.array([0 * time, 0.3 * yaw_rate, 0 * time + 9.81, 0 * time, 0 * time, yaw_rate]) + noise
+    slow = np.cumsum(rng.normal(0.0, 1e-3, (3000, 2)), axis=0) + rng.normal(0.0, 0.008, (3000, 2))
+    gps = Gps(time[::10], x[::10] + slow[:, 0], y[::10] + slow[:, 1])
+    found = sigmaswarm.diagnose(Drive("robot", Imu(time, *force), gps))
+    assert not [f for f in found.findings if f.code == "clock-offset" and f.severity == "serious"]
+
+
+@pytest.mark.parametrize("factor", [0.0, 0.5])
+def test_rates_of_zero_are_no_error(factor: float):
+    """Many drivers write 0 for the rates of a planar IMU."""
+    imu = drive().imu
+    zero = replace(imu, gx=0 * imu.gx, gy=0 * imu.gy, gz=factor * imu.gz)
+    late = replace(drive(), imu=zero, gps=replace(drive().gps, time=drive().gps.time + 18.0))
+    assert sigmaswarm.diagnose(late).findings

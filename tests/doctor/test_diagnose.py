@@ -259,6 +259,17 @@ def test_a_scale_of_gz_alone_is_repaired_alone(scale: float, gps: str):
             np.testing.assert_allclose(getattr(fixed, name), getattr(drive.imu, name), rtol=0.04)
 
 
+@pytest.mark.parametrize("scale", [180 / np.pi, 2.0])
+def test_a_scale_of_all_rates_is_repaired_in_all_on_a_flat_road(scale: float):
+    """There the body leans in turns, which looks like a roll rate with another wrong scale."""
+    drive = sigmaswarm.simulate("urban", run=1, duration=150, gps="white-1m", imu_rate=50)
+    rates = {name: getattr(drive.imu, name) for name in ("gx", "gy", "gz")}
+    wrong = replace(drive, imu=replace(drive.imu, **{name: scale * rate for name, rate in rates.items()}))
+    fixed = repair(wrong, sigmaswarm.diagnose(wrong)).imu
+    for name, rate in rates.items():
+        np.testing.assert_allclose(getattr(fixed, name), rate, rtol=0.04)
+
+
 def test_the_rate_about_a_tilted_axis_has_no_wrong_scale():
     """An IMU on its edge measures half of the yaw rate."""
     drive = simulated("icm-20602", 90.0)

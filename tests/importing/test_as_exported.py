@@ -902,6 +902,40 @@ def test_a_gap_of_the_logger_in_times_from_row_numbers_is_named(
             assert time[-1] - time[0] == pytest.approx(T[-1] - T[0], abs=1.01 * max(scale, 1 / HZ))
 
 
+def test_a_counter_of_rows_does_not_hide_the_gap_that_another_counter_shows(tmp_path: Path):
+    kept = (T < 20) | (T >= 23)
+    counters = {"id": np.arange(kept.sum()), "cnt": np.arange(N)[kept]}
+    write(
+        tmp_path,
+        counters | {n: v[kept] for n, v in IMU.items()},
+        clock=lambda t: np.zeros(kept.sum()),
+        gps_clock=lambda t: t,
+    )
+    assert "according to column cnt, rows for 3" in " / ".join(
+        imported(tmp_path, maps=[f"imu.t=row/{HZ:g}"]).notes
+    )
+
+
+def test_rows_without_a_fix_are_no_missing_fixes(tmp_path: Path):
+    time = T[::EVERY]
+    lost = (time >= 20) & (time < 26)
+    fixes = {n: np.where(lost, np.nan, v) for n, v in FIXES.items()}
+    write(tmp_path, gps=fixes, gps_clock=lambda t: 0 * t)
+    notes = " / ".join(imported(tmp_path, maps=[f"gps.t=row/{1 / (time[1] - time[0]):g}"]).notes)
+    assert "since a cell is empty" in notes and "much longer than the steps around" not in notes
+
+
+def test_fixes_that_are_corrected_each_second_are_not_interpolated(tmp_path: Path):
+    """Between the corrections the errors are small, but larger than those of rounding."""
+    rng, time = np.random.default_rng(0), np.arange(600) / 10
+    jumps = np.repeat(rng.normal(0.0, 0.3, 60), 10)
+    east = 15.0 * time + jumps + rng.normal(0.0, 0.005, 600)
+    rows = np.column_stack([time, 48 + 0 * time + rng.normal(0.0, 4e-8, 600), 8 + east / 74_600])
+    np.savetxt(tmp_path / "gps.csv", rows, fmt="%.10f", delimiter=",", header="t,lat,lon", comments="")
+    pl.DataFrame({"t": T, **IMU}).write_csv(tmp_path / "imu.csv")
+    assert "interpolated" not in " / ".join(imported(tmp_path).notes)
+
+
 @pytest.mark.parametrize(("begin", "end"), [(20, 20), (20, 26), (31, 33)])
 def test_missing_fixes_with_times_from_row_numbers_are_named(tmp_path: Path, begin: float, end: float):
     time = T[::EVERY]

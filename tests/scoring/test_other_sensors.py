@@ -26,7 +26,6 @@ def record(rate: float = 100.0, fixes: float = 5.0, std: float | None = 1.0) -> 
         (record(rate=80.0, fixes=4.0, std=1.9), ""),
         (record(std=None), ""),
         (record(rate=50.0), "IMU 50 Hz instead of 100 Hz"),
-        (record(fixes=1.0), "fixes 1 Hz instead of 5 Hz"),
         (record(std=0.02), "standard deviation of the fixes 0.02 m instead of 1 m"),
         (record(rate=400.0, std=4.0), "IMU 400 Hz instead of 100 Hz, standard deviation of the fixes 4 m"),
     ],

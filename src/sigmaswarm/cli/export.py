@@ -74,8 +74,7 @@ def export(
 
     For example:
 
-        sigmaswarm export tuned --to c99 --out filter-c --replay drives/friday
-        sigmaswarm export tuned --to c99 --out filter-c --check drives
+        sigmaswarm export tuned --to c99 --out filter-c --replay drives/friday --check drives
         sigmaswarm export tuned-planar8 --to filterpy --out filter-py
         sigmaswarm export tuned --to robot_localization --out filter-ros
         sigmaswarm export tuned --to robot_localization --out ekf --check drives/friday --against tuned-tilted12

@@ -127,7 +127,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     if before:
         check_fixes_target(before, target["origin"])
     if options.bank:
-        _check_bank_files(out, (truth, before))
+        _check_bank_files(out, (truth, before, tuning))
     as_recorded = options.as_recorded or tuned.as_recorded
     replay = whole_pass(read, as_recorded=as_recorded)
     run = _start(replay, tuned.parameters, options, learned, as_recorded=as_recorded)
@@ -209,7 +209,7 @@ def _bank_files(out: Path) -> tuple[Path, Path]:
 def _check_bank_files(out: Path, others: Sequence[Path | None]) -> None:
     for file in _bank_files(out):
         if file.is_dir() or file.resolve() in [other.resolve() for other in (out, *others) if other]:
-            what = "is a folder" if file.is_dir() else "is also the file of another option"
+            what = "is a folder" if file.is_dir() else "is also another file of this command"
             raise InputError(
                 f"{file}: {what}, but --bank needs this name for its own file; choose another --out"
             )

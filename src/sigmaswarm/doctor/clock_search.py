@@ -51,7 +51,9 @@ def search_offset(drive: Drive, course: Course, *, scaled: bool = False) -> floa
         power = float(true @ true)
         if power < 0.3 * whole:
             return 0.0
-        factors = [float(true @ seen) / float(seen @ seen)] if scaled else [1.0, -1.0, DEGREE, -DEGREE]
+        factors = (
+            [float(true @ seen) / max(float(seen @ seen), 1e-12)] if scaled else [1.0, -1.0, DEGREE, -DEGREE]
+        )
         return max(1 - float(np.sum((true - k * seen) ** 2)) / power for k in factors)
 
     lags = np.arange(-MAX_OFFSET, MAX_OFFSET + STEP / 2, STEP)

@@ -116,7 +116,8 @@ def _read(drive: Drive) -> Evidence:
     rest = 0.0
     for _ in range(2):  # the fits determine the remaining offset
         evidence = _gather(replace(drive, gps=replace(drive.gps, time=drive.gps.time - delay)))
-        rest = evidence.clock.delay if np.isfinite(evidence.clock.std) else 0.0
+        # At walking speed, an antenna ahead of the rear axle looks like seconds of delay.
+        rest = evidence.clock.delay if evidence.clock.std < MIN_SEARCH_OFFSET else 0.0
         delay += rest
     if abs(delay) < MIN_SEARCH_OFFSET:
         return as_recorded

@@ -26,6 +26,9 @@ POSITIONS = ("lat", "lon", "x", "y")
 # Smallest bend at a corner of an interpolated path, in median bends; smallest number of corners, and the smallest
 # share of corners at a constant interval
 MIN_CORNER, MIN_CORNERS, MIN_REGULAR_SHARE = 8.0, 20, 0.9
+MAX_ROUNDING = (
+    2.5  # steps of the last digit; a second difference of rounded values has an error of at most two
+)
 COLUMN_PAIRS = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"), ("heading", "std_heading"))
 
 
@@ -208,11 +211,21 @@ def _complete_rows(
     return time[changed], _rows(values, changed)
 
 
+def _resolution(values: Array) -> float:
+    """Return the smallest difference of two values."""
+    return float(np.min(np.diff(np.unique(values)), initial=np.inf))
+
+
 def _interpolated(position: Sequence[Array]) -> NDArray[np.int64] | None:
     """Return the rows of the fixes between which a logger interpolated the others linearly; None if it did not.
 
-    The path has corners only at the fixes, at a constant number of rows.
+    The path has corners only at the fixes, at a constant number of rows, and is straight between them, except for
+    rounding.
     """
+    # If every third row is a fix, two of three rows are next to one.
+    straight = (float(np.quantile(np.abs(np.diff(p, n=2)), 0.25)) for p in position[:2])
+    if any(bend > MAX_ROUNDING * _resolution(p) for bend, p in zip(straight, position[:2], strict=True)):
+        return None
     bend = np.max([np.abs(np.diff(p, n=2)) for p in position[:2]], axis=0)
     corners = np.flatnonzero(bend > MIN_CORNER * float(np.quantile(bend, 0.5))) + 1
     corners = corners[np.diff(corners, prepend=-2) > 1]  # a fix between two rows bends both

@@ -62,7 +62,7 @@ def gaps_by_clock(parts: Sequence[tuple[Role, Part]], log: Log) -> list[str]:
                     f"{row}, so the times {text} are too early after these; instead, write --map "
                     f'"{role}.t={name}*{unit:.6g}"'
                 )
-            break
+                break  # another clock may count rows without gaps
         notes += [f"{where}: {note}, after which all times would be too early"] if note else []
     return notes
 
@@ -86,7 +86,8 @@ def _gaps_of(values: Array, time: Array) -> tuple[float, float, int] | None:
 def gaps_by_distance(drive: Drive) -> str:
     """Report fixes that are missing, since two fixes are much farther apart than those before and after; else ""."""
     position = drive.gps.x + 1j * drive.gps.y
-    moves, noise = np.diff(position), white_noise(position)
+    interval = np.diff(drive.gps.time)  # longer where rows without a fix are left out
+    moves, noise = np.diff(position) * np.median(interval) / interval, white_noise(position)
     if len(moves) < 4 * NEIGHBORS:
         return ""
     near = np.lib.stride_tricks.sliding_window_view(moves, NEIGHBORS).mean(axis=1)

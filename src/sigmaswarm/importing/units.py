@@ -116,8 +116,9 @@ def parse_unit(text: str) -> Unit | None:
     if (word := _WORDS.get(re.sub(r"[\s^]", "", plain))) is not None:
         return Unit(text, *word)
     if scaled := re.fullmatch(r"(\d+(?:\.\d+)?(?:e-?\d+)?) +(\D.*)", plain):  # 0.001 s
-        whole = parse_unit(scaled[2])
-        return whole and Unit(text, whole.dimension, float(scaled[1]) * whole.factor)
+        whole, factor = parse_unit(scaled[2]), float(scaled[1])
+        if factor < 1:  # "16 g" is the range of a sensor
+            return whole and Unit(text, whole.dimension, factor * whole.factor)
     powers, factor, sign, at = {"L": 0, "T": 0, "A": 0}, 1.0, 1, 0
     while at < len(plain):
         token = _TOKEN.match(plain, at)

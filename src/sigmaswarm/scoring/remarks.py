@@ -19,7 +19,7 @@ MIN_INFORMATIVE_NIS = 1.0  # mean NIS below which predicted fixes do not measure
 MAX_ERROR_RATIO = 0.9
 
 # Properties of sensors, and their ratios to those of the training drives that show other sensors
-SENSORS = ("IMU", "Hz", 1.5), ("fixes", "Hz", 1.5), ("standard deviation of the fixes", "m", 2.5)
+SENSORS = ("IMU", "Hz", 1.5), ("standard deviation of the fixes", "m", 2.5)
 
 
 def restarted(scores: ScoresRecord) -> tuple[str, ...]:
@@ -57,15 +57,16 @@ def other_sensors(drive: DriveRecord, training: Sequence[DriveRecord]) -> str:
     if not differences:
         return ""
     return (
-        f"the sensors of {drive.name} differ from those of the training drives ({', '.join(differences)}). On other "
-        "sensors a filter can be far less accurate; tune on drives with these sensors, and compare with --against"
+        f"the sensors or surroundings of {drive.name} differ from those of the training drives "
+        f"({', '.join(differences)}). There a filter can be far less accurate; tune on such drives, and compare with "
+        "--against"
     )
 
 
 def _sensors(drive: DriveRecord) -> tuple[float, ...]:
     """Return the values of `SENSORS`; 0 for unknown ones."""
     duration = drive.duration_s or np.inf
-    return (drive.imu_samples or 0) / duration, (drive.fixes or 0) / duration, drive.receiver_std_m or 0.0
+    return (drive.imu_samples or 0) / duration, drive.receiver_std_m or 0.0
 
 
 def partly_scored(data: Sequence[DriveRecord]) -> tuple[str, ...]:

@@ -35,6 +35,9 @@ OUTLIER_SIGMAS = 3.0  # standard deviations; larger changes are outliers
 
 # s; on eleven drives with correct scales, the estimated scale of the roll rate was 0.96 to 2.1 and 0.54 to 1.24
 SCALE_LAGS = (1.0, 2.0)
+MAX_LOG_SCALE = (
+    0.8  # logarithm of an estimated scale; on flat roads, the lean of the body gives scales above 10
+)
 MAX_SCALE_ERROR, MIN_SCALE_LEAD = (
     0.25,
     0.1,
@@ -137,9 +140,11 @@ def _only_yaw_is_wrong(evidence: Evidence) -> bool:
     for lag in SCALE_LAGS:
         fits = _regressions(time, force, rates, lag, (speed * rates[2], change), moving)
         scale, std = (abs(float(values[0])) for values in fits[0]) if fits else (0.0, 1.0)
+        if std > MAX_SCALE_ERROR * scale:
+            return False
         # In `rates`, gx has the factor of gz, so a scale of 1 shows that gx needs this factor.
-        lead = abs(np.log(scale)) - abs(np.log(scale * unit)) if std < MAX_SCALE_ERROR * scale else 0.0
-        if lead < MIN_SCALE_LEAD:
+        errors = abs(np.log(scale)), abs(np.log(scale * unit))
+        if errors[1] > MAX_LOG_SCALE or errors[0] - errors[1] < MIN_SCALE_LEAD:
             return False
     return True
 
