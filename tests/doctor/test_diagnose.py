@@ -428,7 +428,7 @@ def found_of(drive: Drive, code: str) -> str:
         (0.2, "gps-noise", "warning", 1.0),
         (0.8, "", "", None),
         (2.0, "", "", None),
-        (9.0, "gps-noise", "warning", None),
+        (9.0, "gps-noise", "note", None),
     ],
 )
 def test_a_statement_of_the_user_is_compared_with_the_scatter(
@@ -443,7 +443,8 @@ def test_a_statement_of_the_user_is_compared_with_the_scatter(
     for finding in found:
         shown = re.findall(r"scatter \(?(?:by )?([\d.]+) m", finding.what)
         assert float(shown[0]) == pytest.approx(1.0, rel=0.2)
-        assert ("takes R from this value" in finding.what) == (severity == "warning")
+        assert ("takes R from this value" in finding.what) == (stated is not None)
+        assert ("keep this value" in finding.remedy) == (stated == 9.0)
         assert (finding.repair is not None) == (repaired is not None)
     if repaired:
         assert repair(own, sigmaswarm.diagnose(own)).metadata["gps_std_m"] == pytest.approx(repaired, rel=0.2)

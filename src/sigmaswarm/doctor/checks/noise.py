@@ -130,9 +130,11 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         f"({scatter:.2g} m per axis)"
     )
     remedy = f"state {scatter:.2g} m; state more if you know of slow errors, which a log without truth does not show"
-    repair = Repair("state-noise", (scatter,))
+    repair, severity = Repair("state-noise", (scatter,)), "warning"
     if gps.std_x is None:
         what += ". A tuning without truth takes R from this value: with a smaller value the filter follows the fixes "
         what += "more closely, with a larger value it trusts the IMU for longer"
-        repair = repair if how == "smaller" else None  # a user may know of slow errors
-    yield Finding("gps-noise", "warning", what, where, span, confidence, remedy, repair)
+        if how == "larger":  # a user may know of slow errors
+            repair, severity = None, "note"
+            remedy = "keep this value if the data sheet of the receiver states it, since slow errors do not scatter"
+    yield Finding("gps-noise", severity, what, where, span, confidence, remedy, repair)
