@@ -936,6 +936,19 @@ def test_fixes_that_are_corrected_each_second_are_not_interpolated(tmp_path: Pat
     assert "interpolated" not in " / ".join(imported(tmp_path).notes)
 
 
+@pytest.mark.parametrize(
+    "form", ["/fix/position_covariance[{}]", "position_covariance_{}", ".position_covariance.{}"]
+)
+def test_covariances_of_messages_in_a_table_are_the_accuracy(tmp_path: Path, form: str):
+    count = len(T[::EVERY])
+    unknown = np.arange(count) < 5
+    variances = {form.format(i): np.where(unknown, 0.0, v) for i, v in ((0, 0.04), (4, 0.09), (8, 0.5))}
+    write(tmp_path, gps=FIXES | variances)
+    gps = imported(tmp_path).drive.gps
+    assert gps.std_x is not None and gps.std_y is not None
+    assert gps.std_x[-1] == pytest.approx(0.2) and gps.std_y[-1] == pytest.approx(0.3)
+
+
 @pytest.mark.parametrize(("begin", "end"), [(20, 20), (20, 26), (31, 33)])
 def test_missing_fixes_with_times_from_row_numbers_are_named(tmp_path: Path, begin: float, end: float):
     time = T[::EVERY]

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import polars as pl
 
@@ -222,6 +222,16 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
             yield what, TimeExpression(f"radians({columns.text(what)})" if degrees else columns.text(what))
         else:
             yield what.removeprefix("wheel_"), quantity(columns, what, role)
+    if role == "gps" and not columns.has("std_x", "std_y"):
+        yield from _std_of_messages(columns.frame.columns)
+
+
+def _std_of_messages(names: Sequence[str]) -> Iterator[tuple[str, TimeExpression]]:
+    """Yield the standard deviations of NavSatFix messages in a table; `joining` leaves out those of 0."""
+    for what, element in (("std_x", 0), ("std_y", 4)):
+        found = [n for n in names if re.search(rf"position_covariance\W?_?{element}\W?$", n, re.IGNORECASE)]
+        if len(found) == 1:
+            yield what, TimeExpression(f"sqrt({quoted_column(found[0])})")
 
 
 def _with_fix(columns: Columns) -> TimeExpression | None:
