@@ -311,8 +311,8 @@ def missing_sensor(
             there = f"no column of the IMU contains {list_names(lacking)}"
             return f"{path}: {there}; {remedy}, or name the columns with --map"
         around = sorted(path.iterdir()) if role == "gps" and path.is_dir() else ()
-        if beside := next((f for f in around if f.suffix.lower() in RECEIVER_LOGS), None):
-            remedy = f"add the log with the fixes: --gps {quote(str(beside))}"
+        if receiver_log := next((f for f in around if f.suffix.lower() in RECEIVER_LOGS), None):
+            remedy = f"add the log with the fixes: --gps {quote(str(receiver_log))}"
         more = next(
             (
                 f"; {f.name} is not read, since it is {kind}"

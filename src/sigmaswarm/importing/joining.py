@@ -222,11 +222,12 @@ def _interpolated(position: Sequence[Array]) -> NDArray[np.int64] | None:
     The path has corners only at the fixes, at a constant number of rows, and is straight between them, except for
     rounding.
     """
+    bends = [np.abs(np.diff(p, n=2)) for p in position[:2]]
     # If every third row is a fix, two of three rows are next to one.
-    straight = (float(np.quantile(np.abs(np.diff(p, n=2)), 0.25)) for p in position[:2])
-    if any(bend > MAX_ROUNDING * _resolution(p) for bend, p in zip(straight, position[:2], strict=True)):
+    rounding = (MAX_ROUNDING * _resolution(p) for p in position[:2])
+    if any(np.quantile(b, 0.25) > limit for b, limit in zip(bends, rounding, strict=True)):
         return None
-    bend = np.max([np.abs(np.diff(p, n=2)) for p in position[:2]], axis=0)
+    bend = np.max(bends, axis=0)
     corners = np.flatnonzero(bend > MIN_CORNER * float(np.quantile(bend, 0.5))) + 1
     corners = corners[np.diff(corners, prepend=-2) > 1]  # a fix between two rows bends both
     if len(corners) < MIN_CORNERS:

@@ -129,8 +129,10 @@ def _whole_gain(evidence: Evidence) -> float:
 
 def _only_yaw_is_wrong(evidence: Evidence) -> bool:
     """Return True if the roll of gravity shows that gx has the right scale, and not that of gz."""
-    read, course, unit = _force_and_rates(evidence), evidence.course, abs(evidence.yaw.factor)
-    if read is None or course is None or unit == 1 or evidence.yaw.column != "gz":
+    course, unit = evidence.course, abs(evidence.yaw.factor)
+    if course is None or unit == 1 or evidence.yaw.column != "gz":
+        return False
+    if (read := _force_and_rates(evidence)) is None:
         return False
     (force, rates), time = read, evidence.drive.imu.time
     at = course.time - (evidence.yaw_fit.delay if evidence.yaw_fit else 0.0)
