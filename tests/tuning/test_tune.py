@@ -12,9 +12,9 @@ import pytest
 
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.split import clip
-from sigmaswarm.errors import AlignmentError, InputError, SigmaswarmWarning
+from sigmaswarm.errors import AlignmentError, InputError, SigmaswarmWarning, TuningStopped
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import DEFAULTS
+from sigmaswarm.filters.presets import DEFAULTS, baseline_of
 from sigmaswarm.simulation import simulate
 from sigmaswarm.tuning.batch import run_batch
 from sigmaswarm.tuning.bounds import TouchedBound
@@ -81,12 +81,37 @@ def test_the_history_is_that_of_a_swarm():
     assert np.all(trial.median >= trial.best)
     assert trial.best[-1] == trial.cost == tuning.cost
     assert (trial.evaluations, trial.failures) == (42, 0)
-    # the first generation is the first random placement
-    rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(0,)))
+
+
+def test_the_first_generation_is_around_the_baseline():
+    first = list[Progress]()
+    tuning = tune(DRIVES, particles=6, generations=2, progress=first.append)
     space = search_space("planar5", "log10", tuning.parameters.nominal_interval)
-    costs = run_batch(DRIVES, space.decode(rng.uniform(space.low, space.high, (6, 10)))).costs
-    assert trial.best[0] == costs.min()
+    start = space.point_of(baseline_of(DRIVES[0], "planar5", ()))
+    rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(0,)))
+    rng.uniform(size=(6, 10))
+    points = np.clip(rng.normal(start, 0.1 * (space.high - space.low), (6, 10)), space.low, space.high)
+    points[0] = start
+    costs = run_batch(DRIVES, space.decode(points)).costs
+    (trial,) = tuning.trials
+    assert trial.best[0] == costs.min() == first[0].best_cost
     assert trial.median[0] == np.median(costs)
+
+
+@pytest.mark.filterwarnings("ignore:gps-rmse compares the filter")
+def test_the_paper_s_first_generation_is_uniform():
+    drive, first = DRIVES[0], list[float]()
+
+    def stop(progress: Progress) -> bool:
+        first.append(progress.best_cost)
+        return False
+
+    with pytest.raises(TuningStopped):
+        tune_by_default(drive, paper=True, progress=stop)
+    rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(0,)))
+    space = search_space("planar5", "linear", drive.nominal_interval)
+    points = rng.uniform(space.low, space.high, (30, 10))
+    assert first == [run_batch([drive], space.decode(points), objective="gps-rmse").costs.min()]
 
 
 @pytest.mark.parametrize("scale", quickly([("log10",), ("linear",)], lambda scale: scale == "linear"))

@@ -22,6 +22,7 @@ from sigmaswarm.filters.compiled.run import run_kernel
 from sigmaswarm.filters.fix_error import kernel_name
 from sigmaswarm.filters.fixes_alone import MotionNoise, fitted_noise
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import baseline_of
 from sigmaswarm.filters.schedule import require_named_axes
 from sigmaswarm.scoring.batch import Scores
 from sigmaswarm.scoring.remote import AnyBatchScorer
@@ -108,6 +109,10 @@ class Problem(ABC, Generic[P]):
         """List faults of the filter at a point that the objective does not show."""
         return []
 
+    def baseline_point(self) -> Array | None:
+        """Return the point of the filter without tuning, shape (d,); None for a custom model."""
+        return None
+
     def fixes_alone(self) -> MotionNoise | None:
         """Fit the noise parameters of a constant-velocity filter that uses only fixes; None for a custom model."""
         return None
@@ -189,6 +194,12 @@ class CarProblem(Problem[FilterParameters]):
 
     def on(self, data: Sequence[Drive] | Dataset) -> "CarProblem":
         return car_problem(data, self.config, self.space)
+
+    def baseline_point(self) -> Array:
+        """Return the point of the baseline for the first drive, shape (d,)."""
+        model, use = self.config.model, self.config.use
+        (parameters,) = self.scorer.dataset.subset([0]).map(partial(baseline_of, model=model, use=use))
+        return self.space.point_of(parameters)
 
     def fixes_alone(self) -> MotionNoise:
         return MotionNoise.typical(self.scorer.map_prepared(fitted_noise))

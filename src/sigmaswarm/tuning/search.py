@@ -88,13 +88,17 @@ def _trial(result: dict[str, Any], history: dict[str, Any]) -> Trial:
 
 @dataclass(frozen=True, eq=False)
 class TrialRunner:
-    """Settings that the trials of one tuning share; built-in optimizers search from ``start``, shape (d,)."""
+    """Settings that the trials of one tuning share.
+
+    The first generation is drawn around ``center``, shape (d,); None: uniformly within the bounds. Custom optimizers
+    ignore ``center``.
+    """
 
     problem: Problem[Any]
     executor: Executor | None
     folder: ResultFolder | None = None
     progress: Callable[[Progress], object] | None = None
-    start: Array | None = None
+    center: Array | None = None
 
     @property
     def config(self) -> SearchConfig:
@@ -115,8 +119,8 @@ class TrialRunner:
             polish=c.polish,
             **c.optimizer_options(),
         )
-        if self.start is not None:
-            optimizer.begin_at(self.start)
+        if self.center is not None:
+            optimizer.begin_near(self.center)
         history, failures, leader = self._resumed(number, optimizer)
         while len((race := self._generation(number, optimizer, history["best"], leader)).costs):
             failures, leader = failures + race.failures, race.leader

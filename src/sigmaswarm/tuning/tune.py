@@ -115,12 +115,14 @@ def tune(
     progress : callable, optional
         Called with a `Progress` after every generation. If it returns False, the tuning stops.
     **options
-        ``resume=True`` continues the run in ``out``; the result is the same as without interruption. ``paper=True``
-        uses the paper's settings, `PAPER_OPTIONS`, and rejects options that contradict them. ``start`` is a filter from
-        which the search starts, or its file: a tuning.toml, or an ekf.yaml of robot_localization. The other options are
-        fields of `TuneConfig`: objective, particles, generations, trials, seed, ... Without ``model`` and ``use`` the
-        filter depends on the drives' sensors; the result's ``config`` states the chosen filter. ``model`` may be a
-        custom `Model`, and ``optimizer`` a custom class: see `tuning.optimizers`.
+        ``resume=True`` continues the run in ``out``; the result is the same as without interruption.
+        ``paper=True`` uses the paper's settings, `PAPER_OPTIONS`, and rejects options that contradict them.
+        ``start`` is a filter, or its file: a tuning.toml, or an ekf.yaml of robot_localization. The first
+        generation of the search is drawn around it, by default around the `baseline` of the first drive, and
+        with ``paper`` uniformly. The other options are fields of `TuneConfig`: objective, particles,
+        generations, trials, seed, ... Without ``model`` and ``use`` the filter depends on the drives' sensors;
+        the result's ``config`` states the chosen filter. ``model`` may be a custom `Model`, and ``optimizer`` a
+        custom class: see `tuning.optimizers`.
 
     Raises
     ------
@@ -145,7 +147,14 @@ def tune(
             folder = tuning_folder(place, problem, resume=bool(resume), start=first)
         marks = _landmarks_of(problem, folder)
         pool = executor or stack.enter_context(ThreadPoolExecutor(cores()))
-        options = {"held_back": held_back, "folder": folder, "progress": progress, "start": first}
+        center = problem.baseline_point() if first is None and not paper else first
+        options = {
+            "held_back": held_back,
+            "folder": folder,
+            "progress": progress,
+            "start": first,
+            "center": center,
+        }
         return replace(tune_problem(problem, pool, **options), seen=marks)
 
 
@@ -242,13 +251,15 @@ def tune_problem(
     progress: Callable[[Progress], object] | None = None,
     diagnose: bool = True,
     start: Array | None = None,
+    center: Array | None = None,
 ) -> Tuning[P]:
     """Run, resume or read the trials, and write tuning.toml.
 
-    If the cost of ``start`` is lower than that of every trial, ``start`` is the best point. With ``diagnose``, the
-    filter is checked for faults that the objective does not show.
+    The first generation is drawn around ``center`` (`TrialRunner`). If the cost of ``start`` is lower than that of
+    every trial, ``start`` is the best point. With ``diagnose``, the filter is checked for faults that the objective
+    does not show.
     """
-    config, search = problem.config, TrialRunner(problem, executor, folder, progress, start)
+    config, search = problem.config, TrialRunner(problem, executor, folder, progress, center)
     trials = tuple(search.trial(i) for i in range(config.trials))
     best = int(np.argmin([trial.cost for trial in trials]))
     point, cost, factor = trials[best].point, trials[best].cost, 1.0

@@ -243,7 +243,7 @@ def test_mistakes_are_told(name: str, changes: dict, said: str):
 def test_a_search_begins_at_a_point(name: str):
     point = np.array([1.0, 1.9, 1.2])
     optimizer = made(name)
-    optimizer.begin_at(point)
+    optimizer.begin_near(point)
     first = optimizer.ask()
     if name == "cma-es":  # the first distribution is around it
         assert np.abs(first - point).mean() < np.abs(made(name).ask() - point).mean()

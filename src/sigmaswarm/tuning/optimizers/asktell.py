@@ -9,6 +9,8 @@ import numpy as np
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import Array
 
+FIRST_STEP = 0.1  # standard deviation of the first points around a start, in widths of the bounds
+
 
 class Optimizer(Protocol):
     """A minimizer with ``ask`` and ``tell``.
@@ -64,9 +66,12 @@ class AskTell:
         self.global_best, self.global_cost = self.positions[0].copy(), np.inf
         self.told = False
 
-    def begin_at(self, point: Array) -> None:
-        """Put a point, shape (d,), into the first batch; call this before the first `ask`."""
-        self.positions[0] = point
+    def begin_near(self, point: Array) -> None:
+        """Draw the first batch around a point, shape (d,), and include this point; call this before the first `ask`."""
+        step = FIRST_STEP * (self.high - self.low)
+        drawn = self.rng.normal(point, step, self.positions.shape)
+        drawn[0] = point
+        self.positions = np.clip(drawn, self.low, self.high)
 
     def ask(self) -> Array:
         if self.told:

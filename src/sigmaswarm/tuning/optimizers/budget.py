@@ -31,10 +31,10 @@ class Budgeted:
         self.spent, self._size, self._points = 0, 0, np.empty((0, len(low)))
         self.global_best, self.global_cost = low.copy(), np.inf
 
-    def begin_at(self, point: Array) -> None:
+    def begin_near(self, point: Array) -> None:
         """Set the start point, shape (d,), before the first `ask`; custom optimizers ignore it."""
         if isinstance(self.first, AskTell):
-            self.first.begin_at(point)
+            self.first.begin_near(point)
 
     def ask(self) -> Array:
         remaining = self.budget - self.spent

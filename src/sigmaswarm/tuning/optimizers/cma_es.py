@@ -33,7 +33,7 @@ class CmaEs(AskTell):
         self._restart(np.full(len(self.low), 0.5))
         return self._next()
 
-    def begin_at(self, point: Array) -> None:
+    def begin_near(self, point: Array) -> None:
         self._restart((point - self.low) / self.width)
         self.positions = np.clip(self._next(), self.low, self.high)
 

@@ -32,7 +32,7 @@ class NelderMead(AskTell):
         if np.isfinite(self.start_cost):
             self.global_best, self.global_cost = self.simplex[0].copy(), self.start_cost
 
-    def begin_at(self, point: Array) -> None:
+    def begin_near(self, point: Array) -> None:
         self.start = point
         self.positions = self._begin()
 
