@@ -36,7 +36,7 @@ def simulated(rate: float) -> Drive:
 @cache
 def real(times: int) -> Drive:
     """A car that stands for a while, with more samples in between those that its IMU took at 10 Hz."""
-    drive = clip(read_drive(DRIVES / "kingston-1"), 560.0, 640.0)
+    drive = clip(read_drive(DRIVES / "kingston-1"), 620.0, 700.0)
     imu, rng = drive.imu, np.random.default_rng(2)
     k = np.arange(times * (len(imu) - 1) + 1) / times
     values = {

@@ -35,6 +35,8 @@ The noise of the calmest second is too low an estimate.
 DEPARTS = 0.12  # m/s2, change of the forward or left acceleration of a departing car
 FOLLOWS = 1.0  # s, time constant with which the acceleration of the stop follows sensors that warm up
 FORGETS = 3.0  # s without a calm IMU and constant fixes after which a new stop begins
+SLOPE = 1.0  # m/s2, largest acceleration at rest on a level IMU, on slopes of 10%
+CONFIRMED = 1.0  # s, duration after which a stop with a larger difference counts
 FIX_WINDOW = 3.0  # s, window in which the fixes must be constant
 FILLED = 1.5  # mean fix intervals, longest time from the start of the window to the first fix
 FIX_SPEED = 0.8  # m/s, largest speed of the line through constant fixes
@@ -66,7 +68,7 @@ def detect_standstills(drive: Drive, kinds: Array) -> NDArray[np.bool_]:
     imu, gps = drive.imu, drive.gps
     stands = np.zeros(len(imu.time), dtype=np.bool_)
     fixes = np.column_stack([gps.time, gps.x, gps.y])
-    memory, stop = new_memory(), np.array([-np.inf, 0.0, 0.0])
+    memory, stop = new_memory(), np.array([-np.inf, 0.0, 0.0, 0.0])
     for first in range(0, len(stands), PIECE):
         part = slice(first, first + PIECE)
         samples = np.column_stack([imu.time[part], imu.ax[part], imu.ay[part], imu.gz[part]])
@@ -213,20 +215,29 @@ def _clear(block: Array) -> None:
 def matches_stop(stop: Array, passed: float, means: Array) -> bool:
     """Return True if the acceleration still agrees with that of the stop, within `DEPARTS`.
 
-    ``stop`` (2,) contains ax, ay of the stop; it follows slow changes, and is replaced after `FORGETS`. ``passed`` (s)
-    is the time since the last call. ``means`` (4,) are the means of ax, ay (m/s2) over the last second, then over the
-    last quarter of a second.
+    At the beginning of a constant acceleration the fixes can still seem constant. Therefore, a stop whose acceleration
+    differs by more than `SLOPE` from 0 and from that of the previous stop counts only after `CONFIRMED`.
+
+    ``stop`` (3,) contains ax, ay of the stop, and the time (s) until it counts. The acceleration follows slow changes,
+    and is replaced after `FORGETS`. ``passed`` (s) is the time since the last call. ``means`` (4,) are the means of ax,
+    ay (m/s2) over the last second, then over the last quarter of a second.
     """
     if not passed <= FORGETS:
+        level = abs(means[0]) <= SLOPE and abs(means[1]) <= SLOPE
+        as_before = abs(means[0] - stop[0]) <= SLOPE and abs(means[1] - stop[1]) <= SLOPE
+        known = level or (as_before and stop[2] <= 0.0)
         stop[0] = means[0]
         stop[1] = means[1]
+        stop[2] = 0.0 if known else CONFIRMED
+    else:
+        stop[2] -= passed
     away_x, away_y = means[2] - stop[0], means[3] - stop[1]
     stands = abs(away_x) <= DEPARTS and abs(away_y) <= DEPARTS
     if stands:
         share = min(1.0, passed / FOLLOWS)
         stop[0] += share * away_x
         stop[1] += share * away_y
-    return stands
+    return stands and stop[2] <= 0.0
 
 
 @cached

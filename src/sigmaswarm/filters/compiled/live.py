@@ -51,8 +51,10 @@ N_FILTER = N_KEPT
 OK = R.OK
 TIME, SINCE = range(N_FILTER, N_FILTER + 2)
 DONE = slice(N_FILTER + 2, N_FILTER + 6)  # see `drives.events`
-STOP_TIME = DONE.stop  # last time at which IMU and fixes showed a stop; then ax, ay of the stop
-STOP = slice(STOP_TIME + 1, STOP_TIME + 3)
+STOP_TIME = (
+    DONE.stop
+)  # last time at which IMU and fixes showed a stop; then the stop, see `standstill.matches_stop`
+STOP = slice(STOP_TIME + 1, STOP_TIME + 4)
 N_FILTER_STATE = STOP.stop
 # Settings. USED: bits of the constraints and the odometer, if the filter uses them.
 N_SAMPLE = 1 + len(AXES)
