@@ -2,7 +2,6 @@
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,6 @@ import numpy as np
 import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from pydantic import ValidationError
 
 from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
 from sigmaswarm.errors import InputError
@@ -24,7 +22,6 @@ from sigmaswarm.scoring.methods import method_names
 from sigmaswarm.scoring.tracks import Picture
 from sigmaswarm.tables import Cell, Column, Table
 from sigmaswarm.tuning.config import RENAMED, SWARM, TuneConfig
-from sigmaswarm.tuning.defaults import with_default_guards
 from sigmaswarm.tuning.diagnostics import drift_table, larger_drifts
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, End, TuningRecord, history_of, load_history
 from sigmaswarm.tuning.result import Tuning
@@ -33,9 +30,11 @@ from sigmaswarm.tuning.space import searched_name
 from sigmaswarm.wording import count_of
 
 # Options that the command of a page contains even if they have their default values.
-STATED_OPTIONS = ("objective", "particles", "generations", "trials", "seed", "model", "use")
+STATED_OPTIONS = (
+    *("objective", "particles", "generations", "trials", "seed"),
+    *("model", "kind", "use", "prior", "inflation"),
+)
 TUNE_DEFAULTS = {name: field.default for name, field in TuneConfig.model_fields.items()}
-GUARD_OPTIONS = ("prior", "inflation")  # options of `tune` with a default that depends on the objective
 PARAMETER_MEANINGS = {
     "latency": (
         "delay of the fixes with which this filter predicts them best; the doctor estimates this delay as a clock "
@@ -112,6 +111,7 @@ def tuning_report(folder: Path) -> Report:
         )
     figures.append(("candidates tried", f"{result.evaluations}", f"{result.failures} of them failed"))
     command, note = tune_command(file.config, [d.name for d in file.data], result.validation_drives)
+    drifts = (drift_table(file.forecasts, [drive.duration_s or 0.0 for drive in file.data]),)
     return Report(
         title=f"Tuning of {filter_name(file)}",
         lead=(
@@ -123,7 +123,7 @@ def tuning_report(folder: Path) -> Report:
         remarks=tuple(result.remarks),
         sections=(
             parameters_section(file),
-            *drifts_section(file),
+            *([Section("Drifts without fixes", tables=drifts)] if file.forecasts else []),
             *convergence_section(file, folder),
             data_section("Drives", file.data),
         ),
@@ -148,12 +148,6 @@ def what_was_tuned(file: TuningRecord) -> str:
     on = count_of(len(file.data), "drive") + (f" ({length / 60:.1f} min)" if length else "")
     meaning = f": {file.result.objective_meaning}" if file.result.objective_meaning else ""
     return f"{filter_name(file)} was tuned on {on}. The objective is {file.result.objective}{meaning}."
-
-
-def drifts_section(file: TuningRecord) -> Iterator[Section]:
-    if file.forecasts:
-        table = drift_table(file.forecasts, [drive.duration_s or 0.0 for drive in file.data])
-        yield Section("Drifts without fixes", (), (table,))
 
 
 def parameters_section(file: TuningRecord) -> Section:
@@ -273,35 +267,15 @@ def tune_command(
     if isinstance(config.get("model"), dict):
         return "", "The tuning has a custom model: repeat it in Python with sigmaswarm.tune."
     config = {RENAMED.get(name, name): value for name, value in config.items()}
-    options = {name: config[name] for name in STATED_OPTIONS if name in config}
-    usual = _usual(config)
-    config = dict.fromkeys(GUARD_OPTIONS, 0.0) | config  # older versions had neither prior nor inflation
-    for name in TUNE_DEFAULTS:
-        value = config.get(name)
-        if name not in STATED_OPTIONS and value is not None:
-            same = tuple(value) == usual[name] if isinstance(value, list) else value == usual[name]
-            options |= {} if same else {name: value}
+    config = {"prior": 0.0, "inflation": 0.0} | config  # older versions had neither
     words = ["sigmaswarm", "tune", *drives, "--out", "again"]
-    for name, value in options.items():
-        words += _option(f"--{name.replace('_', '-')}", value)
+    for name in (*STATED_OPTIONS, *(name for name in TUNE_DEFAULTS if name not in STATED_OPTIONS)):
+        value, option = config.get(name), f"--{name.replace('_', '-')}"
+        if value is None or (name not in STATED_OPTIONS and value == TUNE_DEFAULTS[name]):
+            continue
+        if isinstance(value, list | tuple):
+            words += [option, *map(str, value)] if value else [f"{option}-nothing"]
+        else:
+            words += [option] if value is True else [option, str(value)]
     words += ["--validation", *validation] if validation else []
     return shlex.join(words), "Replace the names of the drives by the paths of their folders."
-
-
-def _usual(config: Mapping[str, Any]) -> dict[str, Any]:
-    usual = TUNE_DEFAULTS | dict.fromkeys(GUARD_OPTIONS, 0.0)
-    with suppress(ValidationError, KeyError):  # a model of another version
-        usual["kind"] = TuneConfig.model_validate({"model": config["model"]}).kind
-    given = {name: config[name] for name in TUNE_DEFAULTS if name in config and name not in GUARD_OPTIONS}
-    with suppress(ValidationError, InputError):  # an objective of another version
-        completed = with_default_guards(TuneConfig.model_validate(given))
-        usual |= {name: getattr(completed, name) for name in GUARD_OPTIONS}
-    return usual
-
-
-def _option(name: str, value: Any) -> list[str]:
-    if value is True:
-        return [name]
-    if isinstance(value, list | tuple):
-        return [name, *map(str, value)] if value else [f"{name}-nothing"]
-    return [name, str(value)]
