@@ -16,7 +16,6 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.outages import balanced_windows, hidden_fixes
 from sigmaswarm.drives.prepared import prepare_drive
 from sigmaswarm.drives.timeline import build_timeline
-from sigmaswarm.errors import InputError
 from sigmaswarm.filters import student
 from sigmaswarm.filters.models import gps_position
 from sigmaswarm.filters.parameters import FilterParameters
@@ -186,27 +185,21 @@ def test_nees_is_that_of_the_trajectory():
 @given(
     start=st.floats(-1e3, 1e6),
     duration=st.floats(0.0, 900.0),
-    apart=st.floats(0.0, 6.0),
     seed=st.integers(0, 99),
 )
-def test_balanced_windows_are_all_over_the_drive(start: float, duration: float, apart: float, seed: int):
+def test_balanced_windows_are_all_over_the_drive(start: float, duration: float, seed: int):
     end = start + duration
-    windows = balanced_windows(start, end, np.random.default_rng(seed), apart=apart)
-    again = balanced_windows(start, end, np.random.default_rng(seed), apart=apart)
+    windows = balanced_windows(start, end, np.random.default_rng(seed))
+    again = balanced_windows(start, end, np.random.default_rng(seed))
     np.testing.assert_array_equal(windows, again)
     lengths = windows[:, 1] - windows[:, 0]
     assert np.all((lengths > 3 - 1e-6) & (lengths < 5 + 1e-6))
     before = np.concatenate([[start], windows[:-1, 1]]) if len(windows) else np.empty(0)
-    assert np.all(windows[:, 0] - before >= apart - 1e-6)
+    assert np.all(windows[:, 0] - before >= 5.0 - 1e-6)
     assert np.all(windows[:, 1] <= end + 1e-6)
-    assert (len(windows) >= 1) == (end - start >= min(12.0, apart + 5.0))
+    assert (len(windows) >= 1) == (end - start >= 10.0)
     slot = (end - start) / max(len(windows), 1)
     assert np.all((windows[:, 0] - start) // slot == np.arange(len(windows)))
-
-
-def test_windows_that_can_not_be_drawn_are_refused():
-    with pytest.raises(InputError, match="can't be drawn"):
-        balanced_windows(0.0, 60.0, np.random.default_rng(0), every=5.0)
 
 
 def test_both_ends_of_a_window_hide():

@@ -15,7 +15,7 @@ def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> Mask:
     Drift is measured at the end of an outage, without a fix at this time.
     """
     t = np.asarray(time, dtype=np.float64)
-    starts, ends = np.sort(_checked(windows), axis=0).T
+    starts, ends = np.sort(np.reshape(windows, (-1, 2)), axis=0).T
     # True if more windows have begun than ended; a comparison of each fix with each window would need a gigabyte
     return np.searchsorted(starts, t, side="right") > np.searchsorted(ends, t, side="left")
 
@@ -55,29 +55,16 @@ def random_windows(
     return np.stack([ends - lengths, ends], axis=1)
 
 
-def balanced_windows(
-    start: float,
-    end: float,
-    rng: np.random.Generator,
-    *,
-    length: tuple[float, float] = (3.0, 5.0),
-    apart: float = 5.0,
-    every: float = 12.0,
-) -> Array:
-    """Draw outages (k, 2) between two times, s: one in each interval of about ``every`` s.
+def balanced_windows(start: float, end: float, rng: np.random.Generator) -> Array:
+    """Draw outages of 3 to 5 s, (k, 2), between two times, s: one in each interval of about 12 s.
 
-    Each outage begins at least ``apart`` s after the start or the previous outage, and has a random length in the range
-    ``length``, s.
+    Each outage begins at least 5 s after the start or the previous outage.
     """
-    if not (0 < length[0] <= length[1] and apart >= 0 and every >= length[1] + apart):
-        raise InputError(
-            f"outages of length {length} s, apart {apart:g} s, one in every {every:g} s can't be drawn; "
-            "use positive lengths in ascending order, and every at least the longest length plus apart"
-        )
+    apart = 5.0
     # one slot for each window; the remaining time extends all slots
-    count = int((end - start) / every) or int(end - start >= apart + length[1])
+    count = int((end - start) / 12.0) or int(end - start >= apart + 5.0)
     slot = (end - start) / max(count, 1)
-    lengths = rng.uniform(*length, count)
+    lengths = rng.uniform(3.0, 5.0, count)
     starts = start + slot * np.arange(count) + apart + rng.uniform(0.0, 1.0, count) * (slot - apart - lengths)
     return np.stack([starts, starts + lengths], axis=1)
 
@@ -92,23 +79,11 @@ def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) ->
     samples = np.asarray(imu_time, dtype=np.float64)
     snapped: list[list[float]] = []
     free = -np.inf  # s, earliest start of the next window
-    rows: list[list[float]] = _checked(windows).tolist()
-    for start, end in rows:
+    for start, end in np.asarray(windows, dtype=np.float64).tolist():
         length = end - start
         i = min(int(np.searchsorted(samples, max(end, free + length))), len(samples) - 1)
         if samples[i] < free + length:
             continue
         snapped.append([samples[i] - length, samples[i]])
         free = samples[i] + apart
-    return _checked(snapped)
-
-
-def _checked(windows: ArrayLike) -> Array:
-    w = np.asarray(windows, dtype=np.float64)
-    if w.size == 0:
-        return np.empty((0, 2))
-    if w.ndim != 2 or w.shape[1] != 2 or not np.all(w[:, 0] <= w[:, 1]):
-        raise InputError(
-            f"outage windows of shape {w.shape} need shape (k, 2), each a start and a later end in s"
-        )
-    return w
+    return np.reshape(snapped, (-1, 2))
