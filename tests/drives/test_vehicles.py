@@ -6,7 +6,8 @@ import pytest
 
 from sigmaswarm import SigmaswarmWarning, tune
 from sigmaswarm.drives.mounting import AXES_KEY, KEY
-from sigmaswarm.drives.vehicles import differences, sensor_setup
+from sigmaswarm.drives.sensors import log_properties
+from sigmaswarm.drives.vehicles import differences
 from sigmaswarm.simulation import simulate
 from support import make_drive
 
@@ -14,7 +15,7 @@ IMPORTED = {AXES_KEY: {"ax": "acc_x"}}
 
 
 def found(*drives) -> list[str]:
-    return [*differences([sensor_setup(drive) for drive in drives])]
+    return [*differences([log_properties(drive) for drive in drives])]
 
 
 @pytest.mark.parametrize(

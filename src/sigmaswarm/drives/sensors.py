@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.mounting import NO_ROTATION, Angles, axes_of
 
 # Ratio of the 95% to the 5% quantile of stated standard deviations above which the standard deviations are informative
 MIN_STD_RATIO = 1.5
@@ -54,7 +55,7 @@ class LogProperties:
 
     Attributes
     ----------
-    interval : median time between two IMU samples, s
+    interval, fix_interval : median time between two IMU samples, and between two fixes, s
     axes : the axes of the IMU
     attitude, spread, white, lasting, receiver_std : results of `has_attitude`, `stated_spread`, `has_white_errors`,
         `has_lasting_errors` and `receiver_std`
@@ -62,6 +63,7 @@ class LogProperties:
         courses; headings
     driven : time from the first fix more than 20 m away from the start to the last fix, s; 0 if there is none
     fixes : number of fixes within the IMU's time
+    mounting : mounting of the IMU, deg; None if the drive states none
     """
 
     name: str
@@ -79,6 +81,8 @@ class LogProperties:
     heading: bool = False
     lasting: bool = False
     fixes: int = 0
+    fix_interval: float = np.nan
+    mounting: Angles | None = None
 
 
 def log_properties(drive: Drive | LogProperties) -> LogProperties:
@@ -102,6 +106,9 @@ def log_properties(drive: Drive | LogProperties) -> LogProperties:
         heading=gps.heading is not None,
         lasting=has_lasting_errors(drive),
         fixes=int(np.sum((gps.time >= imu.time[0]) & (gps.time <= imu.time[-1]))),
+        fix_interval=float(np.median(np.diff(gps.time))),
+        # An imported drive states its axes, but not a rotation of zero.
+        mounting=drive.mounting or (NO_ROTATION if axes_of(drive.metadata) else None),
     )
 
 

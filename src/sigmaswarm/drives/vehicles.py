@@ -1,65 +1,42 @@
 """Compare the vehicles and the sensors of drives."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from itertools import combinations
+from operator import attrgetter
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.mounting import NO_ROTATION, Angles, axes_of
+from sigmaswarm.drives.mounting import NO_ROTATION
+from sigmaswarm.drives.sensors import LogProperties
 from sigmaswarm.geodesy import rotation_of
 
 MAX_RATE_RATIO = 1.5  # largest ratio of the sampling rates of two drives with the same sensors
 MAX_ANGLE = 10.0  # deg, largest angle between the mountings of two drives with the same mounting
 
 
-@dataclass(frozen=True)
-class SensorSetup:
-    """Sensors of a drive: rates of IMU and fixes, Hz; ``mounting`` is None if the drive states none."""
-
-    name: str
-    imu_rate: float
-    fix_rate: float
-    mounting: Angles | None
-
-
-def sensor_setup(drive: Drive) -> SensorSetup:
-    # An imported drive states its axes, but not a rotation of zero.
-    imported = NO_ROTATION if axes_of(drive.metadata) else None
-    imu_rate, fix_rate = (1.0 / float(np.median(np.diff(table.time))) for table in (drive.imu, drive.gps))
-    return SensorSetup(drive.name, imu_rate, fix_rate, drive.mounting or imported)
-
-
-def describe_vehicles(setups: Sequence[SensorSetup]) -> str:
+def describe_vehicles(logs: Sequence[LogProperties]) -> str:
     """Return a warning if drives are clearly from different vehicles or sensors, else ""."""
-    found = "; ".join(differences(setups))
+    found = "; ".join(differences(logs))
     return found and (
         f"the training drives seem to be from different vehicles or sensors: {found}. A filter fits one vehicle and "
         "its sensors; tune one filter for each vehicle"
     )
 
 
-def differences(setups: Sequence[SensorSetup]) -> Iterator[str]:
+def differences(logs: Sequence[LogProperties]) -> Iterator[str]:
     """Yield a clause for each property that clearly differs between the drives."""
-    rates: dict[str, Callable[[SensorSetup], float]] = {
-        "IMU": lambda setup: setup.imu_rate,
-        "receiver": lambda setup: setup.fix_rate,
-    }
-    for sensor, rate in rates.items():
-        slow, fast = min(setups, key=rate), max(setups, key=rate)
-        if rate(fast) > MAX_RATE_RATIO * rate(slow):
-            yield (
-                f"the {sensor} of {fast.name} has {rate(fast):.3g} Hz, and the {sensor} of {slow.name} "
-                f"{rate(slow):.3g} Hz"
-            )
-    pairs = [*combinations((setup for setup in setups if setup.mounting), 2)]
+    for sensor, interval in (("IMU", attrgetter("interval")), ("receiver", attrgetter("fix_interval"))):
+        fast, slow = min(logs, key=interval), max(logs, key=interval)
+        high, low = 1 / interval(fast), 1 / interval(slow)
+        if high > MAX_RATE_RATIO * low:
+            yield f"the {sensor} of {fast.name} has {high:.3g} Hz, and the {sensor} of {slow.name} {low:.3g} Hz"
+    pairs = [*combinations((log for log in logs if log.mounting), 2)]
     for one, other in sorted(pairs, key=lambda pair: -_angle(*pair))[:1]:
         if (angle := _angle(one, other)) > MAX_ANGLE:
             yield f"the mountings of the IMU in {one.name} and {other.name} differ by {angle:.0f} deg"
 
 
-def _angle(one: SensorSetup, other: SensorSetup) -> float:
+def _angle(one: LogProperties, other: LogProperties) -> float:
     """Return the angle between two mountings, deg."""
-    first, second = (rotation_of(*(setup.mounting or NO_ROTATION)) for setup in (one, other))
+    first, second = (rotation_of(*(log.mounting or NO_ROTATION)) for log in (one, other))
     return float(np.degrees(np.arccos(np.clip((np.trace(first.T @ second) - 1) / 2, -1.0, 1.0))))

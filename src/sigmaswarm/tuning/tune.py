@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NotRequired, Required, TypedDict, TypeVar
 
 import numpy as np
 
-from sigmaswarm.datasets.dataset import Dataset, make_datasets
-from sigmaswarm.drives.drive import Array, Drive, as_list
+from sigmaswarm.datasets.dataset import Drives, make_datasets
+from sigmaswarm.drives.drive import Array, as_list
 from sigmaswarm.drives.overlap import (
     TRAINING_DATA_FILE,
     Landmarks,
@@ -20,7 +20,7 @@ from sigmaswarm.drives.overlap import (
     save_landmarks,
 )
 from sigmaswarm.drives.sensors import log_properties
-from sigmaswarm.drives.vehicles import describe_vehicles, sensor_setup
+from sigmaswarm.drives.vehicles import describe_vehicles
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.files import locked_folder
 from sigmaswarm.filters.custom.log import Log
@@ -52,8 +52,6 @@ from sigmaswarm.versions import versions
 if TYPE_CHECKING:
     from distributed import Client
 
-    from sigmaswarm.drives.reader import Location
-
 TAKES = "tune takes Drives, or Logs together with model=Model(...)"
 ARGUMENTS = ("validation", "start", "out", "resume", "paper", "executor", "cluster", "progress")
 NOT_ROBUST = "innovation-nll gives outliers full weight, even if the filter uses robust; use innovation-t"
@@ -73,7 +71,7 @@ class RunOptions(TypedDict, total=False):
 class CarOptions(RunOptions, TuneOptions):
     cluster: "NotRequired[Client | None]"
     start: NotRequired[FilterParameters | str | Path | None]
-    validation: "NotRequired[Sequence[Drive | Location] | Drive | Location | Dataset]"
+    validation: NotRequired[Drives]
 
 
 class ModelOptions(RunOptions, SearchOptions):
@@ -82,9 +80,7 @@ class ModelOptions(RunOptions, SearchOptions):
 
 
 @overload
-def tune(
-    drives: "Sequence[Drive | Location] | Drive | Location | Dataset", **options: Unpack[CarOptions]
-) -> Tuning[FilterParameters]: ...
+def tune(drives: Drives, **options: Unpack[CarOptions]) -> Tuning[FilterParameters]: ...
 @overload
 def tune(drives: Sequence[Log] | Log, **options: Unpack[ModelOptions]) -> Tuning[dict[str, float]]: ...
 def tune(
@@ -213,7 +209,7 @@ def _problem_of(
         problem = car_problem(data, config)
         first = None if given is None else start_point(problem.space, given)
         robust = "robust" in config.use and "innovation-nll" in config.objective
-        other = describe_vehicles(data.map(sensor_setup))
+        other = describe_vehicles(problem.sensors)
         for warning in (other, problem.objective.warning, NOT_ROBUST if robust else None):
             if warning:
                 warnings.warn(warning, SigmaswarmWarning, stacklevel=3)
