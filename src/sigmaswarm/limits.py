@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 MAX_LINE_BYTES = 1 << 20  # bytes of a line of text
 MAX_CELLS = 120_000_000  # cells of a Parquet table, 1 GB: a week of an IMU at 50 Hz, with 4 columns
 MAX_COLUMNS = 1000
-MAX_NAME_LENGTH = 1000  # characters of a column's name
 MAX_TOML_BYTES = 1 << 20  # bytes; parsing takes 3 s
 MAX_JSON_BYTES = 1 << 26  # bytes; parsing needs 0.6 GB
 MAX_MEMBERS = 10_000  # arrays of an npz file

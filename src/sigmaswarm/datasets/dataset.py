@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from sigmaswarm.drives.drive import Drive, as_list
+from sigmaswarm.drives.reader import Location
 from sigmaswarm.errors import InputError
 
 if TYPE_CHECKING:
@@ -28,6 +29,10 @@ class Dataset(Protocol):
     def imap(self, function: Callable[[Drive], T]) -> Iterator[T]:
         """Apply a function to one drive after another, for results that are large or slow to compute."""
         ...
+
+
+Drives = Sequence[Drive | Location] | Drive | Location | Dataset
+"""Drives of a call; paths and URLs only with a cluster."""
 
 
 @dataclass(frozen=True, eq=False)

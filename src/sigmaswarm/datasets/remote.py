@@ -10,10 +10,11 @@ import time
 import uuid
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from itertools import accumulate, pairwise
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -220,7 +221,7 @@ def remote_datasets(
 
     def read(i: int) -> tuple[float, list[SigmaswarmWarning]] | InputError:
         try:
-            return dataset.subset([i]).call(_size_and_warnings)[0][1]
+            return dataset.subset([i]).call(apply_to_each, attrgetter("size", "warned"))[0][1][0]
         except InputError as error:
             return error
 
@@ -239,12 +240,6 @@ def remote_datasets(
     assignment.assign()
     ends = accumulate(map(len, sources), initial=0)
     return [dataset.subset(range(begin, end)) for begin, end in pairwise(ends)], warned
-
-
-def _size_and_warnings(
-    drives: Sequence[CachedDrive], _: Executor | None
-) -> tuple[float, list[SigmaswarmWarning]]:
-    return drives[0].size, drives[0].warned
 
 
 def source_of(drive: Drive | Location | Source) -> Source:

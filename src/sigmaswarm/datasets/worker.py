@@ -5,7 +5,6 @@ import threading
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, TypeVar
 
 from sigmaswarm.datasets.cluster import ClusterError
@@ -129,11 +128,11 @@ def apply_to_each(
     drives: Sequence[CachedDrive], pool: Executor | None, function: Callable[[CachedDrive], Any]
 ) -> list[Any]:
     """Apply a function to each drive; an `InputError` becomes a `Failure`."""
-    return list((pool.map if pool else map)(partial(_attempt, function), drives))
 
+    def attempt(drive: CachedDrive) -> Any:
+        try:
+            return function(drive)
+        except InputError as error:
+            return Failure(error)
 
-def _attempt(function: Callable[[CachedDrive], Any], drive: CachedDrive) -> Any:
-    try:
-        return function(drive)
-    except InputError as error:
-        return Failure(error)
+    return list((pool.map if pool else map)(attempt, drives))

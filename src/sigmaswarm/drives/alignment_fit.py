@@ -387,19 +387,8 @@ def convert_to_start(fit: Array, mean: Array, covariance: Array, turns: Array, c
     ``covariance`` and ``turns`` are converted in place. The change of the mean per m/s2 of forward force is stored in
     ``change``.
     """
-    c, s, v, posterior = (
-        np.cos(fit[YAW]),
-        np.sin(fit[YAW]),
-        fit[SPEED],
-        covariance[SLOPE, SLOPE],
-    )
-    mean[0], mean[1], mean[2], mean[3], mean[4] = (
-        fit[EAST],
-        fit[NORTH],
-        v * c,
-        v * s,
-        fit[YAW],
-    )
+    c, s, v, posterior = (np.cos(fit[YAW]), np.sin(fit[YAW]), fit[SPEED], covariance[SLOPE, SLOPE])
+    mean[0], mean[1], mean[2], mean[3], mean[4] = (fit[EAST], fit[NORTH], v * c, v * s, fit[YAW])
     _convert_change(c, s, v, turns)
     for i in range(5):
         _convert_change(c, s, v, covariance[i])

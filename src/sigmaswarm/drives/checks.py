@@ -184,18 +184,14 @@ def gaps_in(time: Array, limit: tuple[float, float], imu: Array | None = None) -
     usual = float(np.median(interval)) if interval.size else 0.0
     gap = interval > max(limit[0] * usual, limit[1])
     if imu is not None and gap.any():
-        missing = np.where(_is_gap(imu, IMU_GAP), np.diff(imu), 0.0)
+        paused = np.diff(imu)
+        missing = np.where(paused > max(IMU_GAP[0] * float(np.median(paused)), IMU_GAP[1]), paused, 0.0)
         passed = np.interp(time, imu, np.append(0.0, np.cumsum(missing)))  # s of gaps until each time
         gap &= np.diff(passed) < interval / 2
     if not gap.any():
         return None
     i = int(np.argmax(np.where(gap, interval, 0.0)))
     return GapSummary(int(np.count_nonzero(gap)), float(time[i]), float(interval[i]), usual)
-
-
-def _is_gap(time: Array, limit: tuple[float, float]) -> NDArray[np.bool_]:
-    interval = np.diff(time)
-    return interval > max(limit[0] * float(np.median(interval)), limit[1])
 
 
 def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:

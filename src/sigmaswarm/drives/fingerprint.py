@@ -27,9 +27,7 @@ class DriveRecord(BaseModel):
     imu_mounting_deg: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
     imu_axes: dict[str, str] = Field(default_factory=dict)
     sha256: str = ""
-    receiver_std_m: float | None = (
-        None  # standard deviation of the fixes per axis, stated or from their noise
-    )
+    receiver_std_m: float | None = None  # standard deviation of the fixes per axis, stated or from noise
     # Of an evaluated drive: fraction of the scored time with known truth; start of filters and scores, s after the
     # first sample; duration of the part that training drives contain, s
     truth_share: float | None = None

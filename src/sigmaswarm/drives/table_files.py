@@ -18,10 +18,9 @@ from sigmaswarm.limits import MAX_CELLS, MAX_COLUMNS, require_regular, require_t
 from sigmaswarm.wording import list_names, printable, quoted
 
 MAX_VALUE = 1e7  # largest accepted magnitude; values of a car's sensors are smaller, even in mm, mg or mdeg/s
-_METERS, _NO_STD = (
-    "convert it to meters from a nearby origin",
-    "leave the column out if no standard deviation is stated",
-)
+_METERS = "convert it to meters from a nearby origin"
+_NO_STD = "leave the column out if no standard deviation is stated"
+_DAMAGED = "the value is damaged or in a wrong unit; delete the row or correct the unit"
 # Lowest and highest allowed value of a column, and the remedy.
 RANGES: dict[str, tuple[float, float, str]] = {
     "lat": (-90.0, 90.0, "convert it to degrees north; lat and lon may be exchanged"),
@@ -32,11 +31,7 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "std_theta": (1e-9, MAX_VALUE, _NO_STD),
     **dict.fromkeys(
         ("ax", "ay", "az", "gx", "gy", "gz", "speed", "course", "heading", "vx", "vy", "theta"),
-        (
-            -MAX_VALUE,
-            MAX_VALUE,
-            "the value is damaged or in a wrong unit; delete the row or correct the unit",
-        ),
+        (-MAX_VALUE, MAX_VALUE, _DAMAGED),
     ),
 }
 
@@ -173,12 +168,14 @@ class TableFile:
         return values.to_numpy()
 
     def _require_increasing(self, time: Array) -> None:
-        late, i = np.flatnonzero(np.diff(time) <= 0), _leap(time)
-        what, remedy = "lies too far after", "delete the row with the damaged time"
-        if late.size:
-            i, what = int(late[0]) + 1, "is not after"
-            remedy = "sort the rows by time and delete repeated rows"
-        if i:
+        interval = np.diff(time)
+        wrong = np.flatnonzero(interval <= 0)
+        what, remedy = "is not after", "sort the rows by time and delete repeated rows"
+        if not wrong.size and interval.size > 1:
+            wrong = np.flatnonzero(interval > _LONGEST_LEAP * float(np.median(interval)))
+            what, remedy = "lies too far after", "delete the row with the damaged time"
+        if wrong.size:
+            i = int(wrong[0]) + 1
             before = f"{printable(self.cells['t'][i - 1])} in row {self.lines[i - 1]}"
             raise self._fault(i, "t", f"{what} {before}", remedy)
 
@@ -198,15 +195,6 @@ def _require_size(path: Path, rows: int, columns: int) -> None:
             f"{path}: has {rows} rows of {columns} columns; the limit is {MAX_CELLS} cells; leave out "
             "columns that a drive does not need, or divide the log before the import"
         )
-
-
-def _leap(time: Array) -> int:
-    """Return the index of the first time after an implausibly long interval; 0 if there is none."""
-    if len(time) < 3:
-        return 0
-    interval = np.diff(time)
-    far = interval > _LONGEST_LEAP * float(np.median(interval))
-    return int(far.argmax()) + 1 if far.any() else 0
 
 
 def _parquet(path: Path) -> pl.DataFrame:

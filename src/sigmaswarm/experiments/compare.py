@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any, Unpack, get_args
 
 import numpy as np
 
-from sigmaswarm.datasets.dataset import make_datasets
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.datasets.dataset import Dataset, Drives, make_datasets
+from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.sensors import log_properties
 from sigmaswarm.errors import InputError, SigmaswarmWarning
@@ -44,10 +44,6 @@ from sigmaswarm.versions import versions
 
 if TYPE_CHECKING:
     from distributed import Client
-
-    from sigmaswarm.datasets.dataset import Dataset
-    from sigmaswarm.drives.reader import Location
-
 
 # Options in which contenders may differ, in addition to optimizer and scale.
 CONTENDER_OPTIONS = (
@@ -72,9 +68,9 @@ class GridOptions(CompareOptions, total=False):
 
 
 def compare(
-    drives: "Sequence[Drive | Location] | Drive | Location | Dataset",
+    drives: Drives,
     *,
-    validation: "Sequence[Drive | Location] | Drive | Location | Dataset" = (),
+    validation: Drives = (),
     out: str | Path | None = None,
     resume: bool = False,
     cluster: "Client | None" = None,
@@ -190,7 +186,7 @@ class _Grid:
         return run
 
 
-def _grid(options: GridOptions, training: "Dataset", held_out: "Dataset") -> _Grid:
+def _grid(options: GridOptions, training: Dataset, held_out: Dataset) -> _Grid:
     seeds = options.get("seeds", SEEDS)
     if seeds < 1:
         raise InputError(f"seeds = {seeds}: must be at least 1")
@@ -274,8 +270,8 @@ def _outcome(tuning: Tuning, test: CarProblem | None) -> Outcome:
 
 
 def _rmse_alone(ready: PreparedDrive, noise: MotionNoise) -> float:
-    run = FixesAlone(tracking_pass(ready), noise)
-    return score_estimate(ready.drive, estimate_of(run, recover=False)).position_rmse
+    whole = estimate_of(FixesAlone(tracking_pass(ready), noise), recover=False)
+    return score_estimate(ready.drive, whole).position_rmse
 
 
 def _mean(values: Array) -> float | None:

@@ -46,11 +46,9 @@ def comparison_table(comparison: Comparison) -> Table:
             cells.append(row[f"{m}_p"] if tested else None)
         rows.append((*cells, row["steps_share"], str(row["touched_bounds"]).replace(" ", ", ") or "-"))
     alone = comparison.fixes_alone_rmse
-    rival = (
-        f" A filter that uses only the fixes, without the IMU, has a held-out RMSE of {alone:.4g} m."
-        if alone
-        else ""
-    )
+    rival = ""
+    if alone:
+        rival = f" A filter that uses only the fixes, without the IMU, has a held-out RMSE of {alone:.4g} m."
     few = "" if tested else f"\n\nThere are too few seeds for the tests, which need {MIN_SEEDS} or more."
     note = (
         f"{comparison.seeds} seeds, {comparison.budget} evaluations each. Values: median [95% interval of the median] "
@@ -74,9 +72,8 @@ def comparison_figure(comparison: Comparison) -> Figure:
                 (pl.col("optimizer") == contender.name) & (pl.col("scale") == contender.scale)
             )
             spent = rows["full_evaluations"].to_numpy()
-            end = comparison.budget * (
-                comparison.frame["steps_share"][i] + 0.01
-            )  # just after the last evaluation
+            # just after the last evaluation
+            end = comparison.budget * (comparison.frame["steps_share"][i] + 0.01)
             costs = (rows[name].to_numpy() for name in ("median", "quartile_1", "quartile_3"))
             middle, low, high = (np.where(np.isfinite(c) & (spent <= end), c, np.nan) for c in costs)
             band(ax, spent, low, high, Look(look.color, opacity=0.12))

@@ -51,10 +51,7 @@ from sigmaswarm.wording import list_names
 
 DRAWING_ORDER = [name for name, look in reversed(STYLES.items()) if look.visible]
 """Series of a track from bottom to top. The truth is drawn above the tuned filter, whose line is wider."""
-HEADING_LIMITS = (
-    1.0,
-    30.0,
-)  # deg, smallest and largest end of the heading axis; diverged filters have larger errors
+HEADING_LIMITS = 1.0, 30.0  # deg, smallest and largest end of the axis; diverged filters have larger errors
 
 
 def save_evaluation(
@@ -107,17 +104,10 @@ def track_figure(evaluation: Evaluation, drive: str) -> Figure:
 def comparison(evaluation: Evaluation) -> Figure:
     charts = method_bars(evaluation.view, titled=True)
     if not charts:
-
-        def draw(ax: Axes) -> None:
-            ax.set_axis_off()
-            ax.text(
-                0.5,
-                0.5,
-                "nothing can be compared, since there is no truth and the drives are too short for an outage",
-                ha="center",
-            )
-
-        return figure_of(Chart("", draw), size=(6.4, 3.4))
+        figure = figure_of(Chart("", Axes.set_axis_off), size=(6.4, 3.4))
+        why = "nothing can be compared, since there is no truth and the drives are too short for an outage"
+        figure.axes[0].text(0.5, 0.5, why, ha="center")
+        return figure
     columns = min(len(charts), 3)
     rows = -(-len(charts) // columns)
     return figure_of(*charts, size=(11 if columns > 1 else 6.4, 3.4 * rows), columns=columns)

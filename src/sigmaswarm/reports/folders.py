@@ -35,8 +35,7 @@ def save_page(folder: Path, out: Path | None = None) -> Path:
     """Write the page of a folder of results, by default page.html in this folder; return the path."""
     if out is not None:
         check_file(out, ".html")
-    read = read_report(folder)
-    file = out or folder / "page.html"
+    read, file = read_report(folder), out or folder / "page.html"
     check_file(file, ".html")
     if out is None:
         add_to_result(folder, file.name)

@@ -36,9 +36,8 @@ PROTOCOL_COLORS = {
     "paper": STUDY_STYLES["paper-pso-ukf"].color,
     "honest": STUDY_STYLES["honest-pso-ukf"].color,
 }
-SCALE_RATIO = (
-    12  # end of the scale / lowest mean; with a longer scale, good methods could not be distinguished
-)
+# End of the scale / lowest mean; with a longer scale, good methods could not be distinguished.
+SCALE_RATIO = 12
 DRAWN_FILTERS: dict[str, tuple[str, Look]] = {
     "ukf-defaults": ("UKF, manual: defaults", Look(ORANGE, 1.0, "--")),
     f"paper-{MAIN_METHOD}": ("PSO-UKF (tuned with the fixes)", STUDY_STYLES[f"paper-{MAIN_METHOD}"]),
@@ -198,18 +197,16 @@ def curve_charts(results: Results) -> tuple[Chart, ...]:
         return Chart(results.measures[measure], draw, broad=True)
 
     charts: list[Chart] = []
+    methods = dict.fromkeys(point.method for point in rivals.curve)
     for measure in ELSEWHERE_MEASURES:
-        methods = dict.fromkeys(point.method for point in rivals.curve)
-        known = [
-            [p for p in curve_points(rivals, method, measure) if p.mean is not None] for method in methods
-        ]
+        curves = [curve_points(rivals, method, measure) for method in methods]
+        known = [[p for p in points if p.mean is not None] for points in curves]
         if points := [own for own in known if own]:
             charts.append(chart(measure, points))
     return tuple(charts)
 
 
 def trajectory_chart(picture: Picture) -> Chart:
-
     def draw(ax: Axes) -> None:
         named = {"raw_gps": ("GPS", STYLES["raw_gps"]), **DRAWN_FILTERS, "truth": ("truth", STYLES["truth"])}
         for series, (name, look) in named.items():
@@ -258,10 +255,8 @@ def nis_charts(picture: Picture) -> tuple[Chart, ...]:
         inside = float(np.mean(nis < GATE_95))
         return Chart(f"{name}\nmean {np.mean(nis):.2f}, {inside:.0%} inside the 95% gate", draw)
 
-    known = {
-        series: picture.whole.series.get(series + NIS) for series in DRAWN_FILTERS
-    }  # None for a failed filter
-    return tuple(chart(*DRAWN_FILTERS[series], columns) for series, columns in known.items() if columns)
+    tracks = picture.whole.series  # without NIS of a failed filter
+    return tuple(chart(*of, tracks[key + NIS]) for key, of in DRAWN_FILTERS.items() if key + NIS in tracks)
 
 
 def save_study(study: Study, folder: Path) -> list[Path]:

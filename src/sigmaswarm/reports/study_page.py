@@ -1,6 +1,6 @@
 """HTML page of a study: the paper's tables with the study's results, and all methods under both protocols."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from math import inf
 from pathlib import Path
 
@@ -31,7 +31,6 @@ CONDITION_VARIANTS = (
 def study_report(folder: Path) -> Report:
     record = StudyRecord.read(folder)
     results = record.results
-    searched = (tables.optimum_table(results), tables.trials_table(results))
     return Report(
         title=f"Study: {results.config.trials} trials on {results.drives.count} drives",
         lead=(
@@ -40,18 +39,7 @@ def study_report(folder: Path) -> Report:
         ),
         figures=_figures(results),
         remarks=tuple(remark for protocol in results.protocols for remark in _remarks(results, protocol)),
-        sections=(
-            _tables(results),
-            _intervals(results),
-            _spread(record),
-            *_tracks(record),
-            _comparisons(results),
-            *_rivals(record),
-            *_conditions(results),
-            _convergence(results),
-            Section("Search results", (), searched),
-            *_run_times(record),
-        ),
+        sections=tuple(_sections(record)),
         config=results.config.model_dump(mode="json"),
         versions=record.versions,
         command="sigmaswarm study --out again --config study.toml",
@@ -59,12 +47,32 @@ def study_report(folder: Path) -> Report:
     )
 
 
+def _sections(record: StudyRecord) -> Iterator[Section]:
+    results = record.results
+    yield _tables(results)
+    yield _intervals(results)
+    yield _spread(record)
+    if record.tracks:
+        yield _tracks(record)
+    yield _comparisons(results)
+    if rivals := tuple(tables.rivals_tables(results, record.rival_times).values()):
+        text = "Each trial trains the networks on its training drives, for its own filter."
+        notes = dict.fromkeys(table.note for table in rivals)
+        yield Section("Rivals", (text, *notes), rivals, curve_charts(results))
+    conditions = tables.conditions_table(results, POSITION, CONDITION_VARIANTS)
+    if len(conditions.rows) > 2:
+        text = "The folder tables/ next to this page contains other measures and methods."
+        yield Section("Conditions", (text,), (conditions,))
+    yield _convergence(results)
+    yield Section("Search results", (), (tables.optimum_table(results), tables.trials_table(results)))
+    if record.live:
+        times = tables.runtime_table(results, record.live)
+        yield Section("Run time", (times.note,), (times,))
+
+
 def _result(results: Results, protocol: str) -> str:
-    summary, objective = (
-        results.summary(protocol, MAIN_METHOD, POSITION),
-        results.protocols[protocol].objective,
-    )
-    start = f"With the objective {objective}, {results.label(MAIN_METHOD)}"
+    summary = results.summary(protocol, MAIN_METHOD, POSITION)
+    start = f"With the objective {results.protocols[protocol].objective}, {results.label(MAIN_METHOD)}"
     if summary is None or summary.mean is None:
         return f"{start} failed on held-out drives."
     low, high = summary.bootstrap_interval
@@ -72,11 +80,10 @@ def _result(results: Results, protocol: str) -> str:
     interval = f" (95% interval for new drives {low:.3g} to {high:.3g})" if known else ""
     against: list[str] = []
     for c in (comparison(results, protocol, POSITION, rival) for rival in COMPARED_METHODS):
-        if c is not None and c.improvement is None:
-            against.append(f"no comparison with {results.label(c.against)}")
-        elif c is not None and c.improvement is not None:
-            less = "less" if c.improvement >= 0 else "MORE"
-            against.append(f"{abs(c.improvement):.0f}% {less} than {results.label(c.against)}")
+        if c is not None:
+            less = "" if c.improvement is None else "less" if c.improvement >= 0 else "MORE"
+            change = f"{abs(c.improvement or 0.0):.0f}% {less} than" if less else "no comparison with"
+            against.append(f"{change} {results.label(c.against)}")
     rmse = f"has a position RMSE of {summary.mean:.3g} m{interval} on held-out drives"
     return f"{start} {rmse}{': ' if against else ''}{'; '.join(against)}."
 
@@ -154,6 +161,7 @@ def _known(charts: Iterable[Chart | None]) -> tuple[Chart, ...]:
 
 def _intervals(results: Results) -> Section:
     charts = [means_chart(results, measure) for measure in ERRORS]
+    charts += [means_chart(results, "nis", inf, mark=CONSISTENT_NIS)]
     text = (
         "The interval over trials (mean +- 1.96 SD / sqrt(n), as in the paper) shows only the variation from the "
         "optimizer and the random split of the drives. It contains the mean over new drives in only 45 to 91% of "
@@ -161,40 +169,35 @@ def _intervals(results: Results) -> Section:
         "studies, and in 85 to 95% of small studies.",
         "An arrow means that the mean is beyond the scale.",
     )
-    charts = _known((*charts, means_chart(results, "nis", inf, mark=CONSISTENT_NIS)))
-    return Section("Intervals of the means", text, charts=charts)
-
-
-def _run_times(record: StudyRecord) -> tuple[Section, ...]:
-    table = tables.runtime_table(record.results, record.live)
-    return (Section("Run time", (table.note,), (table,)),) if record.live else ()
+    return Section("Intervals of the means", text, charts=_known(charts))
 
 
 def _spread(record: StudyRecord) -> Section:
     results, spreads = record.results, record.spreads
     charts = [spread_chart(results, spreads, measure) for measure in ERRORS]
+    charts += [spread_chart(results, spreads, "nis", mark=CONSISTENT_NIS)]
     text = (
         "Each drive has one value, the mean over its trials. Box: quartiles. Whiskers: 5 to 95% of the drives.",
         "The mean NIS of a consistent filter is 2. A filter with a larger value is overconfident, a filter with a "
         "smaller value underconfident. A tuning by position errors alone does not determine the scale of the "
         "covariances.",
     )
-    charts = _known((*charts, spread_chart(results, spreads, "nis", mark=CONSISTENT_NIS)))
-    return Section("Spread over drives, and consistency", text, (tables.consistency_table(results),), charts)
+    shown = (tables.consistency_table(results),)
+    return Section("Spread over drives, and consistency", text, shown, _known(charts))
 
 
-def _tracks(record: StudyRecord) -> tuple[Section, ...]:
+def _tracks(record: StudyRecord) -> Section:
     results, labels = record.results, dict[str, str]()
     for series in STUDY_STYLES:
         protocol, _, method = series.partition("-")
-        tuned = protocol in results.protocols
-        labels[series] = results.label(method, protocol) if tuned else results.label(series.replace("_", "-"))
+        variant = (method, protocol) if protocol in results.protocols else (series.replace("_", "-"),)
+        labels[series] = results.label(*variant)
     text = (
         "The tracks are from held-out drives of the trial in which the PSO-UKF tuned with truth has the lowest "
         "training cost."
     )
     view = TrackView(record.tracks, labels, STUDY_STYLES, f"honest-{MAIN_METHOD}")
-    return (Section("Tracks and errors over time", (text,), tracks=view),) if record.tracks else ()
+    return Section("Tracks and errors over time", (text,), tracks=view)
 
 
 def _comparisons(results: Results) -> Section:
@@ -210,19 +213,6 @@ def _comparisons(results: Results) -> Section:
         for measure in ERRORS
     ]
     return Section("Comparisons", text, tuple(table for table in comparisons if table.rows))
-
-
-def _rivals(record: StudyRecord) -> tuple[Section, ...]:
-    shown = tuple(tables.rivals_tables(record.results, record.rival_times).values())
-    text = "Each trial trains the networks on its training drives, for its own filter."
-    notes = dict.fromkeys(table.note for table in shown)
-    return (Section("Rivals", (text, *notes), shown, curve_charts(record.results)),) if shown else ()
-
-
-def _conditions(results: Results) -> tuple[Section, ...]:
-    table = tables.conditions_table(results, POSITION, CONDITION_VARIANTS)
-    text = ("The folder tables/ next to this page contains other measures and methods.",)
-    return (Section("Conditions", text, (table,)),) if len(table.rows) > 2 else ()
 
 
 def _convergence(results: Results) -> Section:

@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 
 from sigmaswarm import notebook
-from sigmaswarm.datasets.dataset import make_datasets
+from sigmaswarm.datasets.dataset import Drives, make_datasets
 from sigmaswarm.doctor.diagnose import finding_sentences
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import DriveRecord, drive_record, rounded
@@ -70,9 +70,6 @@ from sigmaswarm.versions import versions
 if TYPE_CHECKING:
     import pandas as pd
     from distributed import Client
-
-    from sigmaswarm.datasets.dataset import Dataset
-    from sigmaswarm.drives.reader import Location
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,7 +324,7 @@ class Evaluation:
 
 
 def evaluate(
-    drives: "Sequence[Drive | Location] | Drive | Location | Dataset",
+    drives: Drives,
     parameters: FilterParameters,
     *,
     seen: Sequence[Landmarks] | None = None,

@@ -72,9 +72,8 @@ class RemoteBatchScorer:
         sets = parameter_sets if isinstance(parameter_sets, ParameterTable) else tuple(parameter_sets)
         answers = self.dataset.call(_taken, self.passes, self.check, take, sets)
         shape = len(self.dataset), *answers[0][1].shape[-2::-1]
-        whole = np.empty(
-            shape
-        ).T  # the memory order of `BatchScorer`, since the rounding of sums depends on it
+        # the memory order of `BatchScorer`, since the rounding of sums depends on it
+        whole = np.empty(shape).T
         for places, part in answers:
             whole[..., places] = part
         return whole

@@ -16,9 +16,7 @@ This is the accuracy of the best filters with cheap receivers. Without a limit, 
 under open sky, where every filter is accurate.
 """
 HEADING_FLOOR = math.radians(0.3)  # rad, the same limit for the true heading
-N_BLOCKS = (
-    8  # parts of a drive; the spread of the offset over the parts shows the effect of correlated errors
-)
+N_BLOCKS = 8  # parts of a drive; the spread of the offset over them shows the effect of correlated errors
 MIN_OFFSET_SIGMAS = 5.0  # smallest ratio of a reported offset to its standard deviation
 MIN_OFFSET = 0.3, 0.3  # smallest reported offset: m, and as a fraction of the scatter of the fixes
 

@@ -121,33 +121,20 @@ class EvaluationView:
         return Table("", (Column("drive"), *(column for column, _ in columns)), rows)
 
     def radius_table(self) -> Table:
-        percent = "{:.1f}".format
         columns = [
             Column("95% radius", "m"),
             Column("99.9% radius", "m"),
             Column("correlated fix error", "m"),
         ]
         if not self.blind:
-            columns += [
-                Column("errors", number="{:.0f}".format),
-                Column("in 95% radius", "%", percent),
-                Column("in 99.9% radius", "%", percent),
-                Column("own standard deviation"),
-            ]
+            inside = [Column(f"in {level} radius", "%", "{:.1f}".format) for level in ("95%", "99.9%")]
+            columns += [Column("errors", number="{:.0f}".format), *inside, Column("own standard deviation")]
 
         def cells(record: RadiusRecord) -> tuple[Cell, ...]:
+            near, far, ratio = record.inside_95, record.inside_999, record.sigma_ratio
             known: tuple[Cell, ...] = (None,) * 4
-            if (
-                record.inside_95 is not None
-                and record.inside_999 is not None
-                and record.sigma_ratio is not None
-            ):
-                known = (
-                    float(record.n),
-                    100 * record.inside_95,
-                    100 * record.inside_999,
-                    describe_ratio(record.sigma_ratio),
-                )
+            if near is not None and far is not None and ratio is not None:
+                known = (float(record.n), 100 * near, 100 * far, describe_ratio(ratio))
             return (record.radius_95_m, record.radius_999_m, record.lasting_m, *known)[: len(columns)]
 
         shown = self.measures
@@ -173,10 +160,7 @@ class EvaluationView:
             tuned = mean_of("tuned", measure)
             if tuned is None:
                 continue
-            rivals = (
-                AGAINST,
-                self.best_baseline(measure),
-            )  # an improvement over a bad method would be misleading
+            rivals = AGAINST, self.best_baseline(measure)  # to be better than a bad method proves little
             comparisons = [
                 _compared(tuned, value, in_sentence(m, self.names[m]))
                 for m in rivals

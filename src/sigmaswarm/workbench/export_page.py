@@ -47,8 +47,10 @@ class ExportPage(Page):
             self._trajectories()
         with card():
             text("h2", "The filter itself")
-            about = "tuning.toml contains parameters, units, data and versions; FilterParameters.load reads this file."
-            text("p", about)
+            text(
+                "p",
+                "tuning.toml contains parameters, units, data and versions; FilterParameters.load reads it.",
+            )
             link("Download the tuning", f"download/tunings/{self.chosen['tuning']}", download=True)
 
     def _choose(self, key: str, value: Any) -> None:

@@ -129,10 +129,7 @@ def trainings(design: Design) -> list[Training]:
 
 
 def train_all(
-    design: Design,
-    parameters: Filters,
-    folder: Path,
-    progress: Callable[[int, Task], None],
+    design: Design, parameters: Filters, folder: Path, progress: Callable[[int, Task], None]
 ) -> dict[Training, TrainedNetwork]:
     """Run, continue or read all trainings, one after the other.
 

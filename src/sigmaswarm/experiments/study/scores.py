@@ -88,10 +88,7 @@ def manual(ready: PreparedDrive, method: str) -> FilterParameters:
 
 
 def score_all(
-    design: Design,
-    parameters: Filters,
-    executor: Executor | None = None,
-    networks: Networks | None = None,
+    design: Design, parameters: Filters, executor: Executor | None = None, networks: Networks | None = None
 ) -> ScoreTable:
     test = [design.split(trial)[1] for trial in range(design.config.trials)]
     tested = np.array([np.isin(np.arange(len(design.drives)), drives) for drives in test])

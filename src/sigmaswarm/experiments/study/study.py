@@ -146,9 +146,7 @@ def run_study(
     watch = Stopwatch()
     with locked_folder(Path(out)) as folder, ExitStack() as stack:
         _open_folder(folder, config, resume)
-        if (
-            config.rivals
-        ):  # the optimizer bo suppresses this warning, but a compiler in another thread may undo that
+        if config.rivals:  # bo suppresses this warning, but a compiler in another thread may undo that
             stack.enter_context(warnings.catch_warnings())
             warnings.filterwarnings("ignore", "The optimal value found for dimension")
         # By default, Python starts more threads than cores, which would wait for each other.
