@@ -66,7 +66,7 @@ def test_robot_localization_from_its_yaml_and_back(sigmaswarm: Command, drives: 
     assert ended.code == 0, ended.err
     page = Path("ekf/README.md").read_text()
     assert "## Accuracy on urban-clear-00" in page and "| other EKF, robot-localization |" in page
-    assert "The filter was tuned on urban-clear-00" in page
+    assert "TRAINING DATA: the tuning used all of the 30 s of urban-clear-00" in page
     for wrong, said in (
         (("--to", "robot-localization", "--out", "ekf", "--against", "t"), "--against needs --check"),
         (("--to", "filterpy", "--out", "ekf"), "filterpy does not support robot-localization"),

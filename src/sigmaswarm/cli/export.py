@@ -83,8 +83,8 @@ def export(
     from sigmaswarm.exports.check import check_export
     from sigmaswarm.exports.targets import export_texts, write_texts
     from sigmaswarm.filters.models import MODELS
-    from sigmaswarm.reports.robot_localization import accuracy_section
     from sigmaswarm.scoring.evaluation import evaluate
+    from sigmaswarm.scoring.view import accuracy_section
     from sigmaswarm.tuning.record import TuningRecord
 
     to, out = options.to, options.out
@@ -101,7 +101,7 @@ def export(
     require_free(*(out / name for name in texts), overwrite=options.overwrite)
     if drives and ros:
         evaluation = evaluate(drives, parameters, against=options.against, seen=tuned.seen)
-        texts["README.md"] += accuracy_section(evaluation)
+        texts["README.md"] += accuracy_section(evaluation.view)
     written = write_texts(texts, out, to)
     checked: list[ExportCheck] = []
     if drives and not ros:

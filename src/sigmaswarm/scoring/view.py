@@ -100,9 +100,8 @@ class EvaluationView:
                     cells += [one and float(one.outages), value, one and one.spread(method)]
                 rows.append((drive, self.names[method], *cells))
         strong = frozenset(i for i, row in enumerate(rows) if row[1] == self.names["tuned"])
-        return Table(
-            "RMS drifts over all random placements of the outages", tuple(columns), tuple(rows), strong
-        )
+        caption = "RMS drifts over all random placements of the outages"
+        return Table(caption, tuple(columns), tuple(rows), strong)
 
     def consistency_table(self) -> Table:
         columns: list[tuple[Column, Callable[[Consistency], Cell]]] = [
@@ -121,11 +120,8 @@ class EvaluationView:
         return Table("", (Column("drive"), *(column for column, _ in columns)), rows)
 
     def radius_table(self) -> Table:
-        columns = [
-            Column("95% radius", "m"),
-            Column("99.9% radius", "m"),
-            Column("correlated fix error", "m"),
-        ]
+        columns = [Column(f"{level} radius", "m") for level in ("95%", "99.9%")]
+        columns.append(Column("correlated fix error", "m"))
         if not self.blind:
             inside = [Column(f"in {level} radius", "%", "{:.1f}".format) for level in ("95%", "99.9%")]
             columns += [Column("errors", number="{:.0f}".format), *inside, Column("own standard deviation")]
@@ -194,9 +190,7 @@ class EvaluationView:
 
     def coverage(self) -> tuple[str, ...]:
         data = self.setup.data
-        late = [
-            f"{d.scored_from_s:.0f} s into {d.name}" for d in data if (d.scored_from_s or 0.0) > LATE_START
-        ]
+        late = [f"{t:.0f} s into {d.name}" for d in data if (t := d.scored_from_s or 0.0) > LATE_START]
         blind = [drive.name for drive in data if drive.has_truth is False]
         sentences = [f"Filters and scores start {', '.join(late)}: at {START_RULE}."] if late else []
         sentences += map(_sentence, partly_scored(data))
@@ -226,12 +220,10 @@ class EvaluationView:
             inside, ratio = record.inside_95, record.sigma_ratio
             coverage = "" if inside is None else f", and {100 * inside:.0f}% are"
             own = "" if ratio is None else f" The filter's own standard deviation is {describe_ratio(ratio)}."
-            correlated = (
-                f" This radius includes correlated fix errors of {record.lasting_m or 0.0:.2g} m per axis."
-            )
+            lasting = f" This radius includes correlated fix errors of {record.lasting_m:.2g} m per axis."
             sentences.append(
                 f"{drive}: 95% of the position errors should be within {record.radius_95_m:.2g} m (median radius)"
-                f"{coverage}.{correlated * bool(record.lasting_m)}{own}"
+                f"{coverage}.{lasting * bool(record.lasting_m)}{own}"
             )
         return tuple(sentences)
 
@@ -246,9 +238,9 @@ class EvaluationView:
         data = self.setup.data
         sentences: list[str] = []
         if any(drive.seen_s for drive in data):
-            sentences.append(
+            sentences += [
                 "the filter was tuned with data of these drives, so expect larger errors on other drives"
-            )
+            ]
         if failed := [drive for drive, methods in self.scores.failed.items() if "tuned" in methods]:
             sentences.append(f"the tuned filter failed on {', '.join(failed)}")
         sentences += worse_than_raw(self.scores)
@@ -262,10 +254,8 @@ class EvaluationView:
             and record.inside_95 < MIN_COVERAGE
         ]
         sentences += self.setup.truth_offsets.values()
-        if len(data) == 1 and data[0].duration_s:
-            sentences.append(
-                f"the scores are from one drive of {data[0].duration_s:.0f} s, and may differ on other drives"
-            )
+        if len(data) == 1 and (length := data[0].duration_s):
+            sentences += [f"the scores are from one drive of {length:.0f} s, and may differ on other drives"]
         return tuple(map(_sentence, sentences))
 
     def findings(self) -> tuple[str, ...]:
@@ -274,31 +264,21 @@ class EvaluationView:
     def sentences(self, added: Iterable[str] = ()) -> tuple[str, ...]:
         """Return all sentences, the most important first; ``added`` follows the warnings."""
         positions = map(_sentence, estimate_position_errors(self.scores, self.setup.data))
-        sentences = (
-            self.result(),
-            *positions,
-            *self.warnings(),
-            *added,
-            *self.verdicts().values(),
-            *self.radii(),
-        )
-        more = (*self.coverage(), *self.missing_drifts(), *self.drifts(), *self.explanations())
-        return tuple(dict.fromkeys((*sentences, *more)))
+        first = (self.result(), *positions, *self.warnings(), *added)
+        second = (*self.verdicts().values(), *self.radii(), *self.coverage())
+        third = (*self.missing_drifts(), *self.drifts(), *self.explanations())
+        return tuple(dict.fromkeys((*first, *second, *third)))
 
     def missing_drifts(self) -> tuple[str, ...]:
         """Return a sentence for each outage drift that some drives lack, since no such outage fits."""
-        short = {
-            measure.title: [
-                d for d, of in self.scores.drives.items() if all(v.get(m) is None for v in of.values())
-            ]
-            for m, measure in self.measures.items()
-            if m in DRIFTS
-        }
-        return tuple(
-            f"No {title}: {drives[0] if len(drives) == 1 else f'{len(drives)} drives'} can't contain such an outage."
-            for title, drives in short.items()
-            if drives
-        )
+        sentences: list[str] = []
+        for m in (m for m in self.measures if m in DRIFTS):
+            scores = self.scores.drives.items()
+            short = [drive for drive, of in scores if all(v.get(m) is None for v in of.values())]
+            if short:
+                which = short[0] if len(short) == 1 else f"{len(short)} drives"
+                sentences.append(f"No {self.measures[m].title}: {which} can't contain such an outage.")
+        return tuple(sentences)
 
     def drifts(self) -> tuple[str, ...]:
         return tuple(
@@ -324,10 +304,18 @@ class EvaluationView:
         return f"{self.mean_table().to_html()}{remarks}{details}"
 
 
+def accuracy_section(view: EvaluationView) -> str:
+    """Return the section on accuracy in README.md of an exported configuration of robot_localization."""
+    names = {**view.names, BASELINE: "default process noise, same inputs", "tuned": "ekf.yaml"}
+    table = replace(view, names=names).mean_table()
+    drives = ", ".join(view.scores.drives)
+    return "\n".join([f"\n## Accuracy on {drives}\n", table.to_markdown(), view.result(), ""])
+
+
 def explained_consistency(nees: bool) -> str:
-    what = (
-        "the means of NIS (predictions of the fixes) and NEES (errors) are" if nees else "the mean of NIS is"
-    )
+    what = "the mean of NIS is"
+    if nees:
+        what = "the means of NIS (predictions of the fixes) and NEES (errors) are"
     return (
         f"This table shows whether the tuned filter's {'predictions and errors' if nees else 'predictions'} agree "
         f"with its covariances. If they do, {what} 2. Above 2 the filter is overconfident, below 2 underconfident."
