@@ -6,8 +6,7 @@ import pytest
 
 from sigmaswarm import SigmaswarmWarning, tune
 from sigmaswarm.drives.mounting import AXES_KEY, KEY
-from sigmaswarm.drives.sensors import log_properties
-from sigmaswarm.drives.vehicles import differences
+from sigmaswarm.drives.sensors import differences, log_properties
 from sigmaswarm.simulation import simulate
 from support import make_drive
 

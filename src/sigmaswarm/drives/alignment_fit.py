@@ -165,10 +165,8 @@ class AlignmentFit:
         bias, variance = np.append(np.zeros(2), self.yaw_bias), np.append(np.full(2, np.inf), self.yaw_std**2)
         if self._leans:
             leaned = self._fixes[:, ROLLED : PITCHED + 1]
-            bias[:UP], variance[:UP] = (
-                (leaned[-1] - leaned[0]) / self.span,
-                (TILT_CHANGE_STD / self.span) ** 2,
-            )
+            bias[:UP] = (leaned[-1] - leaned[0]) / self.span
+            variance[:UP] = (TILT_CHANGE_STD / self.span) ** 2
         if abs(self.yaw_bias) > MAX_BIAS:  # the bias is unknown
             bias[UP], variance[UP] = self.taken, np.inf
         return GyroBiasEvidence(bias, variance, self.taken, turns)

@@ -148,9 +148,8 @@ def gravity_on(imu: Imu) -> Remark | None:
         what += ", which exceeds gravity"
         return Remark("gravity-axis", "imu.csv", axis, what, "check the unit of ax, ay, az")
     what += ", which is gravity and must be in az"
-    remedy = (
-        "rotate the axes to x forward, y left, z up: import with --mount auto (six axes), or exchange columns"
-    )
+    remedy = "import with --mount auto (six axes), or exchange columns"
+    remedy = f"rotate the axes to x forward, y left, z up: {remedy}"
     return Remark("gravity-axis", "imu.csv", axis, what, remedy)
 
 
@@ -206,10 +205,9 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
     gaps_by_table: list[tuple[str, str, str]] = []
     for name, table, limit, remedy in sensors:
         if g := gaps_in(table.time, limit, imu.time if name == "gps" else None):
-            longest = (
-                f"the longest {g.length:.2f} s after t = {g.start:.2f} s (usual interval {g.usual:.3f} s)"
-            )
-            gaps_by_table.append((name, f"{count_of(g.count, 'gap')}, {longest}", remedy))
+            longest = f"the longest {g.length:.2f} s after t = {g.start:.2f} s"
+            what = f"{count_of(g.count, 'gap')}, {longest} (usual interval {g.usual:.3f} s)"
+            gaps_by_table.append((name, what, remedy))
     if gaps_by_table:
         name, what, remedy = gaps_by_table[0]
         others = "".join(f"; {other}.csv: {gaps}" for other, gaps, _ in gaps_by_table[1:])
@@ -222,10 +220,8 @@ def unshared_times(imu: Array, gps: Array) -> Remark | None:
     alone = ""
     if max(-early, -late) > max(MIN_UNSHARED_TIME, MIN_UNSHARED_SHARE * (imu[-1] - imu[0])):
         ends = [(-early, "first"), (-late, "last")]
-        parts = " and ".join(
-            f"{which} {length:.0f} s" for length, which in ends if length > MIN_UNSHARED_TIME
-        )
-        alone = f"the IMU's {parts} have no fixes"
+        parts = [f"{which} {length:.0f} s" for length, which in ends if length > MIN_UNSHARED_TIME]
+        alone = f"the IMU's {' and '.join(parts)} have no fixes"
     if max(early, late) > MIN_UNSHARED_TIME:
         count = np.count_nonzero((gps < imu[0]) | (gps > imu[-1]))
         ends = [(early, "before its first sample"), (late, "after its last sample")]

@@ -32,10 +32,8 @@ POSITION_TOLERANCE = 3.0  # cm or 1e-7 deg (1.1 cm to the north), largest differ
 RATE_TOLERANCE = 2e-4  # largest difference between ln of equal yaw rates with 8 decimals, in rad/s or deg/s
 MIN_SPEED = 1.5  # m/s, smallest speed between a landmark and a neighboring fix
 LOG_RATIO = math.log(180 / math.pi)  # ln of the ratio of rad/s to deg/s; landmarks are ln|gz| modulo this
-# Part of `LOG_RATIO` that contains landmarks: a tenth of all samples, about those of 1 to 1.5 deg/s
-LANDMARK_WIDTH = 0.4
-# Largest number of yaw-rate landmarks; a long drive uses a smaller part of `LOG_RATIO`
-MAX_LANDMARKS = 20_000
+LANDMARK_WIDTH = 0.4  # part of `LOG_RATIO` with landmarks: a tenth of all samples, of 1 to 1.5 deg/s
+MAX_LANDMARKS = 20_000  # largest number of yaw-rate landmarks; long drives use a smaller part of `LOG_RATIO`
 MAX_OCCURRENCES = 100  # in a drive; more frequent yaw rates, for example of a coarse gyro, are ignored
 MIN_MATCHES = 8  # smallest number of different values of landmarks that must agree
 MIN_MATCH_SHARE = 0.5  # smallest fraction of the landmarks in the common time that must agree
@@ -172,12 +170,9 @@ def _offset(a: Array, b: Array, tolerance: float) -> float | None:
     start, end = max(t.min() for t in times) - TIME_TOLERANCE, min(t.max() for t in times) + TIME_TOLERANCE
     there = [np.count_nonzero((t >= start) & (t <= end)) for t in times]
     agreeing = min(len(np.unique(i[chosen])), len(np.unique(j[chosen])))
-    if (
-        agreeing < MIN_MATCH_SHARE * min(there)
-        or len(np.unique(np.rint(a[i[chosen], 1] / tolerance))) < MIN_MATCHES
-    ):
-        return None
-    return offset / MICRO
+    values = len(np.unique(np.rint(a[i[chosen], 1] / tolerance)))
+    few = agreeing < MIN_MATCH_SHARE * min(there) or values < MIN_MATCHES
+    return None if few else offset / MICRO
 
 
 def _equal(a: Array, b: Array, tolerance: float) -> tuple[Integers, Integers]:

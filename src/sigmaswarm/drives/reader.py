@@ -1,8 +1,10 @@
 """Read a drive from a folder or a URL. Each error is one sentence: file, row, column, value, fault, remedy."""
 
+import re
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from sigmaswarm.drives.checks import check_tables
@@ -14,7 +16,6 @@ from sigmaswarm.drives.description import (
     read_description,
 )
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.other_logs import import_remedy
 from sigmaswarm.drives.table_files import CSV, FORMS, TableFile
 from sigmaswarm.drives.tables import COLUMNS, RECORDS
 from sigmaswarm.drives.urls import A_DRIVE, drive_urls, is_url, local_copy, without_secrets
@@ -22,6 +23,12 @@ from sigmaswarm.errors import DriveError, SigmaswarmWarning
 from sigmaswarm.wording import count_of
 
 Location = str | Path
+TEXTS = (".csv", ".tsv", ".txt")
+# Words that show the content of a table, in its name or first line
+_AXES = re.compile(r"(?<![a-z])[ag]_?[xyz](?![a-z])", re.IGNORECASE)
+_MOTION = re.compile(r"acc(?!urac)|gyro|angular|imu", re.IGNORECASE)
+_PLACE = re.compile(r"lat|lon|gps|gnss|east|north|utm|posi", re.IGNORECASE)
+_XY = re.compile(r"(?<![a-z])[xy](?![a-z])", re.IGNORECASE)
 
 
 def all_drive_locations(locations: Iterable[Location]) -> list[Location]:
@@ -169,3 +176,32 @@ def _read_folder(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
     ignored += ineffective_keys(about, folder / "drive.toml")
     warned = [SigmaswarmWarning(message) for message in ignored]
     return drive, [*warned, *check_tables(drive.imu, drive.gps, drive.truth, as_filed)]
+
+
+def import_remedy(log: Path) -> str:
+    """Return the command that imports a log of another format, or the folder of the log, as the remedy of an error."""
+    log = _whole_log(log)
+    out = Path("drives") / log.resolve().name.removesuffix(log.suffix)
+    return f"to make a drive from a log: sigmaswarm import {quote(str(log))} --out {quote(str(out))}"
+
+
+def _whole_log(file: Path) -> Path:
+    """Return the file; return its folder if the file has only IMU samples or only fixes, but the folder has both."""
+    if file.suffix.lower() not in TEXTS or not file.is_file():
+        return file
+    tables = [table for table in sorted(file.parent.iterdir()) if table.suffix.lower() in TEXTS]
+    content = {table: _content(table) for table in tables[:100]}
+    together = {kind for names in content.values() for kind in names}
+    return file.parent if len(content.get(file, ())) == 1 and len(together) == 2 else file
+
+
+def _content(table: Path) -> set[str]:
+    """Return the sensors, "imu" and "gps", that the name and the first line of a table show."""
+    with table.open(encoding="utf-8", errors="replace") as lines:
+        title = lines.readline(4096)
+    text = f"{table.stem},{title}"
+    axes = _AXES.search(title) is not None
+    imu = axes or _MOTION.search(text) is not None
+    # x and y are the axes of the IMU, unless the table has other columns for these
+    place = _PLACE.search(text) is not None or (_XY.search(title) is not None and (axes or not imu))
+    return {kind for kind, present in (("imu", imu), ("gps", place)) if present}

@@ -1,7 +1,9 @@
-"""Choose the default filter of `tune` by the sensors of the logs."""
+"""Choose the default filter of `tune` by the sensors of the logs; compare the vehicles and sensors of logs."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.mounting import NO_ROTATION, Angles, axes_of
+from sigmaswarm.geodesy import rotation_of
 
 # Ratio of the 95% to the 5% quantile of stated standard deviations above which the standard deviations are informative
 MIN_STD_RATIO = 1.5
@@ -34,6 +37,9 @@ FIXES_FOR_FIX_ERROR = 250
 With eight simulated M8 logs of 142 s at 1 Hz, these states increased the 30 s drift in six logs, in one of them to
 1319 m. With 300 and 600 fixes, the mean drift did not change, and the position error was 3 to 6% smaller.
 """
+
+MAX_RATE_RATIO = 1.5  # largest ratio of the sampling rates of two drives with the same sensors
+MAX_ANGLE = 10.0  # deg, largest angle between the mountings of two drives with the same mounting
 
 
 @dataclass(frozen=True)
@@ -106,7 +112,7 @@ def log_properties(drive: Drive | LogProperties) -> LogProperties:
         heading=gps.heading is not None,
         lasting=has_lasting_errors(drive),
         fixes=int(np.sum((gps.time >= imu.time[0]) & (gps.time <= imu.time[-1]))),
-        fix_interval=float(np.median(np.diff(gps.time))),
+        fix_interval=float(np.median(np.diff(gps.time))) if len(gps) > 1 else np.nan,
         # An imported drive states its axes, but not a rotation of zero.
         mounting=drive.mounting or (NO_ROTATION if axes_of(drive.metadata) else None),
     )
@@ -134,12 +140,9 @@ def suggest_filter(drives: Sequence[Drive | LogProperties]) -> SuggestedFilter:
     wheels = bool(logs) and all(log.odometer for log in logs)
     spreads = [log.spread for log in logs if log.spread]
     stated = bool(logs) and len(spreads) == len(logs)
-    look_wrong = all(len(log.axes) == 6 for log in logs)
-    reasons = [
-        "az does not show gravity, or gx or gy is constant" if look_wrong else "an IMU lacks az, gx or gy"
-    ]
-    if six:
-        reasons = ["the IMU has six axes"]
+    reasons = ["the IMU has six axes" if six else "an IMU lacks az, gx or gy"]
+    if not six and all(len(log.axes) == 6 for log in logs):
+        reasons = ["az does not show gravity, or gx or gy is constant"]
     if wheels:
         reasons.append("there is an odometer")
     if stated:
@@ -232,3 +235,31 @@ def enough_for_fix_error(drives: Iterable[LogProperties]) -> bool:
 def motion_in_noise(interval: float) -> float:
     """Return the contribution of city driving to `white_noise` (m) for fixes ``interval`` s apart."""
     return 0.02 + 0.15 * interval**2
+
+
+def describe_vehicles(logs: Sequence[LogProperties]) -> str:
+    """Return a warning if drives are clearly from different vehicles or sensors, else ""."""
+    found = "; ".join(differences(logs))
+    return found and (
+        f"the training drives seem to be from different vehicles or sensors: {found}. A filter fits one vehicle and "
+        "its sensors; tune one filter for each vehicle"
+    )
+
+
+def differences(logs: Sequence[LogProperties]) -> Iterator[str]:
+    """Yield a clause for each property that clearly differs between the drives."""
+    for sensor, interval in (("IMU", attrgetter("interval")), ("receiver", attrgetter("fix_interval"))):
+        fast, slow = min(logs, key=interval), max(logs, key=interval)
+        high, low = 1 / interval(fast), 1 / interval(slow)
+        if high > MAX_RATE_RATIO * low:
+            yield f"the {sensor} of {fast.name} has {high:.3g} Hz, and the {sensor} of {slow.name} {low:.3g} Hz"
+    pairs = [*combinations((log for log in logs if log.mounting), 2)]
+    for one, other in sorted(pairs, key=lambda pair: -_angle(*pair))[:1]:
+        if (angle := _angle(one, other)) > MAX_ANGLE:
+            yield f"the mountings of the IMU in {one.name} and {other.name} differ by {angle:.0f} deg"
+
+
+def _angle(one: LogProperties, other: LogProperties) -> float:
+    """Return the angle between two mountings, deg."""
+    first, second = (rotation_of(*(log.mounting or NO_ROTATION)) for log in (one, other))
+    return float(np.degrees(np.arccos(np.clip((np.trace(first.T @ second) - 1) / 2, -1.0, 1.0))))

@@ -19,8 +19,7 @@ from sigmaswarm.drives.overlap import (
     overlap_of,
     save_landmarks,
 )
-from sigmaswarm.drives.sensors import log_properties
-from sigmaswarm.drives.vehicles import describe_vehicles
+from sigmaswarm.drives.sensors import describe_vehicles, log_properties
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.files import locked_folder
 from sigmaswarm.filters.custom.log import Log
@@ -167,10 +166,8 @@ def _landmarks_of(problem: Problem[Any], folder: ResultFolder | None) -> Sequenc
     marks = problem.seen
     if folder is None or not marks:
         return tuple(marks)
-    file, names = (
-        folder.path / TRAINING_DATA_FILE,
-        tuple((entry["name"], entry["sha256"]) for entry in problem.data),
-    )
+    file = folder.path / TRAINING_DATA_FILE
+    names = tuple((entry["name"], entry["sha256"]) for entry in problem.data)
     save_landmarks(marks, file, names)
     return marks if isinstance(marks, Sequence) else SavedLandmarks(file, names)
 
@@ -203,9 +200,8 @@ def _problem_of(
         sensors = [*data.map(log_properties), *others.map(log_properties)]
         given = None if start is None else filter_for(start, data)
         options = options if given is None else {"model": given.model, "kind": given.kind, **options}
-        config = complete_config(
-            validated_config(TuneConfig, default_filter_options(options, sensors)[0]), sensors
-        )
+        options, _ = default_filter_options(options, sensors)
+        config = complete_config(validated_config(TuneConfig, options), sensors)
         problem = car_problem(data, config)
         first = None if given is None else start_point(problem.space, given)
         robust = "robust" in config.use and "innovation-nll" in config.objective
