@@ -75,12 +75,11 @@ class CheckPage(Page):
         self._do("repairing and checking" if "repair" in step else "cutting", [*self.steps, step])
 
     def leave_out(self, start: float, end: float) -> None:
-        self.start("cutting", self._parted, self.stages[-1], (start, end), then=self._was_parted)
-        self.refresh()
+        def parted(drive: Drive) -> list[str]:
+            return [self.bench.write(part) for part in sigmaswarm.split(drive, at=(start, end))]
 
-    def _parted(self, drive: Drive, at: tuple[float, float]) -> list[str]:
-        parts = sigmaswarm.split(drive, at=at)
-        return [self.bench.write(part) for part in parts]
+        self.start("cutting", parted, self.stages[-1], then=self._was_parted)
+        self.refresh()
 
     def _was_parted(self, names: list[str] | None) -> None:
         if names:
@@ -88,9 +87,8 @@ class CheckPage(Page):
             plan = self.bench.choices.setdefault("plan", {})
             plan |= dict.fromkeys((whole, whole + CHECKED), LEFT_OUT)
             self._open(names[0])
-            self.done = (
-                f"wrote drives/{names[0]} and drives/{names[1]}; check both. Tunings will not use {whole}"
-            )
+            wrote = " and ".join(f"drives/{name}" for name in names)
+            self.done = f"wrote {wrote}; check both. Tunings will not use {whole}"
         self.refresh()
 
     def _set_state(self, checked: CheckState | None) -> None:
@@ -214,14 +212,11 @@ class CheckPage(Page):
                         end = ui.number("to, s", value=round(high + 0.01, 2)).classes("grow")
                     time_plot("Select a part", "", series, on_select=selected)
                     with line():
-                        keep = button(
-                            "Keep only this part", lambda: self.add({"keep": span()}), "content_cut"
-                        )
-                        leave = button(
-                            "Remove this part (two drives)", lambda: self.leave_out(*span()), "call_split"
-                        )
-                        for choice in (keep, leave):
-                            choice.set_enabled(not self.waiting)
+                        for label, cut, icon in (
+                            ("Keep only this part", lambda: self.add({"keep": span()}), "content_cut"),
+                            ("Remove this part (two drives)", lambda: self.leave_out(*span()), "call_split"),
+                        ):
+                            button(label, cut, icon).set_enabled(not self.waiting)
                 show_map(drive, "Map of the drive", 340)
 
 

@@ -1,5 +1,6 @@
 """Step 4: evaluate a filter on drives that its tuning did not use, and compare two filters on one map."""
 
+from functools import partial
 from typing import Any
 
 from nicegui import ui
@@ -26,29 +27,26 @@ class EvaluatePage(Page):
         with card():
             text("h2", "Evaluate a filter")
             with line():
-                select(
-                    "Filter",
-                    tunings,
-                    chosen["tuning"],
-                    lambda t: self._choose(tuning=t, drives=self._held_out(t)),
-                )
+                select("Filter", tunings, chosen["tuning"], self._choose_tuning)
                 rivals = {"": "no other", **{name: name for name in tunings if name != chosen["tuning"]}}
                 against = chosen.get("against", "")
-                select("Compare with", rivals, against, lambda name: self._choose(against=name))
+                select("Compare with", rivals, against, partial(self._choose, "against"))
             drives = self.bench.drive_names
             on = [name for name in chosen["drives"] if name in drives]
-            pick = select(
-                "On these drives", drives, on, lambda names: self._choose(drives=names), multiple=True
-            )
-            pick.props("use-chips")
+            choose = partial(self._choose, "drives")
+            select("On these drives", drives, on, choose, multiple=True).props("use-chips")
             self.messages()
             evaluate = button("Evaluate this filter", self._begin, "speed", main=True)
             evaluate.set_enabled(bool(chosen["drives"]) and not self.waiting)
         self._result()
 
-    def _choose(self, **chosen: Any) -> None:
-        self.chosen |= chosen
+    def _choose(self, key: str, value: Any) -> None:
+        self.chosen[key] = value
         self.refresh()
+
+    def _choose_tuning(self, name: str) -> None:
+        self.chosen["drives"] = self._held_out(name)
+        self._choose("tuning", name)
 
     def _held_out(self, name: str) -> list[str]:
         """Return the validation drives of a tuning or, if there are none, the drives that the tuning did not use."""

@@ -13,7 +13,7 @@ from sigmaswarm.workbench.elements import box, button, card, command, line, link
 from sigmaswarm.workbench.mounting_panel import FIND, MountingPanel
 from sigmaswarm.workbench.open_log import OpenLog
 from sigmaswarm.workbench.plots import agreement_plot, show_map
-from sigmaswarm.workbench.state import CHECKED, MAX_UPLOAD_SIZE, NAME, Workbench, attempt
+from sigmaswarm.workbench.state import CHECKED, MAX_UPLOAD_SIZE, NAME, TOO_LARGE, Workbench, attempt
 from sigmaswarm.workbench.table_panel import TablePanel
 
 
@@ -74,9 +74,7 @@ class LogPage(OpenLog):
                 auto_upload=True,
                 max_total_size=MAX_UPLOAD_SIZE,
                 on_multi_upload=self._dropped,
-                on_rejected=lambda: ui.notify(
-                    "the log is larger than 2 GB; open it from the command line: sigmaswarm workbench LOG"
-                ),
+                on_rejected=lambda: ui.notify(f"the log is {TOO_LARGE}"),
                 label="Drop a file or a folder here, or press + and choose all files of one log",
             )
             only_files = "files => files.filter(f => !window.droppedFolders.has(f.name))"

@@ -56,9 +56,8 @@ class MountingPanel:
                 with box():
                     sliders = box()
                     with line("end"):
-                        field = ui.input("Mounting (--mount)", value=mount).props(
-                            'hint="90, or 0,10,90, or x=-y,y=x"'
-                        )
+                        field = ui.input("Mounting (--mount)", value=mount)
+                        field.props('hint="90, or 0,10,90, or x=-y,y=x"')
                         field.classes("grow").on("change", lambda: self._mount(field.value or ""))
                         with sliders:
                             self._angles(rotation, picture, field)
@@ -102,19 +101,12 @@ class MountingPanel:
 
     def _settings(self) -> None:
         chosen = self.page.bench.log_choices.get
-        offset = ui.number(
-            "Seconds to add to the times of the fixes (--gps-offset)", value=chosen("gps_offset_s"), step=0.01
-        )
-        arm = ui.input(
-            "Vector from IMU to antenna: forward,left,up in m (--lever-arm)",
-            value=chosen("gps_lever_arm_m", ""),
-        )
-        part = ui.number(
-            "Number of the recording, if a clock restarts in the log (--part)",
-            value=chosen("part"),
-            min=1,
-            precision=0,
-        )
+        about = "Seconds to add to the times of the fixes (--gps-offset)"
+        offset = ui.number(about, value=chosen("gps_offset_s"), step=0.01)
+        about = "Vector from IMU to antenna: forward,left,up in m (--lever-arm)"
+        arm = ui.input(about, value=chosen("gps_lever_arm_m", ""))
+        about = "Number of the recording, if a clock restarts in the log (--part)"
+        part = ui.number(about, value=chosen("part"), min=1, precision=0)
         offset.on("change", lambda: self._choose("gps_offset_s", offset.value or 0.0))
         arm.on("change", lambda: self._choose("gps_lever_arm_m", arm.value))
         part.on("change", lambda: self._choose("part", int(part.value) if part.value else None))

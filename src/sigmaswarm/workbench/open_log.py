@@ -1,7 +1,6 @@
 """The open log of step 1, the user's choices for its import, and the resulting drive."""
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -52,18 +51,12 @@ class OpenLog(Page):
     def reread(self) -> None:
         self.opened, self.done = self.bench.log, ""
         if self.opened:
-            self.start(
-                "reading the log", _read, self.opened, {**self.bench.log_choices}, then=self._set_reading
-            )
+            choices = {**self.bench.log_choices}
+            self.start("reading the log", _read, self.opened, choices, then=self._set_reading)
 
     def _set_reading(self, reading: Reading | None) -> None:
-        inspection, self.drive, self.found, wrong, self.notes = reading or (
-            None,
-            None,
-            (),
-            self.wrong,
-            self.notes,
-        )
+        failed = None, None, (), self.wrong, self.notes
+        inspection, self.drive, self.found, wrong, self.notes = reading or failed
         self.inspection, self.wrong = inspection or self.inspection, wrong
         self.refresh()
         proceed, self.after_reading = self.after_reading, None
@@ -73,9 +66,7 @@ class OpenLog(Page):
     def find_mounting(self) -> None:
         if log := self.bench.log:
             choices = {**self.bench.log_choices, "mount": ""}
-            self.start(
-                "looking for the mounting", partial(_mounting, log), choices, then=self._found_mounting
-            )
+            self.start("looking for the mounting", _mounting, log, choices, then=self._found_mounting)
             self.status.refresh()
 
     def _found_mounting(self, mounting: tuple[str, str] | None) -> None:

@@ -144,18 +144,16 @@ def time_plot(
 def agreement_plot(
     found: Agreement, span: tuple[float, float] | None = None, after: Agreement | None = None
 ) -> None:
-    changed = after is not None and any(
-        not _same(found.measured.get(k), s) for k, s in after.measured.items()
-    )
+    series = after.measured.items() if after else ()
+    changed = any(not _same(found.measured.get(key), values) for key, values in series)
     shown = after if after and changed else found
     both, pale = shown.measured | shown.expected, found.measured if changed else None
     with ui.element("figure"):
         with ui.element("figcaption"):
             ui.label(f"{found.title}{'; pale: before the repair' if changed else ''}")
             with box("legend"):
-                for one in lines(
-                    {label: (x[:0], y[:0]) for label, (x, y) in both.items()}, dashed=shown.expected
-                ):
+                empty = {label: (x[:0], y[:0]) for label, (x, y) in both.items()}
+                for one in lines(empty, dashed=shown.expected):
                     dash = "dashed" if "dash" in one["line"] else "solid"
                     ui.label(one["name"]).style(f"border: 0 {dash} {one['line']['color']}")
         bare: dict[str, Any] = {"showlegend": False, "margin": LAYOUT["margin"] | {"t": 8}}

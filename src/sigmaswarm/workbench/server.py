@@ -27,7 +27,7 @@ from sigmaswarm.workbench.elements import Page, box, text
 from sigmaswarm.workbench.evaluate_page import EvaluatePage
 from sigmaswarm.workbench.export_page import ExportPage
 from sigmaswarm.workbench.log_page import LogPage
-from sigmaswarm.workbench.state import MAX_UPLOAD_SIZE, Workbench, attempt
+from sigmaswarm.workbench.state import MAX_UPLOAD_SIZE, TOO_LARGE, Workbench, attempt
 from sigmaswarm.workbench.tune_page import TunePage
 from sigmaswarm.workbench.tuning_runs import TuningRuns
 
@@ -138,15 +138,13 @@ class Guard:
         headers = {key: value.decode("latin-1") for key, value in scope["headers"]}
         origin = headers.get(b"origin", "").removeprefix("http://")
         known = hmac.compare_digest(f"{scope['path']}/"[: len(self.prefix)].encode(), self.prefix.encode())
+        code, remedy = 0, ""
         if not known or headers.get(b"host") not in self.hosts or (origin and origin not in self.hosts):
-            refusal = PlainTextResponse("403: open the whole address that sigmaswarm workbench printed", 403)
-            await refusal(scope, receive, send)
+            code, remedy = 403, "open the whole address that sigmaswarm workbench printed"
         elif int(headers.get(b"content-length", "0") or 0) > MAX_UPLOAD_SIZE:
-            refusal = PlainTextResponse(
-                "413: the upload is larger than 2 GB; open the log from the command line: sigmaswarm workbench LOG",
-                413,
-            )
-            await refusal(scope, receive, send)
+            code, remedy = 413, f"the upload is {TOO_LARGE}"
+        if code:
+            await PlainTextResponse(f"{code}: {remedy}", code)(scope, receive, send)
         else:
             await self.app(scope, self._bounded(receive), self._with_headers(send))
 
@@ -203,15 +201,12 @@ def serve(folder: Path, logs: list[Path], *, port: int = 0, browse: bool = True)
         show_welcome_message=False,
     )
     address = f"http://{HOST}:{port}/{token}/"
-    print(
-        f"workbench: {address}\nfolder:    {bench.folder}\nstop with Ctrl+C; all results are saved",
-        flush=True,
-    )
+    print(f"workbench: {address}\nfolder:    {bench.folder}", flush=True)
+    print("stop with Ctrl+C; all results are saved", flush=True)
     if browse:
         webbrowser.open(address)
-    config = uvicorn.Config(
-        Guard(app, token, port), log_level="error", ws_max_size=16_000_000, timeout_graceful_shutdown=2
-    )
+    config = uvicorn.Config(Guard(app, token, port), log_level="error", ws_max_size=16_000_000)
+    config.timeout_graceful_shutdown = 2
     try:
         uvicorn.Server(config).run(sockets=[listening])
     finally:

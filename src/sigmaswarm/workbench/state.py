@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import sigmaswarm
 from sigmaswarm import Drive, InputError
-from sigmaswarm.files import make_folder, write_json
+from sigmaswarm.files import free_path, make_folder, write_json
 from sigmaswarm.records import content_if_readable
 
 KINDS = ("logs", "drives", "tunings", "evaluations", "exports")
@@ -18,6 +18,7 @@ LEFT_OUT = "leave it out"
 CHECKED = "-checked"  # suffix of a repaired or cut copy of a drive, whose drive.toml lists the ``steps``
 NAME = re.compile(r"[\w][\w .()+-]{0,99}")
 MAX_UPLOAD_SIZE = 2_000_000_000  # bytes of an upload; the command line opens larger logs
+TOO_LARGE = "larger than 2 GB; open the log from the command line: sigmaswarm workbench LOG"
 T = TypeVar("T")
 
 
@@ -57,8 +58,7 @@ class Workbench:
     def free(self, kind: str, name: str) -> str:
         """Return the name, with a number appended if the name exists."""
         name = re.sub(r"[^\w.+-]+", "-", name).strip("-.") or kind.removesuffix("s")
-        numbered = (f"{name}-{i}" for i in range(2, 10_000))
-        return next(n for n in (name, *numbered) if not self.path(kind, n).exists())
+        return free_path(self.path(kind, name)).name
 
     @property
     def drives(self) -> list[str]:
@@ -82,10 +82,8 @@ class Workbench:
     def sources(self) -> list[Path]:
         """Logs that can be opened: arguments of the command, dropped files and folders, and the files in folders."""
         tops = [*self.named, *(self.folder / "logs" / name for name in self.names("logs"))]
-        inside = [
-            p for top in tops if top.is_dir() for p in sorted(top.iterdir()) if not p.name.startswith(".")
-        ]
-        return [*tops, *(path for path in inside if not path.is_symlink())]
+        inside = (path for top in tops if top.is_dir() for path in sorted(top.iterdir()))
+        return [*tops, *(p for p in inside if not p.name.startswith(".") and not p.is_symlink())]
 
     @property
     def log(self) -> Path | None:
@@ -98,9 +96,8 @@ class Workbench:
 
     @property
     def unfinished(self) -> list[str]:
-        return [
-            n for n in self.names("tunings", "config.json") if not (self.path("tunings", n) / TUNING).exists()
-        ]
+        begun = self.names("tunings", "config.json")
+        return [name for name in begun if not (self.path("tunings", name) / TUNING).exists()]
 
     @property
     def finished(self) -> list[str]:

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, get_args
 
-import numpy as np
 from nicegui import ui
 
 import sigmaswarm
@@ -136,15 +135,15 @@ class TunePage(Page):
         return {k: v for k, v in self.bench.choices.get("options", {}).items() if v not in ("", [], None)}
 
     def _explain(self) -> None:
-        self.start("reading the drives", self._reasons, then=self._explained)
+        def reasons() -> list[str]:
+            used = [self.bench.read(name) for name, what in self.plan.items() if what != LEFT_OUT]
+            return explain_tuning(used, **self._options)
 
-    def _explained(self, why: list[str] | None) -> None:
-        self.why = why or []
-        self._reasoning.refresh()
+        def explained(why: list[str] | None) -> None:
+            self.why = why or []
+            self._reasoning.refresh()
 
-    def _reasons(self) -> list[str]:
-        used = [self.bench.read(name) for name, what in self.plan.items() if what != LEFT_OUT]
-        return explain_tuning(used, **self._options)
+        self.start("reading the drives", reasons, then=explained)
 
     def _begin(self) -> None:
         self.start(STARTING, self._drives, then=self._begun)
@@ -274,20 +273,12 @@ def _row(tuning: Tuning[Any]) -> list[str]:
     config, validation = tuning.config, tuning.validation
     chosen = f"{config.model} ({config.kind})" if isinstance(config, TuneConfig) else "custom model"
     held_out = f"{validation.cost:.4g} on {', '.join(validation.drives)}" if validation else "none"
-    return [
-        chosen,
-        config.objective,
-        f"{tuning.cost:.4g}",
-        held_out,
-        ", ".join(d["name"] for d in tuning.data),
-    ]
+    drives = ", ".join(drive["name"] for drive in tuning.data)
+    return [chosen, config.objective, f"{tuning.cost:.4g}", held_out, drives]
 
 
 def _parameters(parameters: Any) -> None:
     if isinstance(parameters, FilterParameters):
-        rows: list[list[str]] = []
-        for name, value in parameters.to_dict().items():
-            several = isinstance(value, list | tuple | np.ndarray)
-            shown = ", ".join(f"{v:.4g}" for v in value) if several else str(value)
-            rows.append([name, shown])
+        values = parameters.to_dict().items()
+        rows = [[k, ", ".join(f"{x:.4g}" for x in v) if isinstance(v, list) else str(v)] for k, v in values]
         table(["parameter", "value"], rows)
