@@ -128,12 +128,10 @@ def _folder() -> tuple[Path | None, str]:
         private = _is_private(folder)
     except OSError:
         return None, f"{folder} can't be made"
-    if not private:
-        return (
-            None,
-            f"other users have access to {folder}, and could put code there (set the folder's mode to 700)",
-        )
-    return folder, ""
+    if private:
+        return folder, ""
+    what = f"other users have access to {folder}, and could put code there"
+    return None, f"{what} (set the folder's mode to 700)"
 
 
 def _is_private(folder: Path) -> bool:

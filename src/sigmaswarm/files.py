@@ -169,9 +169,8 @@ def earlier_result(folder: Path, kind: str, mark: str = "", *, alone: bool = Tru
     if record.get("kind") != kind:
         raise InputError(f"{folder}: is not empty and contains no {kind}; choose another --out")
     inside = folder.resolve()
-    return frozenset(
-        name for name in record["files"] if (folder / name).parent.resolve().is_relative_to(inside)
-    )
+    parents = {name: (folder / name).parent.resolve() for name in record["files"]}
+    return frozenset(name for name, parent in parents.items() if parent.is_relative_to(inside))
 
 
 def add_to_result(folder: Path, name: str) -> None:
@@ -186,9 +185,8 @@ def add_to_result(folder: Path, name: str) -> None:
 def _result_in(folder: Path) -> dict[str, Any]:
     try:
         record = json.loads((folder / RESULT_FILE).read_bytes())
-        return (
-            record if isinstance(record["kind"], str) and all(type(n) is str for n in record["files"]) else {}
-        )
+        valid = isinstance(record["kind"], str) and all(type(name) is str for name in record["files"])
+        return record if valid else {}
     except (OSError, ValueError, LookupError, TypeError):
         return {}
 
@@ -279,11 +277,7 @@ def _unwritable(path: Path, error: OSError) -> InputError:
     if number in (EEXIST, ENOTEMPTY):
         return InputError(f"{path}: already exists; delete it, or choose another name")
     reason = os.strerror(number) if number else str(error)
-    remedy = (
-        "free some space, or name another folder"
-        if number in (ENOSPC, EDQUOT, EFBIG)
-        else "name another folder"
-    )
+    remedy = "free some space, or " * (number in (ENOSPC, EDQUOT, EFBIG)) + "name another folder"
     return InputError(f"{path}: can't be written ({reason}); {remedy}")
 
 

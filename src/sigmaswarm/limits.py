@@ -6,7 +6,7 @@ With these limits, sigmaswarm rejects a bad file within 10 s, and needs at most 
 import re
 import stat
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING
 
 from sigmaswarm.errors import InputError
 
@@ -50,29 +50,22 @@ def require_text(path: Path, shown_as: Path | None = None) -> tuple[bytes, int]:
     lines, since polars also reads them as rows.
     """
     require_regular(path)
+    shown = shown_as or path
     with path.open("rb") as file:
         head = file.read(8)
         if packed := next((kind for first, kind in _PACKED.items() if head.startswith(first)), None):
-            raise InputError(
-                f"{shown_as or path}: is compressed ({packed}); unpack it, and name the unpacked file"
-            )
+            raise InputError(f"{shown}: is compressed ({packed}); unpack it, and name the unpacked file")
         file.seek(0)
-        lines = _require_lines(shown_as or path, file)
+        begun, lines = 0, 0  # number of bytes since the end of the last line, number of lines
+        while block := file.read(MAX_LINE_BYTES):
+            first, last = block.find(b"\n"), block.rfind(b"\n")
+            if begun + (len(block) if first < 0 else first) > MAX_LINE_BYTES:
+                what = f"is longer than {MAX_LINE_BYTES} bytes, so the file is damaged; copy it again"
+                raise InputError(f"{shown}, row {lines + 1}: {what}")
+            begun = begun + len(block) if last < 0 else len(block) - last - 1
+            lines += block.count(b"\n")
         file.seek(0)
         return file.readline(), lines
-
-
-def _require_lines(path: Path, file: BinaryIO) -> int:
-    begun, lines = 0, 0  # number of bytes since the end of the last line, number of lines
-    while block := file.read(MAX_LINE_BYTES):
-        first, last = block.find(b"\n"), block.rfind(b"\n")
-        if begun + (len(block) if first < 0 else first) > MAX_LINE_BYTES:
-            raise InputError(
-                f"{path}, row {lines + 1}: is longer than {MAX_LINE_BYTES} bytes, so the file is damaged; copy it again"
-            )
-        begun = begun + len(block) if last < 0 else len(block) - last - 1
-        lines += block.count(b"\n")
-    return lines
 
 
 def read_bounded(path: Path, most: int) -> bytes:

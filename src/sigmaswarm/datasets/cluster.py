@@ -110,10 +110,9 @@ def connected(address: str) -> Generator["Client"]:
     with ExitStack() as stack:
         kind, _, count = address.partition(":")
         where: Any = stack.enter_context(_local(address, count)) if kind == "local" else _scheduler(address)
+        options: dict[str, Any] = {"timeout": CONNECT_TIMEOUT, "set_as_default": False}
         try:
-            client = distributed.Client(
-                where, timeout=CONNECT_TIMEOUT, set_as_default=False, name="sigmaswarm"
-            )
+            client = distributed.Client(where, name="sigmaswarm", **options)
         except Exception as error:  # errors of sockets, addresses, protocols
             reason = " ".join(str(error).split())[:150]
             raise ClusterError(

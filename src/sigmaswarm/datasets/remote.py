@@ -260,10 +260,10 @@ def _with_no_warnings(drive: Drive) -> tuple[Drive, list[SigmaswarmWarning]]:
 
 def results_in_order(answers: Iterable[tuple[list[int], Sequence[Any]]]) -> list[Any]:
     """Return the results of `apply_to_each` in the order of the drives, or raise their errors as one."""
-    results_by_drive = {
-        i: result for places, results in answers for i, result in zip(places, results, strict=True)
-    }
-    results = [results_by_drive[i] for i in sorted(results_by_drive)]
+    by_drive: dict[int, Any] = {}
+    for places, results in answers:
+        by_drive |= zip(places, results, strict=True)
+    results = [by_drive[i] for i in sorted(by_drive)]
     if failed := [result.error for result in results if isinstance(result, Failure)]:
         raise _joined_error(failed)
     return results

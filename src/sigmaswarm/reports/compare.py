@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -68,9 +67,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
 
     def costs_over_budget(ax: Axes) -> None:
         for i, (contender, look) in enumerate(zip(contenders, looks, strict=True)):
-            rows = comparison.curves.filter(
-                (pl.col("optimizer") == contender.name) & (pl.col("scale") == contender.scale)
-            )
+            rows = comparison.curves.filter(optimizer=contender.name, scale=contender.scale)
             spent = rows["full_evaluations"].to_numpy()
             # just after the last evaluation
             end = comparison.budget * (comparison.frame["steps_share"][i] + 0.01)

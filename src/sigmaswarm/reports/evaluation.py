@@ -121,9 +121,8 @@ def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, .
     """
 
     def bars(measure: Measure, values: Mapping[str, float]) -> Chart:
-        longest = 1.25 * max(
-            [v for m, v in values.items() if m not in ("imu_only", FIXES)] or values.values()
-        )
+        scaling = [v for m, v in values.items() if m not in ("imu_only", FIXES)]
+        longest = 1.25 * max(scaling or values.values())
 
         def draw(ax: Axes) -> None:
             shown = [min(v, longest) for v in values.values()]

@@ -72,11 +72,8 @@ def evaluation_report(folder: Path) -> Report:
     also = [method for method in (AGAINST, *OPTIONAL_METHODS) if method in scores.mean]
     command, note = evaluate_command(list(scores.drives), setup, also=also)
     verdicts = view.verdicts()
-    remarks = [
-        *view.warnings(),
-        *view.findings(),
-        *(verdicts[kind] for kind in WARNING_VERDICTS if kind in verdicts),
-    ]
+    remarks = [*view.warnings(), *view.findings()]
+    remarks += [verdicts[kind] for kind in WARNING_VERDICTS if kind in verdicts]
     remarks += [r for r in (file.result.remarks if file.result else ()) if r not in NOT_VALIDATED_TEXTS]
     return Report(
         title=f"Evaluation of {filter_name(file)}",
@@ -113,9 +110,7 @@ def read_view(folder: Path, file: TuningRecord) -> EvaluationView:
     verify_checksums(folder, setup)
     other = setup.against and (setup.against.kind, setup.against.model)
     kind, model = str(file.filter.get("kind", "ukf")), str(file.filter.get("model", "planar5"))
-    names = method_names(
-        kind, model, also=[m for m in (AGAINST, *OPTIONAL_METHODS) if m in scores.mean], against=other
-    )
+    names = method_names(kind, model, also=scores.mean, against=other)
     data = [with_training(drive, file.data) for drive in setup.data]
     return EvaluationView(scores, setup.model_copy(update={"data": data}), names)
 

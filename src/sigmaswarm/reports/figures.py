@@ -176,9 +176,8 @@ def svg(chart: Chart) -> str:
         if names:
             _legend_below(figure, columns)
         text = _svg(figure, **{"svg.fonttype": "none"})
-    return re.sub(
-        r'(<svg[^>]*?) height="[^"]*"([^>]*?) width="[^"]*"', r"\1\2", text[text.index("<svg") :], count=1
-    )
+    sized = r'(<svg[^>]*?) height="[^"]*"([^>]*?) width="[^"]*"'
+    return re.sub(sized, r"\1\2", text[text.index("<svg") :], count=1)
 
 
 def _svg(figure: Figure, **settings: str) -> str:

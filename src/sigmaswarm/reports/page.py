@@ -49,9 +49,7 @@ TERMS = {
     "density": "noise density that corresponds to the variance per step",
 }
 PLOTLY_DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot", "none": "none"}
-_TERM = re.compile(
-    "|".join(rf"(?<!\w){re.escape(term)}(?!\w)" for term in sorted(TERMS, key=len, reverse=True))
-)
+_TERM = re.compile(rf"(?<!\w)({'|'.join(map(re.escape, sorted(TERMS, key=len, reverse=True)))})(?!\w)")
 MAX_NUMBERS = 250_000
 """Maximum number of values of all tracks of a page, for at most 2 MB; longer tracks are thinned."""
 
@@ -117,9 +115,8 @@ def page(report: Report) -> str:
 @cache
 def _environment() -> Environment:
     loader = PackageLoader("sigmaswarm.reports", "assets")
-    made = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
+    made = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
+    made.trim_blocks = made.lstrip_blocks = True
     made.filters.update(svg=lambda chart: Markup(svg(chart)), plain=_plain, cell=_cell, terms=_terms)  # pyright: ignore
     return made
 

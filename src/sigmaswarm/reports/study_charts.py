@@ -67,9 +67,8 @@ def means_chart(
             ("trial_interval", 7.0, 0.4, "95% over trials, as in the paper"),
             ("bootstrap_interval", 1.5, 1.0, "95% for new drives (bootstrap)"),
         ):
-            ends = np.array([getattr(row, name) for row, _ in rows], np.float64).clip(
-                [least, -inf], [inf, most]
-            )
+            ends = np.array([getattr(row, name) for row, _ in rows], np.float64)
+            ends = ends.clip([least, -inf], [inf, most])
             ends[np.isnan(ends).any(axis=1) | (np.array(means) > most)] = np.nan
             ax.hlines(range(len(rows)), *ends.T, color=SLATE, lw=width, alpha=opacity, label=label)
         for i, (row, mean) in enumerate(rows):
@@ -117,11 +116,12 @@ def spread_chart(
             ax.axvline(mark, **MARK_STYLE.line)
         for protocol in dict.fromkeys(s.protocol for s in rows):
             own = [s for s in rows if s.protocol == protocol]
+            boxes = [
+                {"whislo": s.low, "q1": s.first, "med": s.median, "q3": s.third, "whishi": s.high}
+                for s in own
+            ]
             ax.bxp(
-                [
-                    {"whislo": s.low, "q1": s.first, "med": s.median, "q3": s.third, "whishi": s.high}
-                    for s in own
-                ],
+                boxes,
                 positions=[names.index(results.label(s.method, protocol)) for s in own],
                 orientation="horizontal",
                 widths=0.5,
@@ -166,9 +166,8 @@ def _draw_course(ax: Axes, results: Results, course: Convergence, *, alone: bool
     key = f"{course.protocol}-{course.method}"
     color = STUDY_STYLES[key].color if key in STUDY_STYLES else GREEN
     whole, settles = course.group == ALL, course.stable
-    low, middle, high = (
-        [inf if v is None else v for v in values] for values in (course.low, course.median, course.high)
-    )
+    quantiles = course.low, course.median, course.high
+    low, middle, high = ([inf if v is None else v for v in values] for values in quantiles)
     x, theirs = range(1, len(middle) + 1), results.paper["figure_2"]["stable_generation"]
     if whole:
         band(ax, x, low, high, Look(color, opacity=0.15), "10 to 90% of the trials" if alone else "")
@@ -262,9 +261,8 @@ def nis_charts(picture: Picture) -> tuple[Chart, ...]:
 def save_study(study: Study, folder: Path) -> list[Path]:
     """Write the tables of a study as Markdown, LaTeX and CSV, and its figures as PNG and SVG. Return the paths."""
     record = study.record
-    tables_by_name = tables.study_tables(study.results) | {
-        "runtime": tables.runtime_table(record.results, record.live)
-    }
+    tables_by_name = tables.study_tables(study.results)
+    tables_by_name["runtime"] = tables.runtime_table(record.results, record.live)
     if record.results.rivals is not None:
         tables_by_name["runtime-rivals"] = tables.rivals_table(record.results, record.rival_times)
     written: list[Path] = []
@@ -294,9 +292,7 @@ def study_figures(study: Study) -> dict[str, Figure]:
         ``errors`` (over time) and ``nis``. With rivals also ``learning-curve``.
     """
     results, spreads, picture = study.results, study.record.spreads, study.picture
-    courses = [
-        convergence_chart(results, protocol, [MAIN_METHOD], log=False) for protocol in results.protocols
-    ]
+    courses = [convergence_chart(results, name, [MAIN_METHOD], log=False) for name in results.protocols]
     boxes = [spread_chart(results, spreads, measure, all_rows=True) for measure in tables.ERRORS]
     curves = curve_charts(results)
     return {

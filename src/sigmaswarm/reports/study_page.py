@@ -1,6 +1,7 @@
 """HTML page of a study: the paper's tables with the study's results, and all methods under both protocols."""
 
 from collections.abc import Iterable, Iterator
+from itertools import product
 from math import inf
 from pathlib import Path
 
@@ -207,11 +208,8 @@ def _comparisons(results: Results) -> Section:
         "p: Wilcoxon's signed-rank test, with Holm's correction over the methods. The rank-biserial correlation is the "
         "effect size: 1 means better on every drive, -1 worse on every drive.",
     )
-    comparisons = [
-        tables.comparison_table(results, p, measure)
-        for p in reversed(results.protocols)
-        for measure in ERRORS
-    ]
+    pairs = product(reversed(results.protocols), ERRORS)
+    comparisons = (tables.comparison_table(results, *pair) for pair in pairs)
     return Section("Comparisons", text, tuple(table for table in comparisons if table.rows))
 
 

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from itertools import chain
 from statistics import median
 from typing import Any
 
@@ -28,11 +29,7 @@ from sigmaswarm.tables import Cell, Column, Table
 POSITION, HEADING, DRIFT = "position_rmse_m", "heading_rmse_deg", "outage_drift_m"
 ERRORS = {POSITION: "position RMSE against truth", HEADING: "heading error", DRIFT: "outage drift"}
 # Protocol, method and the corresponding row of the paper, for each row of a table.
-ROWS = [
-    (protocol, method, row.paper)
-    for method, row in METHODS.items()
-    for protocol in row.protocols or (BASELINE,)
-]
+ROWS = [(p, name, method.paper) for name, method in METHODS.items() for p in method.protocols or (BASELINE,)]
 LIVE_NAMES = {"EKF": "ekf", "adaptive UKF": "adaptive-ukf", "UKF": "ukf"}
 MANUAL_METHOD = "ukf-datasheet"  # manually tuned filter of equation 5
 OUTAGE_LENGTHS = {DRIFT: "5 s", **{measure: f"{length:g} s" for measure, length in LONG_OUTAGES.items()}}
@@ -168,15 +165,9 @@ def table_2(results: Results) -> Table:
         theirs = results.paper["table_2"].get(paper_row, {})
         if summary := results.summary(protocol, method, POSITION):
             low_high = theirs.get("interval_m")
+            paper = theirs.get("rmse_m"), low_high and tuple(low_high)
             intervals = (summary.trial_interval, summary.corrected_t_interval, summary.bootstrap_interval)
-            stated = (
-                theirs.get("rmse_m"),
-                low_high and tuple(low_high),
-                summary.mean,
-                summary.sd,
-                *intervals,
-            )
-            rows.append((results.label(method, protocol), *stated))
+            rows.append((results.label(method, protocol), *paper, summary.mean, summary.sd, *intervals))
     caption = "Table II. Position RMSE against truth, m, on held-out drives"
     return _table(caption, columns, rows, results, INTERVALS_NOTE)
 
@@ -229,11 +220,13 @@ def comparison(results: Results, protocol: str, measure: str, against: str) -> P
 
 
 def objectives_compared(results: Results) -> str:
-    wanted = (("paper", "gps_rmse_m"), ("paper", POSITION), (BASELINE, POSITION), ("honest", POSITION))
-    comparisons = [
-        results.summary(p, "raw-gps" if p == BASELINE else MAIN_METHOD, measure) for p, measure in wanted
-    ]
-    if None in (means := [each and each.mean for each in comparisons]):
+    summaries = (
+        results.summary("paper", MAIN_METHOD, "gps_rmse_m"),
+        results.summary("paper", MAIN_METHOD, POSITION),
+        results.summary(BASELINE, "raw-gps", POSITION),
+        results.summary("honest", MAIN_METHOD, POSITION),
+    )
+    if None in (means := [each and each.mean for each in summaries]):
         return ""
     return (
         "The study has two objectives, since the paper's objective compares the estimate with the GPS fix that the "
@@ -245,10 +238,8 @@ def objectives_compared(results: Results) -> str:
 
 
 def consistency_table(results: Results) -> Table:
-    rows = [
-        (results.label(r.method, r.protocol), r.mean, r.sd, r.bootstrap_interval)
-        for r in results.means("nis")
-    ]
+    nis = results.means("nis")
+    rows = [(results.label(r.method, r.protocol), r.mean, r.sd, r.bootstrap_interval) for r in nis]
     titles = ("method", "mean NIS", "SD over trials", NEW_DRIVES)
     return _table("", list(map(Column, titles)), rows, results)
 
@@ -287,10 +278,7 @@ def conditions_table(results: Results, measure: str, variants: Sequence[Variant]
         (ALL if place == (ALL, ALL) else " ".join(place), *(found.get((*place, *v)) for v in shown))
         for place in dict.fromkeys((r.maneuver, r.environment) for r in results.summaries)
     ]
-    columns = (
-        Column("condition"),
-        *(_figures(results.label(method, protocol)) for protocol, method in shown),
-    )
+    columns = Column("condition"), *(_figures(results.label(m, protocol)) for protocol, m in shown)
     return Table(f"{results.measures[measure]}, in each condition", columns, tuple(rows))
 
 
@@ -310,9 +298,8 @@ def _by_group(caption: str, columns: Sequence[Column], rows: Sequence[Row], resu
 def convergence_table(results: Results) -> Table:
     """Tabulate the generation from which the median cost over trials stays within 1% of the last median."""
     columns = [Column("method"), Column("drives"), Column("settles at generation")]
-    rows = [
-        (results.label(c.method, c.protocol), c.group, c.stable, c.median[-1]) for c in results.convergence
-    ]
+    courses = results.convergence
+    rows = [(results.label(c.method, c.protocol), c.group, c.stable, c.median[-1]) for c in courses]
     return _by_group("", [*columns, Column("median cost at the end", "m")], rows, results)
 
 
@@ -373,38 +360,33 @@ def rivals_table(results: Results, times: Times) -> Table:
         row = [results.label(e.method, e.protocol), e.labelled_s, e.learned_s, e.numbers]
         row += [took.get("training_s"), took.get("sample_us")] if times else []
         drifts = (_mean_cells(results.summary(e.protocol, e.method, m)) for m in OUTAGE_LENGTHS)
-        rows.append((*row, *(cell for cells in drifts for cell in cells)))
+        rows.append((*row, *chain(*drifts)))
     note = f"{EFFORT_NOTE} {TIMES_NOTE if times else 'Times are in runtime-rivals.md.'}"
     return _table("Rivals: training data, parameters, and drift over outages", columns, rows, results, note)
 
 
 def _gains_table(results: Results, rivals: RivalResults) -> Table:
     columns = (Column("network"), Column("measure"), *_paired_columns("difference", "Wilcoxon p"))
-    rows = tuple(
-        (results.label(c.method), results.measures[c.measure], *_paired_cells(c)) for c in rivals.gains
-    )
+    gains = rivals.gains
+    rows = tuple((results.label(c.method), results.measures[c.measure], *_paired_cells(c)) for c in gains)
     caption = f"Networks compared with {results.label(NETWORK_FILTER, 'honest')} without a network"
     kept = (
-        "Measures that a network does not change are omitted, such as the position error while fixes arrive."
+        "Measures that a network does not change are omitted, such as the position error while fixes arrive"
     )
-    return Table(caption, columns, rows, note=f"{PAIRED_NOTE.format('network')} {kept}")
+    return Table(caption, columns, rows, note=f"{PAIRED_NOTE.format('network')} {kept}.")
 
 
 def _elsewhere_table(results: Results, rivals: RivalResults, place: str) -> Table:
-    by_method = {
-        (row.protocol, row.method, row.measure): row for row in rivals.elsewhere if row.place == place
-    }
-    rows = [
-        (
-            results.label(method, protocol),
-            *(cell for m in ELSEWHERE_MEASURES for cell in _mean_cells(by_method.get((protocol, method, m)))),
-        )
-        for protocol, method in dict.fromkeys(variant[:2] for variant in by_method)
-    ]
+    there = [row for row in rivals.elsewhere if row.place == place]
+    by_method = {(row.protocol, row.method, row.measure): row for row in there}
+    rows: list[Row] = []
+    for protocol, method in dict.fromkeys((row.protocol, row.method) for row in there):
+        cells = (_mean_cells(by_method.get((protocol, method, m))) for m in ELSEWHERE_MEASURES)
+        rows.append((results.label(method, protocol), *chain(*cells)))
     note = (
         "Filters and networks of all trials, which were tuned and trained on the drives of the study. 95% intervals "
         "for new drives: bootstrap over drives and trials. Number of drives: "
-        f"{max(row.n_drives for row in by_method.values())}."
+        f"{max(row.n_drives for row in there)}."
     )
     columns = [Column("method"), *_with_intervals(ELSEWHERE_MEASURES.values())]
     return _table(f"Other drives: {place}", columns, rows, results, note)

@@ -52,10 +52,8 @@ def save_tuning_figures(tuning: Tuning, track: Picture, folder: Path) -> list[Pa
     """
     save_history(tuning, folder)
     labels = LABELS | method_names(tuning.parameters.kind, tuning.parameters.model)
-    return [
-        save(convergence(tuning), folder / "convergence.png"),
-        save(tracks(track, labels), folder / "training-track.png"),
-    ]
+    figures = {"convergence": convergence(tuning), "training-track": tracks(track, labels)}
+    return [save(figure, folder / f"{name}.png") for name, figure in figures.items()]
 
 
 def save_history(tuning: Tuning, folder: Path) -> None:
@@ -159,10 +157,9 @@ def parameters_section(file: TuningRecord) -> Section:
         if file.filter.get("kind") == "ekf" and name in SIGMA_POINTS:
             continue
         low, high = ranges.get(searched_name(name, ranges, model), (None, None))
-        free = (low, high) == ("-", "-")
-        place = (
-            "no effect within the bounds" if free else touched.get(searched_name(name, touched, model), "")
-        )
+        place = touched.get(searched_name(name, touched, model), "")
+        if (low, high) == ("-", "-"):
+            place = "no effect within the bounds"
         remark = "; ".join(filter(None, (PARAMETER_MEANINGS.get(name, ""), place)))
         rows.append((name, value, unit, _end(low), _end(high), density, remark))
     if NOISE_SCALE in ranges:
@@ -217,9 +214,8 @@ def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]
         return (Section("Convergence", charts=charts),)
     rows = tuple((float(i), cost) for i, cost in enumerate(costs))
     table = Table("Cost of each trial", (Column("trial"), Column("cost")), rows, frozenset({best}))
-    return (
-        Section("Convergence", (f"The best of {len(costs)} trials is drawn in bold.",), (table,), charts),
-    )
+    text = f"The best of {len(costs)} trials is drawn in bold."
+    return (Section("Convergence", (text,), (table,), charts),)
 
 
 def data_section(title: str, data: Sequence[DriveRecord]) -> Section:

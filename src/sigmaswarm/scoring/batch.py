@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, fields
 from functools import cached_property
+from itertools import chain
 from typing import TypeVar
 
 import numpy as np
@@ -64,7 +65,7 @@ _NUMBERS = tuple(field.name for field in fields(Scores) if field.name != "failed
 
 
 @dataclass(frozen=True)
-class PassOptions:  # arguments for BatchScorer and PreparedDrive
+class PassOptions:  # arguments of BatchScorer
     outages: bool = False
     forecasts: bool = False
     outage_seed: int = 0
@@ -74,8 +75,8 @@ class PassOptions:  # arguments for BatchScorer and PreparedDrive
 class BatchScorer:
     """Scorer that prepares drives once and runs any number of parameter sets over them.
 
-    ``outages`` adds a pass over every drive with outages of ``outage_length`` s. ``forecasts`` adds a pass in which
-    fixes are hidden in windows of 3 to 5 s.
+    ``as_recorded`` applies to drives that are not prepared. ``outages`` adds a pass over every drive with outages of
+    ``outage_length`` s. ``forecasts`` adds a pass in which fixes are hidden in windows of 3 to 5 s.
     """
 
     def __init__(
@@ -86,8 +87,9 @@ class BatchScorer:
         forecasts: bool = False,
         outage_length: float = OUTAGE_LENGTH,
         outage_seed: int = 0,
+        as_recorded: bool = False,
     ) -> None:
-        self._ready = tuple(prepare_drive(drive) for drive in drives)
+        self._ready = tuple(prepare_drive(drive, as_recorded=as_recorded) for drive in drives)
         self._passes = {"tracking": tuple(map(tracking_pass, self._ready))}
         if outages:
             length, seed = outage_length, outage_seed
@@ -100,10 +102,8 @@ class BatchScorer:
         """Join scorers with the same passes, without preparing drives again."""
         whole = BatchScorer.__new__(BatchScorer)
         whole._ready = tuple(one for part in parts for one in part._ready)
-        whole._passes = {
-            name: tuple(replay for part in parts for replay in part._passes[name])
-            for name in parts[0]._passes
-        }
+        passes = {name: [part._passes[name] for part in parts] for name in parts[0]._passes}
+        whole._passes = {name: tuple(chain(*replays)) for name, replays in passes.items()}
         return whole
 
     def subset(self, drives: Sequence[int]) -> "BatchScorer":
@@ -235,10 +235,8 @@ def _pass_scores(name: str, divisors: Array, sums: KernelSums) -> dict[str, Arra
     if name == "outages":
         return {"outage_drift": np.sqrt(sums["SQ_POSITION"] / positions)}
     if name == "forecasts":
-        return {
-            "forecast_rmse": np.sqrt(sums["SQ_FORECAST"] / hidden),
-            "forecast_t": sums["FORECAST_T"] / hidden + LOG_2PI,
-        }
+        likelihood = sums["FORECAST_T"] / hidden + LOG_2PI
+        return {"forecast_rmse": np.sqrt(sums["SQ_FORECAST"] / hidden), "forecast_t": likelihood}
     tails = sums["LOG_DET"] + (INNOVATION_DOF + 2) * sums["LOG_TAIL"]
     return {
         "position_rmse": np.sqrt(sums["SQ_POSITION"] / positions),

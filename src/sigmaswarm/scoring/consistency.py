@@ -93,11 +93,10 @@ def consistency_of(
     innovations: Innovations, mean_nees: float = math.nan, own_sigma: float = math.nan
 ) -> Consistency | None:
     """Compute consistency from innovations; None if there are at most 2 LAGS of them, or a covariance is invalid."""
-    n = len(innovations.time)
-    s = innovations.covariance
-    if n <= 2 * LAGS or not (
-        np.isfinite(s).all() and np.all(s[:, 0, 0] > 0) and np.all(np.linalg.det(s) > 0)
-    ):
+    n, s = len(innovations.time), innovations.covariance
+    if n <= 2 * LAGS or not np.isfinite(s).all():
+        return None
+    if not (np.all(s[:, 0, 0] > 0) and np.all(np.linalg.det(s) > 0)):
         return None
     from scipy.special import chdtrc, gammaincinv  # 0.1 s to import
 
@@ -172,16 +171,16 @@ VERDICTS: dict[Kind, str] = {
 def verdicts(results: Sequence[Consistency | None]) -> dict[Kind, str]:
     """Return one sentence for each kind of verdict on several drives."""
     known = [one for one in results if one]
-    by_kind = {kind: [one for one in known if kind in _kinds(one)] for kind in VERDICTS}
     blind = bool(known) and all(one.mean_nees is None for one in known)
     messages: dict[Kind, str] = {}
     for kind, text in VERDICTS.items():
-        count = len(results) - len(known) if kind == "unknown" else len(by_kind[kind])
+        own = [one for one in known if kind in _kinds(one)]
+        count = len(results) - len(known) if kind == "unknown" else len(own)
         if not count:
             continue
         sizes = {
-            "nis_size": _size([one.mean_nis for one in by_kind[kind]], "NIS"),
-            "nees_size": _size([one.mean_nees or 0.0 for one in by_kind[kind]], "NEES"),
+            "nis_size": _size([one.mean_nis for one in own], "NIS"),
+            "nees_size": _size([one.mean_nees or 0.0 for one in own], "NEES"),
         }
         where = f"on {count} of {len(results)} drives " if len(results) > 1 else ""
         forecasts = f". {FORECASTS}" if blind and kind not in ("unknown", "alike") else ""

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import polars as pl
@@ -15,7 +15,7 @@ from sigmaswarm.doctor.diagnose import finding_sentences
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import DriveRecord, drive_record, rounded
 from sigmaswarm.drives.gaps import share_known
-from sigmaswarm.drives.overlap import Landmarks, Overlap, known_overlap, landmarks
+from sigmaswarm.drives.overlap import Landmarks, known_overlap, landmarks
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.sensors import receiver_std
 from sigmaswarm.errors import InputError, warn_deprecated
@@ -72,6 +72,9 @@ if TYPE_CHECKING:
     from distributed import Client
 
 
+T = TypeVar("T")
+
+
 @dataclass(frozen=True, eq=False)
 class EvaluationOptions:
     """Options of an evaluation.
@@ -113,8 +116,7 @@ class EvaluationOptions:
         if self.smooth:
             runs[SMOOTHED] = partial(SmootherRun, parameters=parameters, recover=True)
         if self.bank:
-            bank = partial(BankRun, parameters=parameters, recover=True, as_recorded=self.as_recorded)
-            runs[BANK] = bank
+            runs[BANK] = partial(BankRun, parameters=parameters, recover=True, as_recorded=self.as_recorded)
         return {**runs, **self.more}
 
 
@@ -147,11 +149,6 @@ class DriveResult:
             tracks=tracks and replace(tracks, name=name),
             picture=picture and replace(picture, whole=replace(picture.whole, name=name)),
         )
-
-    def seen_in(self, overlap: Overlap) -> "DriveResult":
-        """Return a copy that records the overlap with the training drives."""
-        part = {"seen_s": overlap.seconds, "seen_in": list(overlap.of)}
-        return replace(self, record=self.record.model_copy(update=part))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -245,7 +242,6 @@ class Evaluation:
     def record(self) -> ScoresRecord:
         """The content of scores.json."""
         drives, rivals = self.drives, [m for m in (AGAINST, BASELINE, FIXES) if m in self.names]
-        failed = {name: [m for m, s in result.scores.items() if s.failed] for name, result in drives.items()}
         return ScoresRecord(
             drives={d: {m: {k: self.value(d, m, k) for k in MEASURES} for m in self.names} for d in drives},
             mean={m: {k: self.mean(m, k) for k in MEASURES} for m in self.names},
@@ -255,11 +251,14 @@ class Evaluation:
                 for name, result in drives.items()
             },
             improvement_percent={m: {k: self.improvement(m, k) for k in MEASURES} for m in rivals},
-            drifts={name: dict(result.drifts) for name, result in drives.items() if result.drifts},
-            failed={name: methods for name, methods in failed.items() if methods},
-            radius={name: dict(result.radius) for name, result in drives.items() if result.radius},
-            stale_fixes={name: result.stale_fixes for name, result in drives.items() if result.stale_fixes},
+            drifts=self._by_drive(lambda result: dict(result.drifts)),
+            failed=self._by_drive(lambda result: [m for m, s in result.scores.items() if s.failed]),
+            radius=self._by_drive(lambda result: dict(result.radius)),
+            stale_fixes=self._by_drive(lambda result: result.stale_fixes),
         )
+
+    def _by_drive(self, of: Callable[[DriveResult], T]) -> dict[str, T]:
+        return {name: value for name, result in self.drives.items() if (value := of(result))}
 
     @property
     def setup(self) -> EvaluationRecord:
@@ -271,10 +270,8 @@ class Evaluation:
             versions=versions(),
             data=[result.record for result in self.drives.values()],
             against=None if other is None else AgainstRecord(kind=other.kind, model=other.model),
-            findings={name: list(result.findings) for name, result in self.drives.items() if result.findings},
-            truth_offsets={
-                n: result.truth_offset for n, result in self.drives.items() if result.truth_offset
-            },
+            findings=self._by_drive(lambda result: list(result.findings)),
+            truth_offsets=self._by_drive(lambda result: result.truth_offset),
             fixes_alone=self.fixes_alone,
             as_recorded=self.as_recorded,
         )
@@ -337,8 +334,6 @@ def evaluate(
     read the drives and run the filters; ``drives`` may then be paths or URLs. ``options``: attributes of
     `EvaluationOptions`.
     """
-    if isinstance(drives, FilterParameters):
-        raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")
     (dataset,) = make_datasets(drives, cluster=cluster)
     if not len(dataset):
         raise InputError("no drives were given; name at least one drive folder")
@@ -355,20 +350,14 @@ def evaluate(
         name = next(n for n in (drive, *numbered) if n not in results)
         results[name] = result if name == drive else result.called(name)
         if seen is not None and marks is not None and (overlap := known_overlap(marks, seen)) is not None:
-            results[name] = results[name].seen_in(overlap)
+            part = {"seen_s": overlap.seconds, "seen_in": list(overlap.of)}
+            results[name] = replace(results[name], record=results[name].record.model_copy(update=part))
     also = (*([AGAINST] if other else []), *chosen.optional_runs(parameters))
     against = None if other is None else (other.kind, other.model)
     names = method_names(parameters.kind, parameters.model, also=also, against=against)
-    return Evaluation(
-        results,
-        names,
-        outage_length=chosen.outage_length,
-        outage_seed=chosen.outage_seed,
-        against=other,
-        parameters=parameters,
-        fixes_alone=chosen.fixes_alone,
-        as_recorded=chosen.as_recorded,
-    )
+    stored = ("outage_length", "outage_seed", "against", "fixes_alone", "as_recorded")
+    values = {name: getattr(chosen, name) for name in stored}
+    return Evaluation(results, names, parameters=parameters, **values)
 
 
 def _evaluated(

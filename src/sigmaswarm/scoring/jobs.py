@@ -77,10 +77,8 @@ def run_jobs(
             futures.append(executor.submit(function, *job))
         # Jobs start in order. If a job has not started when its result is needed, the executor is busy with other
         # work, perhaps in this thread, so the job runs in this thread.
-        return [
-            function(*job) if future.cancel() else future.result()
-            for job, future in zip(jobs, futures, strict=True)
-        ]
+        pairs = zip(jobs, futures, strict=True)
+        return [function(*job) if future.cancel() else future.result() for job, future in pairs]
     finally:
         begun = [future for future in futures if not future.cancel()]
         try:

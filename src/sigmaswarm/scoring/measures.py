@@ -25,21 +25,19 @@ def measures(outage_length: float = OUTAGE_LENGTH) -> dict[str, Measure]:
 
     The measure of short or long outages is left out if the medium outages have the same length.
     """
+    short, medium, long = (
+        f"{length:g} s outage drift" for length in (SHORT_OUTAGE_LENGTH, outage_length, LONG_OUTAGE_LENGTH)
+    )
     known = {
         "position_rmse_m": Measure("position RMSE", "m", lambda s: s.position_rmse),
         "position_median_m": Measure("position 50%", "m", lambda s: s.position_median),
         "position_95_m": Measure("position 95%", "m", lambda s: s.position_95),
         "heading_rmse_deg": Measure("heading error", "deg", lambda s: float(np.degrees(s.heading_rmse))),
-        "short_outage_drift_m": Measure(
-            f"{SHORT_OUTAGE_LENGTH:g} s outage drift", "m", lambda s: s.short_outage_drift
-        ),
-        "outage_drift_m": Measure(f"{outage_length:g} s outage drift", "m", lambda s: s.outage_drift),
-        "long_outage_drift_m": Measure(
-            f"{LONG_OUTAGE_LENGTH:g} s outage drift", "m", lambda s: s.long_outage_drift
-        ),
+        "short_outage_drift_m": Measure(short, "m", lambda s: s.short_outage_drift),
+        "outage_drift_m": Measure(medium, "m", lambda s: s.outage_drift),
+        "long_outage_drift_m": Measure(long, "m", lambda s: s.long_outage_drift),
     }
-    same = known["outage_drift_m"].title
-    return {name: one for name, one in known.items() if name == "outage_drift_m" or one.title != same}
+    return {name: one for name, one in known.items() if name == "outage_drift_m" or one.title != medium}
 
 
 MEASURES = measures()

@@ -47,12 +47,8 @@ def method_names(
     """
     first = {AGAINST: f"other {filter_called(*against) if against else 'filter'}"} if AGAINST in also else {}
     first |= {"tuned": f"tuned {filter_called(kind, model)}"}
-    return (
-        first
-        | {method: name for method, name in OPTIONAL_METHODS.items() if method in also}
-        | METHODS
-        | first
-    )
+    optional = {method: name for method, name in OPTIONAL_METHODS.items() if method in also}
+    return first | optional | METHODS | first
 
 
 def in_sentence(method: str, name: str) -> str:

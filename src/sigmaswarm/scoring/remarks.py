@@ -23,10 +23,11 @@ SENSORS = ("IMU", "Hz", 1.5), ("standard deviation of the fixes", "m", 2.5)
 
 
 def restarted(scores: ScoresRecord) -> tuple[str, ...]:
-    restarts = {
-        drive: times for drive, by_method in scores.restarts.items() if (times := by_method.get("tuned"))
-    }
-    return tuple(f"the tuned filter {describe_restarts(drive, times)}" for drive, times in restarts.items())
+    return tuple(
+        f"the tuned filter {describe_restarts(drive, times)}"
+        for drive, by_method in scores.restarts.items()
+        if (times := by_method.get("tuned"))
+    )
 
 
 def describe_training_drives(drive: DriveRecord) -> str:
@@ -50,7 +51,10 @@ def describe_drives(data: Sequence[DriveRecord]) -> str:
 def other_sensors(drive: DriveRecord, training: Sequence[DriveRecord]) -> str:
     """Describe sensors of an evaluated drive that clearly differ from those of all training drives; else ""."""
     differences: list[str] = []
-    for (name, unit, ratio), here, *known in zip(SENSORS, *map(_sensors, (drive, *training)), strict=True):
+    drives = drive, *training
+    rates = [(one.imu_samples or 0) / (one.duration_s or np.inf) for one in drives]
+    values = rates, [one.receiver_std_m or 0.0 for one in drives]
+    for (name, unit, ratio), (here, *known) in zip(SENSORS, values, strict=True):
         others = [value for value in known if value]
         if others and here and not min(others) / ratio < here < max(others) * ratio:
             differences.append(f"{name} {here:.3g} {unit} instead of {np.median(others):.3g} {unit}")
@@ -61,12 +65,6 @@ def other_sensors(drive: DriveRecord, training: Sequence[DriveRecord]) -> str:
         f"({', '.join(differences)}). There a filter can be far less accurate; tune on such drives, and compare with "
         "--against"
     )
-
-
-def _sensors(drive: DriveRecord) -> tuple[float, ...]:
-    """Return the values of `SENSORS`; 0 for unknown ones."""
-    duration = drive.duration_s or np.inf
-    return (drive.imu_samples or 0) / duration, drive.receiver_std_m or 0.0
 
 
 def partly_scored(data: Sequence[DriveRecord]) -> tuple[str, ...]:
@@ -143,9 +141,8 @@ def describe_first_track(track: FirstTrack) -> str:
     """Return sentences on the position error on a training drive; return "" if unknown."""
     name, rmse = track.picture.whole.name, track.position_rmse
     if np.isfinite(rmse["tuned"]):
-        others = ", ".join(
-            f"{METHODS[m]} {rmse[m]:.2g} m" for m in (BASELINE, "raw_gps") if np.isfinite(rmse[m])
-        )
+        known = [m for m in (BASELINE, "raw_gps") if np.isfinite(rmse[m])]
+        others = ", ".join(f"{METHODS[m]} {rmse[m]:.2g} m" for m in known)
         return (
             f"Position error on {name}: {rmse['tuned']:.2g} m RMSE ({others}). This is a training drive, so expect "
             "larger errors on other drives"

@@ -34,9 +34,7 @@ def make_scorer(dataset: Dataset, passes: PassOptions, check: DriveCheck) -> "An
 
 
 def _scorer(drives: Sequence[PreparedDrive], passes: PassOptions, check: DriveCheck) -> BatchScorer:
-    scorer = BatchScorer(
-        drives, outages=passes.outages, forecasts=passes.forecasts, outage_seed=passes.outage_seed
-    )
+    scorer = BatchScorer(drives, **vars(passes))
     check(scorer)
     return scorer
 

@@ -21,7 +21,6 @@ Seed = int | tuple[int, ...]
 TARGET_OUTAGES = 200  # outages per drive; with this number the drift is accurate to about 10%
 MAX_PLACEMENTS = 8  # largest number of sets of outages; more sets would hide the same fixes again
 OUTAGE_FIRST_AFTER = 10.0  # s, shortest time from the start to the first outage
-OUTAGE_APART = 5.0  # s, shortest time between outages
 
 
 def tracking_pass(ready: PreparedDrive) -> FilterPass:
@@ -82,14 +81,8 @@ def outage_windows(drive: Drive, initial: InitialState, *, length: float, seed: 
     reference = (drive.gps if drive.truth is None else drive.truth).time
     earliest = float(reference[0]) - OUTAGE_FIRST_AFTER - length  # so no window ends before the reference
     last = float(min(drive.imu.time[-1], reference[-1]))
-    windows = random_windows(
-        max(initial.time, earliest),
-        last,
-        np.random.default_rng(seed),
-        length=length,
-        first_after=OUTAGE_FIRST_AFTER,
-        apart=OUTAGE_APART,
-    )
+    start, rng = max(initial.time, earliest), np.random.default_rng(seed)
+    windows = random_windows(start, last, rng, length=length, first_after=OUTAGE_FIRST_AFTER)
     windows = snap_ends(windows, drive.imu.time[drive.imu.time <= last])
     return windows if drive.truth is None else windows[is_known(drive.truth, windows[:, 1])]
 

@@ -101,10 +101,8 @@ class Tracker:
         recording = FilterRun(replay, parameters, recover=recover)
         self._follow(series, recording, replay.initial)
         if recording.failure is None:
-            innovations = recording.innovations
-            self._keep(
-                series + NIS, [{"time": innovations.time, "nis": innovations.nis}], len(innovations.time)
-            )
+            nu = recording.innovations
+            self._keep(series + NIS, [{"time": nu.time, "nis": nu.nis}], len(nu.time))
         return recording
 
     def follow(self, series: str, run: Run) -> None:

@@ -61,9 +61,8 @@ def truth_offset(drive: Drive) -> str:
     (world, world_clear), (body, body_clear) = _constant(error), _constant(error / heading)
     offset = world if world_clear > body_clear else body
     scatter = float(np.median(np.abs(error - np.median(error.real) - 1j * np.median(error.imag))))
-    if max(world_clear, body_clear) < MIN_OFFSET_SIGMAS or abs(offset) < max(
-        MIN_OFFSET[0], MIN_OFFSET[1] * scatter
-    ):
+    least = max(MIN_OFFSET[0], MIN_OFFSET[1] * scatter)
+    if max(world_clear, body_clear) < MIN_OFFSET_SIGMAS or abs(offset) < least:
         return ""
     origin = (
         f"if the truth has another origin or datum, import with --origin, or add {world.real:.2f} and "
@@ -90,9 +89,8 @@ def _constant(error: Complex) -> tuple[complex, float]:
     """Return the mean of the medians of `N_BLOCKS` parts (m) and the ratio of this mean to its standard deviation."""
     if len(error) < 2 * N_BLOCKS:
         return 0j, 0.0
-    means = np.array(
-        [np.median(part.real) + 1j * np.median(part.imag) for part in np.array_split(error, N_BLOCKS)]
-    )
+    parts = np.array_split(error, N_BLOCKS)
+    means = np.array([np.median(part.real) + 1j * np.median(part.imag) for part in parts])
     mean = complex(np.mean(means))
     std = float(np.sqrt(np.sum(np.abs(means - mean) ** 2) / (N_BLOCKS - 1) / N_BLOCKS))
     return mean, abs(mean) / max(std, 1e-9)

@@ -133,9 +133,8 @@ def _forecasts(drive: Drive, filters: list[FilterParameters]) -> Array:
     for row, parameters in zip(errors, filters, strict=True):
         try:
             size = np.sort(np.hypot(*run_innovations(drive, parameters).innovation.T))
-            row[1] = (
-                BatchScorer([drive], outages=False, forecasts=True).scores([parameters]).forecast_rmse[0, 0]
-            )
+            scorer = BatchScorer([drive], outages=False, forecasts=True)
+            row[1] = scorer.scores([parameters]).forecast_rmse[0, 0]
         except SigmaswarmError:
             continue
         row[0] = np.sqrt(np.mean(size[: max(int(0.95 * len(size)), 1)] ** 2))

@@ -131,9 +131,7 @@ def require_fit(scorer: BatchScorer, objective: str, seed: int) -> None:
             continue
         what, drives = f"is too short to hide fixes for 3 to 5 s, which {objective} needs", "longer"
         if len(forecast_windows(drive, initial, seed=seed)):
-            what = (
-                f"contains no fix in the windows of 3 to 5 s in which {objective} hides and forecasts fixes"
-            )
-            drives = "other"
+            windows = f"the windows of 3 to 5 s in which {objective} hides and forecasts fixes"
+            what, drives = f"contains no fix in {windows}", "other"
         span = f"the time from the start at {initial.time:g} s to {drive.imu.time[-1]:g} s"
         raise InputError(f"{drive.name}: {span} {what}; use {drives} drives or innovation-nll")

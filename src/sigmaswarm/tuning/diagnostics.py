@@ -80,17 +80,13 @@ def larger_drifts(forecasts: Sequence[DriftComparison]) -> list[str]:
 
 def drift_table(forecasts: Sequence[DriftComparison], durations: Sequence[float] = ()) -> Table:
     """Return a table of drifts; its caption states the measured part of the drives, with ``durations``, s."""
-    on = (
-        f"the first {MAX_NAMED_DRIVES} training drives"
-        if len(durations) > MAX_NAMED_DRIVES
-        else "the training drives"
-    )
-    on += f", {CHECKED_TIME:g} s in the middle of each" * any(
-        duration > CHECKED_TIME for duration in durations[:MAX_NAMED_DRIVES]
+    first = f"first {MAX_NAMED_DRIVES} " * (len(durations) > MAX_NAMED_DRIVES)
+    part = f", {CHECKED_TIME:g} s in the middle of each" * (
+        max(durations[:MAX_NAMED_DRIVES], default=0) > CHECKED_TIME
     )
     rows = ("tuned", "tuned_m"), (BASELINE, "baseline_m"), (FIXES, "fixes_alone_m")
     return Table(
-        f"Drift (RMS) at the end of an outage, on {on}",
+        f"Drift (RMS) at the end of an outage, on the {first}training drives{part}",
         (Column("method"), *(Column(f"{one.length_s:g} s outage", "m") for one in forecasts)),
         tuple((METHODS[method], *(getattr(one, key) for one in forecasts)) for method, key in rows),
         strong=frozenset((0,)),
@@ -127,11 +123,8 @@ def divergence_warnings(restarts: Iterable[tuple[str, list[float]]]) -> list[str
     diverged = [describe_restarts(name, times) for name, times in restarts if times]
     if not diverged:
         return []
-    others = (
-        f"; it also diverged on {len(diverged) - MAX_NAMED_DRIVES} more drives"
-        if len(diverged) > MAX_NAMED_DRIVES
-        else ""
-    )
+    more = len(diverged) - MAX_NAMED_DRIVES
+    others = f"; it also diverged on {more} more drives" if more > 0 else ""
     these = "this is a training drive" if len(diverged) == 1 else "these are training drives"
     why = f"the tuned filter {'; it '.join(diverged[:MAX_NAMED_DRIVES])}{others}, although {these}"
     return [to_do(REMEDY, why)]
@@ -225,12 +218,10 @@ def scale_warnings(objective: Objective, parameters: FilterParameters, scorer: A
     """Warn if the objective does not determine the scale of the covariance; if possible, propose a factor."""
     if not objective.scale_free:
         return []
-    before = scorer.scores([parameters])
+    before, name = scorer.scores([parameters]), objective.name
     nis = float(before.mean_nis.mean())
-    name = objective.name
-    message = (
-        f"{name} does not determine the scale of the covariances (the mean NIS is {nis:.2g}, but should be 2)"
-    )
+    state = f"the mean NIS is {nis:.2g}, but should be 2"
+    message = f"{name} does not determine the scale of the covariances ({state})"
     remedy = SCALE_REMEDY.format(objective=name, measure="nees" if objective.needs_truth else "nis")
     if parameters.model != "planar5" and nis > 0:
         after = scorer.scores([parameters.scaled(nis / 2)])

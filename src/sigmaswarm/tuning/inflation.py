@@ -76,20 +76,14 @@ def inflate(
     reference = TILTED_DURATION if tilted else REFERENCE_DURATION
     share = allowed * duration_share(problem.data, reference)
     within = np.logical_and.accumulate(problem.relative_increase(costs, costs[0]) <= share)
-    last = int(within.sum()) - 1 if within.any() else 0
-    chosen = np.maximum(points[last], _limits(problem))
-    return chosen, float(problem.costs(chosen[np.newaxis], executor)[0]), float(10 ** decades[last])
-
-
-def _limits(problem: Problem[Any]) -> Array:
-    space, objective = problem.space, parse_objective(problem.config.objective)
-    least = space.least
-    if len(problem.data) >= MIN_DRIVES and objective.needs_truth:
+    last, least = int(within.sum()) - 1 if within.any() else 0, space.least
+    if len(problem.data) >= MIN_DRIVES and parse_objective(problem.config.objective).needs_truth:
         least = np.where([one.field == "bias_std" for one in space.dimensions], -np.inf, least)
     if shown := shown_bias(problem.starts()):
         gyro = [name == "gyro_bias_std" for name in space.names]
         least = np.where(gyro, np.maximum(least, np.minimum(np.log10(shown), space.high)), least)
-    return least
+    chosen = np.maximum(points[last], least)
+    return chosen, float(problem.costs(chosen[np.newaxis], executor)[0]), float(10 ** decades[last])
 
 
 def shown_bias(starts: Sequence[InitialState]) -> float:

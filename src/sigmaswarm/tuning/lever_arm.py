@@ -114,13 +114,9 @@ class LeverArmEstimate:
         repaired = [*drive.metadata.get("repaired", []), "lever-arm"]
         axes = zip((self.forward, self.left), drive.lever_arm, self.observable, strict=True)
         arm = tuple(round(value, 4) if known else float(stated) for value, stated, known in axes)
-        stds = [
-            s if known else p
-            for s, p, known in zip(self.std, _stated_std(drive), self.observable, strict=True)
-        ]
-        return _with_arm(
-            drive, arm, repaired=repaired, gps_lever_arm_std_m=[round(float(std), 4) for std in stds]
-        )
+        stds = zip(self.std, _stated_std(drive), self.observable, strict=True)
+        std = [round(float(s if known else p), 4) for s, p, known in stds]
+        return _with_arm(drive, arm, repaired=repaired, gps_lever_arm_std_m=std)
 
 
 def estimate_lever_arm(
@@ -198,10 +194,8 @@ def _with_arm(drive: Drive, arm: Sequence[float], **metadata: Any) -> Drive:
 def _tuned(drives: Sequence[Drive], options: Mapping[str, Any]) -> FilterParameters:
     use = (*options["use"], "slip") if "lateral" in options["use"] else options["use"]
     chosen = {**options, **NOISE_SEARCH, "use": use, "kind": "ekf", "objective": "innovation-t"}
-    config = complete_config(
-        validated_config(TuneConfig, chosen), [log_properties(drive) for drive in drives]
-    )
-    problem = car_problem(drives, config)
+    sensors = [log_properties(drive) for drive in drives]
+    problem = car_problem(drives, complete_config(validated_config(TuneConfig, chosen), sensors))
     with ThreadPoolExecutor(cores()) as pool:
         return problem.parameters(TrialRunner(problem, pool).trial(0).point)
 

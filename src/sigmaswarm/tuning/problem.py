@@ -274,16 +274,10 @@ def car_space(config: TuneConfig, drives: Sequence[Drive | LogProperties]) -> Se
 
 
 def _check_columns(drives: Sequence[LogProperties], config: TuneConfig) -> None:
+    needed = {"accuracy": "std_x and std_y", "velocity": "speed and course", "heading": "heading"}
     for drive in drives:
-        if "accuracy" in config.use and not drive.accuracy:
-            lacks, option = "std_x and std_y", "accuracy"
-        elif "velocity" in config.use and not drive.velocity:
-            lacks, option = "speed and course", "velocity"
-        elif "heading" in config.use and not drive.heading:
-            lacks, option = "heading", "heading"
-        else:
-            require_named_axes(drive.name, drive.axes, config.model)
-            continue
-        raise InputError(
-            f"{drive.name}: its gps.csv has no {lacks}, which --use {option} needs; leave {option} out"
-        )
+        for option, columns in needed.items():
+            if option in config.use and not getattr(drive, option):
+                why = f"which --use {option} needs; leave {option} out"
+                raise InputError(f"{drive.name}: its gps.csv has no {columns}, {why}")
+        require_named_axes(drive.name, drive.axes, config.model)

@@ -236,14 +236,10 @@ class Tuning(Generic[P]):
 
     def _repr_html_(self) -> str:
         heads = ("parameter", "value", "within 1% of the cost: from", "to")
-        rows = [
-            (
-                s.name,
-                s.value,
-                *("any" if end is None else notebook.number(end) for end in (s.lowest, s.highest)),
-            )
-            for s in self.sensitivities
-        ]
+        rows: list[tuple[object, ...]] = []
+        for s in self.sensitivities:
+            ends = ("any" if end is None else notebook.number(end) for end in (s.lowest, s.highest))
+            rows.append((s.name, s.value, *ends))
         return notebook.table(self._headline(), heads, rows) + notebook.html_list("Warnings:", self.remarks)
 
     def save(self, path: str | Path) -> None:
@@ -269,10 +265,8 @@ class Tuning(Generic[P]):
         parameters: Any = record.filter if own else FilterParameters.load(file)
         values: dict[str, Any] = {**record.filter}
         if isinstance(config, TuneConfig):
-            has_truth = parse_objective(config.objective).needs_truth
-            space = search_space(
-                config.model, config.scale, kind=config.kind, use=config.use, has_truth=has_truth
-            )
+            kind, use, truth = config.kind, config.use, parse_objective(config.objective).needs_truth
+            space = search_space(config.model, config.scale, kind=kind, use=use, has_truth=truth)
             values = space.values_of(parameters)
         sensitivities = tuple(
             Sensitivity(
@@ -283,11 +277,9 @@ class Tuning(Generic[P]):
             )
             for name, ends in record.within_1_percent_of_the_cost.items()
         )
-        validation = None
-        if result.validation_cost is not None and result.validation_gap is not None:
-            validation = Validation(
-                result.validation_cost, result.validation_gap, tuple(result.validation_drives)
-            )
+        validation, gap = None, result.validation_gap
+        if result.validation_cost is not None and gap is not None:
+            validation = Validation(result.validation_cost, gap, tuple(result.validation_drives))
         return Tuning(
             **{name: getattr(result, name) for name in STORED},
             parameters=parameters,
@@ -324,9 +316,8 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
     fixed = {*t.unidentified, *(dimension.name for dimension in SCALING)}
     for touched in () if car else t.touched_bounds:  # users choose the bounds of their own models
         if touched.parameter not in fixed:
-            yield to_do(
-                "widen the bounds in your model", f"{touched}, so the optimum may lie beyond the bounds"
-            )
+            why = f"{touched}, so the optimum may lie beyond the bounds"
+            yield to_do("widen the bounds in your model", why)
     if names := ", ".join(name for name in t.unidentified if name != NOISE_SCALE):
         yield (
             f"the tuned values of {names} are arbitrary, since any other value within the bounds raises the cost by "

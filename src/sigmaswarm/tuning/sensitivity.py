@@ -65,16 +65,12 @@ def sensitivities(
     points = (point + shares[:, np.newaxis] * steps[:, :, np.newaxis]).reshape(-1, len(point))
     # The points of a parameter at a bound repeat in this direction.
     tried, inverse = np.unique(points, axis=0, return_inverse=True)
-    rises = problem.relative_increase(problem.costs(tried, executor)[inverse], cost).reshape(
-        len(names), 2, len(shares)
-    )
+    rises = problem.relative_increase(problem.costs(tried, executor)[inverse], cost)
+    rises = rises.reshape(len(names), 2, len(shares))
     result: list[Sensitivity] = []
     for k, name in enumerate(names):
-        reached = [_crossing(shares, rise) for rise in rises[k]]
-        ends = [
-            None if s is None else value(k, point + s * step)
-            for s, step in zip(reached, steps[k], strict=True)
-        ]
+        reached = zip([_crossing(shares, rise) for rise in rises[k]], steps[k], strict=True)
+        ends = [None if s is None else value(k, point + s * step) for s, step in reached]
         result.append(Sensitivity(name, value(k, point), *ends, lowest_rise=float(min(rises[k].min(), 0.0))))
     return tuple(result)
 

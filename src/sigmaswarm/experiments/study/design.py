@@ -114,18 +114,15 @@ class Design:
         return map_prepared(self.remote.subset(chosen), function, as_recorded=True)
 
     def scorer(self, *, outages: bool) -> AnyBatchScorer:
-        seed = self.config.seed
+        passes = PassOptions(outages=outages, outage_seed=self.config.seed, as_recorded=True)
         if self.remote is None:
-            return BatchScorer(self.prepared, outages=outages, outage_seed=seed)
-        passes = PassOptions(outages=outages, outage_seed=seed, as_recorded=True)
+            return BatchScorer(self.prepared, **vars(passes))
         return RemoteBatchScorer(self.remote, passes, _accept)
 
     @cached_property
     def configs(self) -> dict[tuple[ProtocolName, str], TuneConfig]:
         """Configuration of the tuning of each pair of protocol and method."""
-        return {
-            (protocol, method): self.tune_config(method, protocol) for protocol, method in self.config.tuned
-        }
+        return {(protocol, name): self.tune_config(name, protocol) for protocol, name in self.config.tuned}
 
     def tune_config(self, method: str, protocol: str) -> TuneConfig:
         c, particles, generations = self.config, self.config.particles, self.config.generations

@@ -141,9 +141,8 @@ def _against(
             statistics[other[1]] = compare_paired(own, theirs, design.strata, draws)
     corrected = holm([row.p for row in statistics.values()])
     for (other, row), p in zip(statistics.items(), corrected, strict=True):
-        yield PairedComparison(
-            protocol=protocol, measure=measure, method=method, against=other, **dict(row), holm_p=p
-        )
+        of = {"protocol": protocol, "measure": measure, "method": method, "against": other}
+        yield PairedComparison(**of, **dict(row), holm_p=p)
 
 
 def compare_paired(method: Array, other: Array, strata: Sequence[str], draws: Draws) -> PairedStatistics:

@@ -95,11 +95,13 @@ def score_all(
     score = partial(_score_sets, design, _passes(design), executor)
     values: dict[Variant, dict[str, Array]] = {}
     for name, method in design.config.methods.items():
-        if not method.protocols:
-            unfiltered = name in ("imu-only", "raw-gps", "fixes-alone")
-            values[BASELINE, name] = (
-                _unfiltered(name, design) if unfiltered else score(_manual_jobs(name, design))
-            )
+        if name in ("imu-only", "raw-gps", "fixes-alone"):
+            values[BASELINE, name] = _unfiltered(name, design)
+        elif not method.protocols:
+            drives: dict[FilterParameters, list[int]] = {}
+            for i, by_hand in enumerate(design.map_prepared(partial(manual, method=name))):
+                drives.setdefault(by_hand, []).append(i)
+            values[BASELINE, name] = score((own, [by_hand]) for by_hand, own in drives.items())
     for variant in dict.fromkeys(task.variant for task in parameters):
         own = {(task.group, task.trial): p for task, p in parameters.items() if task.variant == variant}
         sets = ([own[group, trial] for trial in range(len(test))] for group in design.groups)
@@ -122,15 +124,12 @@ class _Pass:
 
 def _passes(design: Design) -> list[_Pass]:
     """Prepare the drives for outages of each length; longer outages are measured only on local drives."""
-    passes = [
-        _Pass(design.scorer(outages=True), np.ones(len(design.drives), dtype=np.bool_), SCORE_OF_MEASURE)
-    ]
-    seed = design.config.seed
+    all_drives = np.ones(len(design.drives), dtype=np.bool_)
+    passes = [_Pass(design.scorer(outages=True), all_drives, SCORE_OF_MEASURE)]
+    ready, seed = design.prepared, design.config.seed
     for measure, length in design.config.long_outages.items():
-        replays = BatchScorer(design.prepared, outages=True, outage_length=length, outage_seed=seed)
-        fits = [
-            len(outage_windows(r.drive, r.initial, length=length, seed=seed)) > 0 for r in design.prepared
-        ]
+        replays = BatchScorer(ready, outages=True, outage_length=length, outage_seed=seed)
+        fits = [len(outage_windows(r.drive, r.initial, length=length, seed=seed)) > 0 for r in ready]
         passes.append(_Pass(replays, np.array(fits), {measure: SCORE_OF_MEASURE["outage_drift_m"]}))
     return passes
 
@@ -155,13 +154,6 @@ def _score_sets(
     return results
 
 
-def _manual_jobs(method: str, design: Design) -> list[tuple[list[int], list[FilterParameters]]]:
-    drives: dict[FilterParameters, list[int]] = {}
-    for i, parameters in enumerate(design.map_prepared(partial(manual, method=method))):
-        drives.setdefault(parameters, []).append(i)
-    return [(own, [parameters]) for parameters, own in drives.items()]
-
-
 def _unfiltered(method: str, design: Design) -> dict[str, Array]:
     """Score a method without an IMU filter on all drives: arrays of shape (1, drives) by measure.
 
@@ -169,9 +161,8 @@ def _unfiltered(method: str, design: Design) -> dict[str, Array]:
     """
     lengths, seed = {"outage_drift_m": OUTAGE_LENGTH} | design.config.long_outages, design.config.seed
     noise = MotionNoise.typical(design.map_prepared(fitted_noise)) if method == "fixes-alone" else None
-    each = design.map_prepared(
-        partial(_score_unfiltered, method=method, noise=noise, lengths=lengths, seed=seed)
-    )
+    one = partial(_score_unfiltered, method=method, noise=noise, lengths=lengths, seed=seed)
+    each = design.map_prepared(one)
     return {measure: np.array([[scores[measure] for scores in each]]) for measure in each[0]}
 
 

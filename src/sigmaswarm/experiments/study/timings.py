@@ -97,7 +97,7 @@ def write_timings(out: Path, design: Design, watch: Stopwatch, rivals: Times) ->
 
 
 def _live_times(ready: PreparedDrive) -> Times:
-    return {name: _live_time(ready, kind, model) for name, (kind, model) in LIVE_FILTERS.items()}
+    return {name: _live_time(ready, *chosen) for name, chosen in LIVE_FILTERS.items()}
 
 
 def _live_time(ready: PreparedDrive, kind: FilterKind, model: ModelName) -> dict[str, float]:
