@@ -42,9 +42,9 @@ def printable(text: object, most: int = MAX_CHARACTERS) -> str:
     return escape_controls(whole[:most], kept="") + ("..." if len(whole) > most else "")
 
 
-def quoted(text: object, most: int = MAX_CHARACTERS) -> str:
+def quoted(text: object) -> str:
     whole = str(text)
-    return repr(whole[:most]) + ("..." if len(whole) > most else "")
+    return repr(whole[:MAX_CHARACTERS]) + ("..." if len(whole) > MAX_CHARACTERS else "")
 
 
 def printable_value(value: object) -> str:

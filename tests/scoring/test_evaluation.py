@@ -145,7 +145,6 @@ def test_where_the_tuned_filter_failed_no_drift_of_it_is_told(
         evaluation, drives={**evaluation.drives, "drive-1": replace(good, scores=scores, drifts=drifts)}
     )
     assert bool(failed.record.describe_drift("outage_drift_m")) is not in_an_outage
-    assert failed.record.describe_drift("outage_drift_m", "untuned")
     print_evaluation(failed)
     assert "The tuned filter failed on drive-1." in capsys.readouterr().out
     print_evaluation(failed, verbose=True)

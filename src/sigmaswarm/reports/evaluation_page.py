@@ -138,7 +138,7 @@ def _comparison(view: EvaluationView) -> Section:
 
 
 def evaluate_command(
-    drives: Sequence[str], setup: EvaluationRecord, *, also: Collection[str] = ()
+    drives: Sequence[str], setup: EvaluationRecord, *, also: Collection[str]
 ) -> tuple[str, str]:
     words = ["sigmaswarm", "evaluate", "tuning.toml", *drives, "--out", "again"]
     words += ["--outage-length", f"{setup.outage_length_s:g}", "--outage-seed", str(setup.outage_seed)]

@@ -47,10 +47,10 @@ class ScoresRecord(BaseModel):
     """Radii by drive for all fixes (``tracking``) and, by drift measure, at the ends of outages."""
     stale_fixes: dict[str, int] = Field(default_factory=dict)
 
-    def describe_drift(self, measure: str, method: str = "tuned") -> str:
-        """Describe the outages of a drift, and the range over their random placements; return "" if unknown."""
+    def describe_drift(self, measure: str) -> str:
+        """Describe the outages of the tuned filter's drift, and its range over placements; return "" if unknown."""
         drifts = [by_measure[measure] for by_measure in self.drifts.values() if measure in by_measure]
-        drawn = [one.each.get(method, []) for one in drifts]
+        drawn = [one.each.get("tuned", []) for one in drifts]
         count = min(map(len, drawn), default=0)
         if not count or any(drift is None for one in drawn for drift in one):
             return ""

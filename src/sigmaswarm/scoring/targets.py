@@ -54,7 +54,7 @@ def drift_weights(ready: PreparedDrive, ends: Array) -> Array | None:
     return None if truth is None else weights_at(truth, ends)
 
 
-def forecast_pass(ready: PreparedDrive, *, seed: int = 0) -> FilterPass:
+def forecast_pass(ready: PreparedDrive, *, seed: int) -> FilterPass:
     """Create a pass in which fixes are hidden in random windows of 3 to 5 s."""
     windows = forecast_windows(ready.drive, ready.initial, seed=seed)
     timeline = ready.timeline(hidden_fixes(ready.drive.gps.time, windows))

@@ -186,7 +186,7 @@ def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def current_options(
-    config: type[SearchConfig], options: Mapping[str, Any], arguments: Iterable[str] = ()
+    config: type[SearchConfig], options: Mapping[str, Any], arguments: Iterable[str]
 ) -> dict[str, Any]:
     """Return options under their current names; reject unknown ones and suggest a similar name.
 

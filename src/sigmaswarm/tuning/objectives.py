@@ -73,7 +73,7 @@ class Objective:
         return np.where(np.isfinite(costs), change, np.inf)
 
 
-def mean_cost(each: Array, worst: float = 1.0) -> Array:
+def mean_cost(each: Array, worst: float) -> Array:
     """Return `conditional_value_at_risk`, shape (n,); ``inf`` if any drive failed."""
     cost = conditional_value_at_risk(each, worst)
     return np.where(np.isfinite(cost), cost, np.inf)

@@ -98,27 +98,26 @@ def noise_warnings(
             f"{UNSTATED_GPS_STD:g} m per axis"
         )
         return [to_do(_state_remedy(scatter), why)] if np.isnan(stated) and scatter < MIN_SCATTER else []
-    lasting = stated > MAX_SCATTER_RATIO * scatter
     remedy = _state_remedy(scatter) if np.isnan(stated) else f"tune with --use {' '.join([*use, 'accuracy'])}"
     remedy += ", or evaluate with the truth of a reference receiver"
     if r * MAX_STD_RATIO < stated:
         why = f"the receiver states a standard deviation of {stated:.2g} m"
     elif r * MAX_STD_RATIO < scatter:
         why = f"the fixes scatter by {scatter:.2g} m about a path that is consistent with the IMU"
-    elif lasting:
-        why = (
-            f"the receiver states a standard deviation of {stated:.2g} m per axis, but its fixes scatter by only "
-            f"{scatter:.2g} m"
-        )
-        return [to_do(remedy, f"{why}, so their errors are correlated. {UNKNOWN}")]
-    elif np.isnan(stated) and scatter < MIN_SCATTER:
-        why = (
-            f"the fixes scatter by only {scatter:.2g} m per axis, and their receiver states no accuracy. This does not "
-            "prove that the fixes are accurate, since correlated errors cause little scatter"
-        )
-        return [to_do(remedy, f"{why}. {UNKNOWN}")]
     else:
-        return []
+        if stated > MAX_SCATTER_RATIO * scatter:
+            why = (
+                f"the receiver states a standard deviation of {stated:.2g} m per axis, but its fixes scatter by only "
+                f"{scatter:.2g} m, so their errors are correlated"
+            )
+        elif np.isnan(stated) and scatter < MIN_SCATTER:
+            why = (
+                f"the fixes scatter by only {scatter:.2g} m per axis, and their receiver states no accuracy. This does "
+                "not prove that the fixes are accurate, since correlated errors cause little scatter"
+            )
+        else:
+            return []
+        return [to_do(remedy, f"{why}. {UNKNOWN}")]
     copied = "the filter copies the fixes, since its R corresponds to a standard deviation of"
     message = f"{copied} {r:.2g} m per axis, but {why}"
     return [to_do(remedy, f"{message}. Predictions of the fixes do not show correlated errors. {UNKNOWN}")]

@@ -174,7 +174,8 @@ def show_map(drive: Drive, title: str, height: int = 260) -> ui.plotly:
     return show_plot(title, EAST, "north, m", map_lines(drive), height)
 
 
-def sparkline(values: Array, width: int = 120, height: int = 26) -> str:
+def sparkline(values: Array) -> str:
+    width, height = 120, 26
     values = values[np.isfinite(values)]
     if len(values) < 2:
         return ""
