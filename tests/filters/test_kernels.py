@@ -25,7 +25,7 @@ from sigmaswarm.drives import events
 from sigmaswarm.drives.prepared import prepare_drive
 from sigmaswarm.filters.compiled import lanes, layout, run
 from sigmaswarm.filters.compiled.layout import R
-from sigmaswarm.filters.compiled.rows import CACHE_LINE, new_rows
+from sigmaswarm.filters.compiled.memory import CACHE_LINE, new_rows
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass, KernelSums, run_passes

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from sigmaswarm.filters.compiled import lanes
 from sigmaswarm.filters.compiled.layout import LANES, N_ROWS, WIDEST
-from sigmaswarm.filters.compiled.rows import new_rows
+from sigmaswarm.filters.compiled.memory import new_rows
 from sigmaswarm.filters.compiled.unroll import unrolled
 
 compiled = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")

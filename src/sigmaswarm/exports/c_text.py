@@ -11,11 +11,13 @@ from collections.abc import Callable, Iterable
 from functools import cache
 from typing import Any
 
+from sigmaswarm.filters.compiled import unroll
+
 
 @cache
 def parsed(function: Callable[..., Any]) -> tuple[ast.FunctionDef, dict[int, list[str]]]:
     source = textwrap.dedent(inspect.getsource(function))
-    definition = ast.parse(source).body[0]
+    definition = unroll.parsed(source).body[0]
     assert isinstance(definition, ast.FunctionDef)
     return definition, _comments(source)
 
@@ -54,14 +56,9 @@ def wrapped(lines: list[str]) -> list[str]:
             joined.append(line)
     wrapped: list[str] = []
     for line in joined[1:]:
-        if len(line) <= 120:
-            wrapped.append(line)
-            continue
-        indent = " " * (len(line) - len(line.lstrip()))
-        further = indent + "    "
-        wrapped += textwrap.wrap(
-            line.strip(), 120, initial_indent=indent, subsequent_indent=further, break_long_words=False
-        )
+        further = " " * (len(line) - len(line.lstrip()) + 4)
+        within = textwrap.wrap(line, 120, subsequent_indent=further, break_long_words=False)
+        wrapped += [line] if len(line) <= 120 else within
     return wrapped
 
 
@@ -99,16 +96,11 @@ def with_constants(text: str, modules: Iterable[Any]) -> str:
             if group and "," in names and description:
                 lines += textwrap.wrap(f"/* {description} */", 120, subsequent_indent=" * ")
             comment = f" /* {description} */" if description and "," not in names else ""
-            definitions = [f"#define {name} {_value_of(module, name)!r}{comment}" for name in group]
-            lines += [
-                line for each in definitions for line in textwrap.wrap(each, 120, subsequent_indent="    ")
-            ]
+            for name in group:
+                value = vars(module)[name]
+                value = float(value) if isinstance(value, float) else value  # not a number of NumPy
+                lines += textwrap.wrap(f"#define {name} {value!r}{comment}", 120, subsequent_indent="    ")
     return text.replace("@CONSTANTS@", "\n".join(lines))
-
-
-def _value_of(module: Any, name: str) -> float:
-    value = vars(module)[name]
-    return float(value) if isinstance(value, float) else value
 
 
 def _comments(source: str) -> dict[int, list[str]]:

@@ -4,7 +4,6 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.compiled import live
-from sigmaswarm.filters.compiled.lagged import N_LOGGED, STEP_LOG, again_call
 from sigmaswarm.filters.compiled.layout import N_KEPT, state_rows
 from sigmaswarm.filters.compiled.memory import LiveArrays
 from sigmaswarm.filters.compiled.single import single_step
@@ -12,6 +11,9 @@ from sigmaswarm.filters.compiled.smoothing import smooth_back
 from sigmaswarm.filters.compiled.step_log import logged_rows
 
 LAG_ROUNDING = 1e-6  # s, largest rounding error of a lag
+N_LOGGED = live.N_ALL
+"""Index of the number of logged steps, after the state of a live filter; the log follows this number."""
+STEP_LOG = N_LOGGED + 1
 
 
 class FixedLag:
@@ -30,7 +32,7 @@ class FixedLag:
         self._out = nothing
         # Compile now, so that no sample waits for the compiler.
         nothing = np.zeros((0, live.N_FIX)), np.zeros((0, 2)), np.zeros((1, live.N_RECORD)), np.zeros((0, 0))
-        again_call()(
+        live.replay_call()(
             self._step.address,
             self._filter_state,
             np.zeros(live.N_COUNTS, dtype=np.int64),
@@ -56,7 +58,7 @@ class FixedLag:
         v[: len(filter_state)] = filter_state  # for the settings; the next line replaces the state
         v[: live.N_FILTER_STATE] = before
         v[N_LOGGED] = 0.0
-        again_call()(self._step.address, v, counts, fixes, speeds, history, checkpoints, first, False)
+        live.replay_call()(self._step.address, v, counts, fixes, speeds, history, checkpoints, first, False)
         step_log = v[STEP_LOG : STEP_LOG + int(v[N_LOGGED]) * self._width].reshape(-1, self._width)
         return float(moments[first]), self._back(step_log, before[self._state], v[:N_KEPT][self._state])
 

@@ -25,7 +25,7 @@ from sigmaswarm.filters.compiled.run import NEXT_STEP, NO_INNOVATIONS, logging_k
 from sigmaswarm.filters.compiled.smoothing import smooth_back
 from sigmaswarm.filters.compiled.step_log import logged_rows
 from sigmaswarm.filters.divergence import DivergenceMonitor
-from sigmaswarm.filters.filter_run import CHUNK_SAMPLES, EstimateChunk, FilterRun
+from sigmaswarm.filters.filter_run import EstimateChunk, FilterRun
 from sigmaswarm.filters.models import THETA, require_driven_by_imu
 from sigmaswarm.filters.packing import state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
@@ -69,13 +69,6 @@ def smooth(
 
 
 @dataclass(frozen=True, eq=False)
-class _Checkpoint:
-    rows: Array
-    place: Array
-    monitor: DivergenceMonitor
-
-
-@dataclass(frozen=True, eq=False)
 class _ForwardLog:
     """Log of one piece of the forward pass for `smooth_back`; ``lost``: True at samples where the filter is lost."""
 
@@ -94,23 +87,21 @@ class _Forward(FilterRun):
     checkpoints.
     """
 
-    def __init__(
-        self, replay: FilterPass, parameters: FilterParameters, *, samples: int, recover: bool
-    ) -> None:
+    def __init__(self, replay: FilterPass, parameters: FilterParameters, **options: Any) -> None:
         require_driven_by_imu(parameters.model, "smoothing")
-        super().__init__(replay, parameters, samples=samples, recover=recover)
+        super().__init__(replay, parameters, **options)
         require_readable(replay, self._array)
-        self.checkpoints: list[_Checkpoint] = []
+        self.checkpoints: list[tuple[Array, Array, DivergenceMonitor]] = []
         self._measured = measured_by(parameters)
-        name = parameters.kernel
-        self._kernel: Any = logging_kernel(name)
-        self._width = len(logged_rows(name)) + 1  # the last column is 1 while the filter is sound
+        self._kernel: Any = logging_kernel(parameters.kernel)
+        self._width = (
+            len(logged_rows(parameters.kernel)) + 1
+        )  # the last column is 1 while the filter is sound
         self._first, self._logged = 0, np.empty((0, self._width, 1))
         self._resets: list[tuple[int, Array]] = []
 
     def _run_to(self, stops: Indices, record: Array) -> Mask:
-        at = self._rows[0, :, 0].copy(), self._place.copy(), deepcopy(self._monitor)
-        self.checkpoints.append(_Checkpoint(*at))
+        self.checkpoints.append((self._rows[0, :, 0].copy(), self._place.copy(), deepcopy(self._monitor)))
         return self._log_to(stops, record)
 
     def _log_to(self, stops: Indices, record: Array) -> Mask:
@@ -119,12 +110,12 @@ class _Forward(FilterRun):
         return super()._run_to(stops, record)
 
     def again(self, number: int, samples: int) -> _ForwardLog:
-        checkpoint, sampled = self.checkpoints[number], self._replay.timeline.sampled
-        self._rows[0] = checkpoint.rows[:, np.newaxis]  # all columns are the same filter
-        self._place[:] = checkpoint.place
-        self._monitor = deepcopy(checkpoint.monitor)
-        start = self._rows[0, self._state, 0]
-        first = int(checkpoint.place[NEXT_STEP])
+        (rows, place, monitor), sampled = self.checkpoints[number], self._replay.timeline.sampled
+        self._rows[0] = rows[:, np.newaxis]  # all columns are the same filter
+        self._place[:] = place
+        self._monitor = deepcopy(monitor)
+        start = rows[self._state]
+        first = int(place[NEXT_STEP])
         stops = np.flatnonzero(sampled[first:])[:samples] + 1 + first
         lost = self._log_to(stops, np.empty((samples, len(self._state) + 1, 1)))
         ends = np.array([step for step, _ in self._resets], dtype=np.int64)
@@ -154,24 +145,15 @@ class SmootherRun:
     the pieces, which is the distance between checkpoints.
     """
 
-    def __init__(
-        self,
-        replay: FilterPass,
-        parameters: FilterParameters,
-        *,
-        samples: int = CHUNK_SAMPLES,
-        recover: bool = False,
-    ) -> None:
+    def __init__(self, replay: FilterPass, parameters: FilterParameters, **options: Any) -> None:
         self._line = replay.timeline
         self._kernel = parameters.kernel
-        self._forward = forward = _Forward(replay, parameters, samples=samples, recover=recover)
-        self._sizes: list[tuple[int, int]] = []  # numbers of samples and of sound samples of each piece
-        for piece in forward:
-            self._sizes.append((len(piece.time), int(piece.sound.sum())))
-        self._all_restarts = list(forward.restarts)
+        self._forward = forward = _Forward(replay, parameters, **options)
+        # Numbers of samples and of sound samples of each piece
+        self._sizes = [(len(piece.time), int(piece.sound.sum())) for piece in forward]
         self.restarts: list[float] = []
         self.failure = forward.failure
-        self._behind: list[Array] = []  # the smoothed state after each piece
+        self._behind = [np.empty(0)] * len(self._sizes)  # the smoothed state after each piece
         self._kept: tuple[int, Array, Mask] | None = None
         self._n = parameters.n_states
         self.initial = replay.initial
@@ -183,14 +165,13 @@ class SmootherRun:
         first = 0
         for number, (size, sound) in enumerate(self._sizes):
             piece = self._piece(number, first, size, sound)
-            self.restarts = [time for time in self._all_restarts if time <= piece.time[-1]]
+            self.restarts = [time for time in self._forward.restarts if time <= piece.time[-1]]
             yield piece
             first += size
 
     def _back(self) -> Array:
         """Run the backward pass; return the smoothed state at the start, (s,)."""
         behind = None
-        self._behind = [np.empty(0)] * len(self._sizes)
         for number in reversed(range(len(self._sizes))):
             sound = self._sizes[number][1]
             if not sound:

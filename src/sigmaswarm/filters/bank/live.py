@@ -18,7 +18,6 @@ from sigmaswarm.filters.bank.mixture import Mixture, is_definite
 from sigmaswarm.filters.bank.search import FUZZY_FACTORS, FilterEvidence, LoggedSteps, SearchResult
 from sigmaswarm.filters.bank.spread import FIXED_OFFSETS, START, OffsetPrior
 from sigmaswarm.filters.compiled import live, swarm
-from sigmaswarm.filters.compiled.lagged import again_call
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, R, at, state_rows
 from sigmaswarm.filters.compiled.memory import Memory
 from sigmaswarm.filters.compiled.swarm import N_LOG_ROW, STEP_LOG, swarm_step
@@ -125,7 +124,7 @@ class LiveFilterBank(LiveFilter):
         LoggedSteps(self._kernel, np.empty((0, N_LOG_ROW)), np.zeros(3)).run(
             self._rows_of(self._numbers)[:, :8].copy()
         )
-        again_call()
+        live.replay_call()
 
     def _with_lanes(self, nominal_interval: float) -> Memory:
         arrays = self._memory.arrays
@@ -293,7 +292,7 @@ class LiveFilterBank(LiveFilter):
         swarm.weigh(filter_state)
         numbers[swarm.WEIGHT] = self._numbers[swarm.WEIGHT]
         filter_state[: live.N_FILTER_STATE] = record[: live.N_FILTER_STATE]
-        again_call()(
+        live.replay_call()(
             self._memory.step.address, filter_state, counts, fixes, speeds, history, checkpoints, place, True
         )
 

@@ -3,8 +3,6 @@
 The textbook form is `textbook.adaptive`.
 """
 
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
-
 import math
 
 from sigmaswarm.filters.compiled.layout import C1, C2, LANES, Q0, R, at
@@ -21,17 +19,14 @@ def strong_tracking(w, *, n):
     inflated, P + (factor - 1) C (H P H^T)^-1 C^T, since the unobserved part would grow without limit.
     """
     for l in range(LANES):
-        rho = w[R.FADING, l]
-        size = w[R.N1, l] * w[R.N1, l] + w[R.N2, l] * w[R.N2, l]
-        recent = size if w[R.RECENT, l] < 0.0 else rho * w[R.RECENT, l] + (1.0 - rho) * size
-        used = (rho >= 0.0) & (w[R.USE, l] > 0.0)
-        w[R.RECENT, l] = recent if used else w[R.RECENT, l]
-        s11, s12, s22 = (
-            w[R.S11, l] - w[R.GEE, l],
-            w[R.S12, l] - w[R.GEN, l],
-            w[R.S22, l] - w[R.GNN, l],
-        )  # H P H^T without the second-order terms of the sigma points
-        wanted = (recent - w[R.R1, l] - w[R.R2, l]) / (s11 + s22)
+        rho = w.FADING
+        size = w.N1 * w.N1 + w.N2 * w.N2
+        recent = size if w.RECENT < 0.0 else rho * w.RECENT + (1.0 - rho) * size
+        used = (rho >= 0.0) & (w.USE > 0.0)
+        w.RECENT = recent if used else w.RECENT
+        # H P H^T without the second-order terms of the sigma points
+        s11, s12, s22 = w.S11 - w.GEE, w.S12 - w.GEN, w.S22 - w.GNN
+        wanted = (recent - w.R1 - w.R2) / (s11 + s22)
         inflate_observed(w, l, s11, s12, s22, wanted if used & (wanted > 1.0) else 1.0)
 
 
@@ -41,32 +36,32 @@ def apply_fuzzy_rules(w, *, n):
     FUZZY < 0: off. See `filters.fuzzy`.
     """
     for l in range(LANES):
-        memory = w[R.FUZZY, l]
-        used = (memory >= 0.0) & (w[R.USE, l] > 0.0)  # False for a rejected fix
-        v11, v12, v22, n1, n2 = w[R.V11, l], w[R.V12, l], w[R.V22, l], w[R.N1, l], w[R.N2, l]
+        memory = w.FUZZY
+        used = (memory >= 0.0) & (w.USE > 0.0)  # False for a rejected fix
+        v11, v12, v22, n1, n2 = w.V11, w.V12, w.V22, w.N1, w.N2
         newest = 0.5 * (v22 * n1 * n1 - 2.0 * v12 * n1 * n2 + v11 * n2 * n2) / (v11 * v22 - v12 * v12)
         newest = newest if newest < LARGEST_RATIO else LARGEST_RATIO
-        quick = w[R.QUICK, l] + (1.0 - memory) * (newest - w[R.QUICK, l])
-        slow = w[R.SLOW, l] + (1.0 - memory) / SLOWER * (newest - w[R.SLOW, l])
-        ratio = (quick - 1.0) / (quick + 1.0) / w[R.WIDTH_RATIO, l]
-        trend = (quick - slow) / (quick + slow) / w[R.WIDTH_TREND, l]
+        quick = w.QUICK + (1.0 - memory) * (newest - w.QUICK)
+        slow = w.SLOW + (1.0 - memory) / SLOWER * (newest - w.SLOW)
+        ratio = (quick - 1.0) / (quick + 1.0) / w.WIDTH_RATIO
+        trend = (quick - slow) / (quick + slow) / w.WIDTH_TREND
         large = 0.0 if ratio < 0.0 else (1.0 if ratio > 1.0 else ratio)
         small = 0.0 if ratio > 0.0 else (1.0 if ratio < -1.0 else -ratio)
         rises = 0.0 if trend < 0.0 else (1.0 if trend > 1.0 else trend)
         right = 1.0 - small - large
-        gain_r, gain_q = w[R.GAIN_R, l], w[R.GAIN_Q, l]
+        gain_r, gain_q = w.GAIN_R, w.GAIN_Q
         times_r = small / gain_r + right + large * gain_r
         times_q = small / gain_q + right + large * (rises + (1.0 - rises) * gain_q)
-        more_r = times_r / w[R.TIMES_R, l] if used else 1.0
-        more_q = times_q / w[R.TIMES_Q, l] if used else 1.0
+        more_r = times_r / w.TIMES_R if used else 1.0
+        more_q = times_q / w.TIMES_Q if used else 1.0
         for row in (R.RX, R.RY, R.ACCURACY, R.R1, R.R2):
-            w[row, l] *= more_r
+            w[row] *= more_r
         for i in range(n):
-            w[Q0 + i, l] *= more_q
-        w[R.QUICK, l] = quick if used else w[R.QUICK, l]
-        w[R.SLOW, l] = slow if used else w[R.SLOW, l]
-        w[R.TIMES_R, l] *= more_r
-        w[R.TIMES_Q, l] *= more_q
+            w[Q0 + i] *= more_q
+        w.QUICK = quick if used else w.QUICK
+        w.SLOW = slow if used else w.SLOW
+        w.TIMES_R *= more_r
+        w.TIMES_Q *= more_q
 
 
 def inflate_observed(w, l, s11, s12, s22, factor, *, n):
@@ -76,16 +71,16 @@ def inflate_observed(w, l, s11, s12, s22, factor, *, n):
     """
     more = (factor - 1.0) / (s11 * s22 - s12 * s12) if factor > 1.0 else 0.0
     for j in range(n):
-        c1, c2 = w[C1 + j, l], w[C2 + j, l]
+        c1, c2 = w[C1 + j], w[C2 + j]
         gain_1, gain_2 = more * (s22 * c1 - s12 * c2), more * (s11 * c2 - s12 * c1)
         for i in range(j + 1):
-            w[at(i, j), l] += gain_1 * w[C1 + i, l] + gain_2 * w[C2 + i, l]
-    w[R.S11, l] += (factor - 1.0) * s11
-    w[R.S12, l] += (factor - 1.0) * s12
-    w[R.S22, l] += (factor - 1.0) * s22
+            w[at(i, j)] += gain_1 * w[C1 + i] + gain_2 * w[C2 + i]
+    w.S11 += (factor - 1.0) * s11
+    w.S12 += (factor - 1.0) * s12
+    w.S22 += (factor - 1.0) * s22
     for i in range(n):
-        w[C1 + i, l] *= factor
-        w[C2 + i, l] *= factor
+        w[C1 + i] *= factor
+        w[C2 + i] *= factor
 
 
 def student_t_weight(w, since):
@@ -97,11 +92,11 @@ def student_t_weight(w, since):
     """
     recovering = 0
     for l in range(LANES):
-        dof, rx, ry = w[R.DOF, l], w[R.R1, l], w[R.R2, l]
-        s11, s12, s22 = w[R.S11, l], w[R.S12, l], w[R.S22, l]
-        n1, n2 = w[R.N1, l], w[R.N2, l]
+        dof, rx, ry = w.DOF, w.R1, w.R2
+        s11, s12, s22 = w.S11, w.S12, w.S22
+        n1, n2 = w.N1, w.N2
         weight = 1.0
-        for k in range(ITERATIONS):  # noqa: B007 (loops over k are unrolled)
+        for k in range(ITERATIONS):
             a, b = rx / weight, ry / weight
             det = (s11 + a) * (s22 + b) - s12 * s12
             g11, g12, g22 = (s22 + b) / det, -s12 / det, (s11 + a) / det
@@ -109,21 +104,21 @@ def student_t_weight(w, since):
             gamma = (2.0 + a * (e1 * e1 - g11) + b * (e2 * e2 - g22)) / weight
             weight = (dof + 2.0) / (dof + gamma)
         used = dof > 0.0
-        count = w[R.OUTLIERS, l] + 1.0 if used & (weight < OUTLYING) else 0.0
-        span = w[R.SPAN, l] + since if count > 1.0 else 0.0
-        recovers = (count >= OUTLIERS) & (span >= w[R.PATIENCE, l])
-        seen = (s11 - w[R.GEE, l]) + (s22 - w[R.GNN, l])  # tr H P H^T
+        count = w.OUTLIERS + 1.0 if used & (weight < OUTLYING) else 0.0
+        span = w.SPAN + since if count > 1.0 else 0.0
+        recovers = (count >= OUTLIERS) & (span >= w.PATIENCE)
+        seen = (s11 - w.GEE) + (s22 - w.GNN)  # tr H P H^T
         wanted = (n1 * n1 + n2 * n2 - rx - ry) / seen
-        w[R.FACTOR, l] = wanted if recovers & (wanted > 1.0) else 1.0
+        w.FACTOR = wanted if recovers & (wanted > 1.0) else 1.0
         weight = weight if used & (not recovers) else 1.0
-        w[R.R1, l], w[R.R2, l] = rx / weight, ry / weight
-        w[R.OUTLIERS, l] = 0.0 if recovers else count
-        w[R.SPAN, l] = 0.0 if recovers else span
+        w.R1, w.R2 = rx / weight, ry / weight
+        w.OUTLIERS = 0.0 if recovers else count
+        w.SPAN = 0.0 if recovers else span
         recovering += recovers
     if recovering > 0:
         for l in range(LANES):
-            s11, s12, s22 = w[R.S11, l] - w[R.GEE, l], w[R.S12, l] - w[R.GEN, l], w[R.S22, l] - w[R.GNN, l]
-            inflate_observed(w, l, s11, s12, s22, w[R.FACTOR, l])
+            s11, s12, s22 = w.S11 - w.GEE, w.S12 - w.GEN, w.S22 - w.GNN
+            inflate_observed(w, l, s11, s12, s22, w.FACTOR)
 
 
 def adapt(w, since, *, n):
@@ -135,16 +130,16 @@ def adapt(w, since, *, n):
     """
     span = since if since > 0.0 else math.inf
     for l in range(LANES):
-        g11, g12, g22 = w[R.G11, l], w[R.G12, l], w[R.G22, l]
-        weight = 1.0 - w[R.FORGETTING, l] if g11 > 0.0 else 0.0  # 0 for a rejected fix
-        e1, e2 = g11 * w[R.N1, l] + g12 * w[R.N2, l], g12 * w[R.N1, l] + g22 * w[R.N2, l]
-        rx, ry = w[R.RX, l], w[R.RY, l]
-        w[R.RX, l] = rx + weight * rx * rx * (e1 * e1 - g11)  # H P+ H^T = R - R S^-1 R
-        w[R.RY, l] = ry + weight * ry * ry * (e2 * e2 - g22)
+        g11, g12, g22 = w.G11, w.G12, w.G22
+        weight = 1.0 - w.FORGETTING if g11 > 0.0 else 0.0  # 0 for a rejected fix
+        e1, e2 = g11 * w.N1 + g12 * w.N2, g12 * w.N1 + g22 * w.N2
+        rx, ry = w.RX, w.RY
+        w.RX = rx + weight * rx * rx * (e1 * e1 - g11)  # H P+ H^T = R - R S^-1 R
+        w.RY = ry + weight * ry * ry * (e2 * e2 - g22)
         for i in range(n):
-            c1, c2 = w[C1 + i, l], w[C2 + i, l]
+            c1, c2 = w[C1 + i], w[C2 + i]
             moved = c1 * e1 + c2 * e2
             shrunk = c1 * (c1 * g11 + c2 * g12) + c2 * (c1 * g12 + c2 * g22)
             change = (moved * moved - shrunk) / span
-            q = w[Q0 + i, l]
-            w[Q0 + i, l] = q + weight * (change if change > -q else -q)
+            q = w[Q0 + i]
+            w[Q0 + i] = q + weight * (change if change > -q else -q)

@@ -4,8 +4,6 @@ Numba cannot cache a user's function, so each process compiles the kernel at the
 NumPy expressions. Arrays are passed separately, since a step takes twice as long with a tuple of arrays.
 """
 
-# pyright: basic, reportCallIssue=false, reportArgumentType=false
-
 import math
 from collections import namedtuple
 from collections.abc import Callable
@@ -33,17 +31,15 @@ def build_kernel(
     process_noise: Callable[..., Any],
     *,
     diagonal: bool,
-    absent: bool,
 ) -> Any:
     """Build a filter from a user's functions; the filter is compiled at its first call.
 
-    ``diagonal``: process_noise returns the diagonal of Q. ``absent``: elements of measurements may be NaN; compilation
-    then takes a tenth longer. An index out of bounds in a user's function raises IndexError.
+    ``diagonal``: process_noise returns the diagonal of Q. An index out of bounds in a user's function raises
+    IndexError.
     """
     user = njit(error_model="numpy", boundscheck=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
     f, h, process_noise = (user(getattr(g, "py_func", g)) for g in (f, h, process_noise))
     put = _put_diagonal if diagonal else _put_matrix
-    leave_out = _leave_out if absent else _leave_in
 
     @_inlined
     def predict(mean, covariance, root, drawn, moved, state, weights, dt, u, p, angles):
@@ -106,7 +102,7 @@ def build_kernel(
                     measurements[row], noise, p, measured_angles,
                 ):  # fmt: skip
                     return step
-                present = leave_out(measurements[row], nu, s, cross)
+                present = _leave_out(measurements[row], nu, s, cross)
                 limit = limits[present - 1]
                 nis[row], log_det = _whiten(nu, s, cross, root_s)
                 if np.isnan(log_det):
@@ -216,11 +212,6 @@ def _leave_out(z, nu, s, cross):
             cross[j, i] = 0.0
         nu[i], s[i, i] = 0.0, 1.0
     return present
-
-
-@_kernel
-def _leave_in(z, nu, s, cross):
-    return z.size
 
 
 @_kernel

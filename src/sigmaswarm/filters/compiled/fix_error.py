@@ -4,8 +4,6 @@ The model's process does not depend on b, so a prediction multiplies the columns
 The coefficients of A are in scratch rows: see transition.py.
 """
 
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
-
 import math
 
 from sigmaswarm.drives.timeline import DT, FIX_VAR_X, FIX_VAR_Y
@@ -20,28 +18,28 @@ def carry(w, u, *, n, biases):
     dt = u[DT]
     h = 0.5 * dt
     for l in range(LANES):
-        ke, kn = w[R.JEAST, l], w[R.JNORTH, l]
+        ke, kn = w.JEAST, w.JNORTH
         for j in range(n - 2, n):
-            ub, vb, tb = w[at(R.U, j), l], w[at(R.V, j), l], w[at(R.T, j), l]
+            ub, vb, tb = w[at(R.U, j)], w[at(R.V, j)], w[at(R.T, j)]
             u1, v1 = ub + ke * tb, vb + kn * tb
             if biases:
-                ab, bb, c, s = w[at(R.A, j), l], w[at(R.B, j), l], w[R.COS, l], w[R.SIN, l]
+                ab, bb, c, s = w[at(R.A, j)], w[at(R.B, j)], w.COS, w.SIN
                 u1, v1 = u1 - (c * ab - s * bb), v1 - (s * ab + c * bb)
-                w[at(R.T, j), l] = tb - dt * w[at(R.W, j), l]
-            w[at(R.X, j), l] += h * (ub + u1)
-            w[at(R.Y, j), l] += h * (vb + v1)
-            w[at(R.U, j), l], w[at(R.V, j), l] = u1, v1
+                w[at(R.T, j)] = tb - dt * w[at(R.W, j)]
+            w[at(R.X, j)] += h * (ub + u1)
+            w[at(R.Y, j)] += h * (vb + v1)
+            w[at(R.U, j)], w[at(R.V, j)] = u1, v1
 
 
 def age_fix_error(w, z, since):
     """Compute phi, and the variance g s^2 (1 - phi^2) that the fix error gains in ``since`` nominal steps."""
     var_x, var_y = z[FIX_VAR_X], z[FIX_VAR_Y]
     for l in range(LANES):
-        phi = math.exp(-since * w[R.FIX_ERROR_RATE, l])
-        gained = w[R.FIX_ERROR, l] * (1.0 - phi * phi)
-        w[R.PHI, l] = phi
-        w[R.GAINED_X, l] = gained * (var_x if var_x > 0.0 else w[R.FIX_VAR, l])
-        w[R.GAINED_Y, l] = gained * (var_y if var_y > 0.0 else w[R.FIX_VAR, l])
+        phi = math.exp(-since * w.FIX_ERROR_RATE)
+        gained = w.FIX_ERROR * (1.0 - phi * phi)
+        w.PHI = phi
+        w.GAINED_X = gained * (var_x if var_x > 0.0 else w.FIX_VAR)
+        w.GAINED_Y = gained * (var_y if var_y > 0.0 else w.FIX_VAR)
 
 
 def move_fix_error(w, *, n, noted):
@@ -50,29 +48,29 @@ def move_fix_error(w, *, n, noted):
     ``noted``: index of phi among the rows MOVE of `step_log`; 0: phi is not logged.
     """
     for l in range(LANES):
-        phi = w[R.PHI, l]
+        phi = w.PHI
         for j in range(n - 2, n):
-            w[j, l] *= phi
+            w[j] *= phi
             for i in range(n):
-                w[at(i, j), l] *= phi
-            w[at(j, j), l] *= phi
-        w[at(n - 2, n - 2), l] += w[R.GAINED_X, l]
-        w[at(n - 1, n - 1), l] += w[R.GAINED_Y, l]
+                w[at(i, j)] *= phi
+            w[at(j, j)] *= phi
+        w[at(n - 2, n - 2)] += w.GAINED_X
+        w[at(n - 1, n - 1)] += w.GAINED_Y
         if noted:
-            w[MOVE + noted, l] = phi
-        w[R.PHI, l], w[R.GAINED_X, l], w[R.GAINED_Y, l] = 1.0, 0.0, 0.0
+            w[MOVE + noted] = phi
+        w.PHI, w.GAINED_X, w.GAINED_Y = 1.0, 0.0, 0.0
 
 
 def observe_fix_error(w, *, n):
     """Include phi times the fix error, and the gained variance, in nu, H P H^T and C of a fix."""
     for l in range(LANES):
-        phi = w[R.PHI, l]
-        w[R.N1, l] -= phi * w[n - 2, l]
-        w[R.N2, l] -= phi * w[n - 1, l]
-        xx, xy, yy = w[at(n - 2, n - 2), l], w[at(n - 2, n - 1), l], w[at(n - 1, n - 1), l]
-        w[R.S11, l] += phi * (2.0 * w[C1 + n - 2, l] + phi * xx) + w[R.GAINED_X, l]
-        w[R.S12, l] += phi * (w[C1 + n - 1, l] + w[C2 + n - 2, l] + phi * xy)
-        w[R.S22, l] += phi * (2.0 * w[C2 + n - 1, l] + phi * yy) + w[R.GAINED_Y, l]
+        phi = w.PHI
+        w.N1 -= phi * w[n - 2]
+        w.N2 -= phi * w[n - 1]
+        xx, xy, yy = w[at(n - 2, n - 2)], w[at(n - 2, n - 1)], w[at(n - 1, n - 1)]
+        w.S11 += phi * (2.0 * w[C1 + n - 2] + phi * xx) + w.GAINED_X
+        w.S12 += phi * (w[C1 + n - 1] + w[C2 + n - 2] + phi * xy)
+        w.S22 += phi * (2.0 * w[C2 + n - 1] + phi * yy) + w.GAINED_Y
         for i in range(n):
-            w[C1 + i, l] += phi * w[at(i, n - 2), l]
-            w[C2 + i, l] += phi * w[at(i, n - 1), l]
+            w[C1 + i] += phi * w[at(i, n - 2)]
+            w[C2 + i] += phi * w[at(i, n - 1)]

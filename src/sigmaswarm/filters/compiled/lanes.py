@@ -5,9 +5,6 @@ of a run are in one local array, so the compiler knows that different rows do no
 lane that fails, numbers become NaN or row OK becomes 0; the other lanes do not change.
 """
 
-# A type checker for Python does not know Numba's types.
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
-
 import math
 
 import numpy as np
@@ -25,7 +22,7 @@ OPTIONS = {"error_model": "numpy", "nogil": True}
 def kernel(function, **known):
     """Return a function as a `Kernel`, with keyword-only parameters bound to ``known`` and vectorized loops over lanes.
 
-    The first parameter of the function is the array of rows ``w``. The function must not contain a return.
+    The first parameter of the function is the array of rows ``w``. A function with a lane ``l`` may return a value.
     """
     return Kernel(function, None if config.DISABLE_JIT else put_loops, known)
 
@@ -61,11 +58,7 @@ def _exchange_control(typing_context, control):
     return types.int64(types.int64), generate
 
 
-def _in_python(control):
-    return control
-
-
-exchange_control = _in_python if config.DISABLE_JIT else _exchange_control
+exchange_control = (lambda control: control) if config.DISABLE_JIT else _exchange_control
 
 
 def _series(z):

@@ -1,6 +1,7 @@
 """Layout of the array of a run, (row, lane): a lane is one filter, a row is one number of each filter.
 
-Kernels contain ``w[R.XX, l]``; before Numba compiles them, `unroll.unrolled` replaces R.XX by the number of the row.
+Kernels contain ``w.XX``, the element of lane ``l``; before Numba compiles them, `unroll` replaces it by ``w[R.XX, l]``
+with the number of the row.
 """
 
 from collections import namedtuple

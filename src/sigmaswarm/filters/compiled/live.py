@@ -16,8 +16,6 @@ eight arrays (`LiveArrays`):
 A sample consists of its time and the IMU's axes in the order of `timeline.AXES`; an unused axis is 0.
 """
 
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
-
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -439,112 +437,101 @@ def _is_due(v, counts, fixes, t):
     return True
 
 
-def _make_sample(sources):
-    def sample(handle, t, a, b, c, d, e, f):
-        """Process an IMU sample; a sample far ahead waits for a second sample."""
-        step, v, counts, memory, fixes, speeds, history, checkpoints, lately = memory_at(handle)
-        if sources == "" or not v[LAST_SAMPLE] < t < math.inf:
-            return NOTHING
-        new, held, axes = v[NEW_SAMPLE], v[SAMPLE_AHEAD], (a, b, c, d, e, f)
-        new[0] = t
-        for axis in range(len(AXES)):
-            new[1 + axis] = axes[int(v[ORDER][axis])]
-        holds = counts[HOLDS_SAMPLE] > 0
-        ahead = _is_far_ahead(v, t)
-        agrees = ahead and holds and 0.0 < t - held[0] <= AGREES
-        if ahead and not agrees:
-            if not holds or t != held[0]:  # not a repeat
-                counts[TIME_JUMPS] += counts[HOLDS_SAMPLE]
-                counts[HOLDS_SAMPLE] = 1
-                _copy(new, held, N_SAMPLE)
-            return NOTHING
-        counts[HOLDS_SAMPLE] = 0
-        if agrees:
-            _process_in_order(step, v, counts, memory, fixes, speeds, history, checkpoints, held)
-            _store_for_monitor(counts, lately, held)
-        elif holds:
-            counts[TIME_JUMPS] += 1
-        _process_in_order(step, v, counts, memory, fixes, speeds, history, checkpoints, new)
-        if agrees and counts[HOLDS_FIX] == HELD and not _is_far_ahead(v, v[FIX_AHEAD][FIX_TIME]):
-            counts[HOLDS_FIX] = NOTHING  # the samples confirm the fix
-            _accept_fix(step, v, counts, fixes, speeds, history, checkpoints, v[FIX_AHEAD].copy())
-        _store_for_monitor(counts, lately, new)
-        if lately.shape[0] == 0 or t <= v[START]:
-            return TAKEN
-        if agrees:
-            _has_new_fixes(v, counts, fixes, held[0])  # no check at the sample that ends a gap
-        return DUE if _is_due(v, counts, fixes, t) else TAKEN
-
-    return sample
+def _sample(handle, t, a, b, c, d, e, f):
+    """Process an IMU sample; a sample far ahead waits for a second sample."""
+    step, v, counts, memory, fixes, speeds, history, checkpoints, lately = memory_at(handle)
+    if not v[LAST_SAMPLE] < t < math.inf:
+        return NOTHING
+    new, held, axes = v[NEW_SAMPLE], v[SAMPLE_AHEAD], (a, b, c, d, e, f)
+    new[0] = t
+    for axis in range(len(AXES)):
+        new[1 + axis] = axes[int(v[ORDER][axis])]
+    holds = counts[HOLDS_SAMPLE] > 0
+    ahead = _is_far_ahead(v, t)
+    agrees = ahead and holds and 0.0 < t - held[0] <= AGREES
+    if ahead and not agrees:
+        if not holds or t != held[0]:  # not a repeat
+            counts[TIME_JUMPS] += counts[HOLDS_SAMPLE]
+            counts[HOLDS_SAMPLE] = 1
+            _copy(new, held, N_SAMPLE)
+        return NOTHING
+    counts[HOLDS_SAMPLE] = 0
+    if agrees:
+        _process_in_order(step, v, counts, memory, fixes, speeds, history, checkpoints, held)
+        _store_for_monitor(counts, lately, held)
+    elif holds:
+        counts[TIME_JUMPS] += 1
+    _process_in_order(step, v, counts, memory, fixes, speeds, history, checkpoints, new)
+    if agrees and counts[HOLDS_FIX] == HELD and not _is_far_ahead(v, v[FIX_AHEAD][FIX_TIME]):
+        counts[HOLDS_FIX] = NOTHING  # the samples confirm the fix
+        _accept_fix(step, v, counts, fixes, speeds, history, checkpoints, v[FIX_AHEAD].copy())
+    _store_for_monitor(counts, lately, new)
+    if lately.shape[0] == 0 or t <= v[START]:
+        return TAKEN
+    if agrees:
+        _has_new_fixes(v, counts, fixes, held[0])  # no check at the sample that ends a gap
+    return DUE if _is_due(v, counts, fixes, t) else TAKEN
 
 
-def _make_fix(sources):
-    def fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta):
-        """Process a fix; a fix far ahead waits for a second fix."""
-        step, v, counts, _, fixes, speeds, history, checkpoints, _ = memory_at(handle)
-        if sources == "" or not math.isfinite(t):
-            counts[TOO_LATE] += 1
-            return LEFT_OUT
-        z = np.array([t, x, y, vx, vy, var_x, var_y, theta, var_theta, has_velocity, 0.0])
-        ahead = v[FIX_AHEAD]
-        agrees = counts[HOLDS_FIX] != NOTHING and abs(t - ahead[FIX_TIME]) <= AGREES
-        if counts[HOLDS_FIX] == HELD:
-            if _same(ahead, z, N_FIX):  # a repeat
-                return IGNORED
-            if agrees:
-                _accept_fix(step, v, counts, fixes, speeds, history, checkpoints, ahead.copy())
-            else:
-                counts[TIME_JUMPS] += 1
-        counts[HOLDS_FIX] = NOTHING
-        if _is_far_ahead(v, t):
-            counts[HOLDS_FIX] = CONFIRMED if agrees else HELD
-            _copy(z, ahead, N_FIX)
-            if not agrees:
-                return IGNORED
-        return _accept_fix(step, v, counts, fixes, speeds, history, checkpoints, z)
-
-    return fix
-
-
-def _make_speed(sources):
-    def speed(handle, t, value):
-        step, v, counts, _, fixes, speeds, history, checkpoints, _ = memory_at(handle)
-        if sources == "" or speeds.shape[0] == 0:
+def _fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta):
+    """Process a fix; a fix far ahead waits for a second fix."""
+    step, v, counts, _, fixes, speeds, history, checkpoints, _ = memory_at(handle)
+    if not math.isfinite(t):
+        counts[TOO_LATE] += 1
+        return LEFT_OUT
+    z = np.array([t, x, y, vx, vy, var_x, var_y, theta, var_theta, has_velocity, 0.0])
+    ahead = v[FIX_AHEAD]
+    agrees = counts[HOLDS_FIX] != NOTHING and abs(t - ahead[FIX_TIME]) <= AGREES
+    if counts[HOLDS_FIX] == HELD:
+        if _same(ahead, z, N_FIX):  # a repeat
             return IGNORED
-        if not (math.isfinite(t) and math.isfinite(value)):
-            counts[TOO_LATE] += 1
-            return LEFT_OUT
-        if _is_far_ahead(v, t):
+        if agrees:
+            _accept_fix(step, v, counts, fixes, speeds, history, checkpoints, ahead.copy())
+        else:
             counts[TIME_JUMPS] += 1
-            return LEFT_OUT
-        begun = t > v[START]
-        back = _first_after(counts, history, t) if begun and t <= v[TIME] else 0
-        kept = LEFT_OUT if back < 0 else _store_reading(v, counts, speeds, history, t, value)
-        if kept == LEFT_OUT:
-            counts[TOO_LATE] += 1
-        elif kept == TAKEN and begun and t <= v[TIME]:
-            _replay_from(step, v, counts, fixes, speeds, history, checkpoints, back)
-        return kept
-
-    return speed
+    counts[HOLDS_FIX] = NOTHING
+    if _is_far_ahead(v, t):
+        counts[HOLDS_FIX] = CONFIRMED if agrees else HELD
+        _copy(z, ahead, N_FIX)
+        if not agrees:
+            return IGNORED
+    return _accept_fix(step, v, counts, fixes, speeds, history, checkpoints, z)
 
 
-def _make_heading(sources):
-    def heading(handle, gyro_bias):
-        _, _, counts, _, fixes, _, _, _, lately = memory_at(handle)
-        if sources == "":
-            return math.nan
-        return rough_heading(lately, counts[NEWEST], counts[N_LATELY], fixes, counts[N_FIXES], gyro_bias)
+def _speed(handle, t, value):
+    step, v, counts, _, fixes, speeds, history, checkpoints, _ = memory_at(handle)
+    if speeds.shape[0] == 0:
+        return IGNORED
+    if not (math.isfinite(t) and math.isfinite(value)):
+        counts[TOO_LATE] += 1
+        return LEFT_OUT
+    if _is_far_ahead(v, t):
+        counts[TIME_JUMPS] += 1
+        return LEFT_OUT
+    begun = t > v[START]
+    back = _first_after(counts, history, t) if begun and t <= v[TIME] else 0
+    kept = LEFT_OUT if back < 0 else _store_reading(v, counts, speeds, history, t, value)
+    if kept == LEFT_OUT:
+        counts[TOO_LATE] += 1
+    elif kept == TAKEN and begun and t <= v[TIME]:
+        _replay_from(step, v, counts, fixes, speeds, history, checkpoints, back)
+    return kept
 
-    return heading
+
+def _heading(handle, gyro_bias):
+    _, _, counts, _, fixes, _, _, _, lately = memory_at(handle)
+    return rough_heading(lately, counts[NEWEST], counts[N_LATELY], fixes, counts[N_FIXES], gyro_bias)
 
 
-def _make_definite(sources):
-    def definite(handle):
-        v = memory_at(handle)[1]
-        return sources != "" and is_definite(v[P0:], int(v[DIMENSION]), v, FACTOR.start)
+def _definite(handle):
+    v = memory_at(handle)[1]
+    return is_definite(v[P0:], int(v[DIMENSION]), v, FACTOR.start)
 
-    return definite
+
+@call_once
+def replay_call():
+    """Return `replay` with a cache; for a smoother, pass as ``step`` a `single_step` that logs its steps."""
+    return cached_by_sources(getattr(replay, "py_func", replay), "live again")
 
 
 @dataclass(frozen=True)
@@ -571,8 +558,7 @@ class LiveCalls:
 @call_once
 def live_calls():
     """Compile the functions once, for one signature; numbers of other types are converted."""
-    makers = (_make_sample, _make_fix, _make_speed, _make_heading, _make_definite)
-    calls = [cached_by_sources(make, "live") for make in makers]
+    calls = [cached_by_sources(each, "live") for each in (_sample, _fix, _speed, _heading, _definite)]
     for function, numbers in zip(calls, (7, 10, 2, 1, 0), strict=True):
         signature = (int64, *(float64,) * numbers)
         if isinstance(function, Dispatcher):  # not with NUMBA_DISABLE_JIT

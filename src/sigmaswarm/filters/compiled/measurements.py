@@ -6,8 +6,6 @@ linear in the state, these moments equal those of the Kalman filter. If z contai
 have a closed form, as in planar5.py and planar8.py.
 """
 
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
-
 import math
 
 from sigmaswarm.drives.timeline import FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y
@@ -35,7 +33,6 @@ from sigmaswarm.filters.compiled.tilted12_unscented import (
     measure_odometer_unscented,
 )
 from sigmaswarm.filters.compiled.unroll import unrolled
-from sigmaswarm.filters.compiled.updates import update_pair, update_scalar
 from sigmaswarm.filters.compiled.vehicle import (
     measure_along_planar,
     measure_heading_planar,
@@ -43,6 +40,8 @@ from sigmaswarm.filters.compiled.vehicle import (
     update_heading,
     update_lateral,
     update_odometer,
+    update_pair,
+    update_scalar,
     update_standstill,
     update_velocity,
 )
@@ -59,10 +58,10 @@ def update_fix(w, z, lever, since, *, stores_innovation, gated, adaptive, fix_er
     """
     fading, adapting, fuzzy, robust = 0, 0, 0, 0
     for l in range(LANES):
-        fading += w[R.FADING, l] >= 0.0
-        adapting += w[R.FORGETTING, l] < 1.0
-        fuzzy += w[R.FUZZY, l] >= 0.0
-        robust += w[R.DOF, l] > 0.0
+        fading += w.FADING >= 0.0
+        adapting += w.FORGETTING < 1.0
+        fuzzy += w.FUZZY >= 0.0
+        robust += w.DOF > 0.0
     if fix_error:
         age_fix_error(w, z, since)
         move_fix_error(w)
@@ -71,11 +70,11 @@ def update_fix(w, z, lever, since, *, stores_innovation, gated, adaptive, fix_er
         observe_fix_error(w)
     if stores_innovation:
         for l in range(LANES):
-            nis = _add_likelihood(w, l)
+            nis = add_likelihood(w, l)
             if gated:
-                inside = (nis <= w[R.GATE, l]) | (w[R.REJECTED, l] >= MOST_REJECTED)
-                w[R.USE, l] = 1.0 if inside else 0.0
-                w[R.REJECTED, l] = 0.0 if inside else w[R.REJECTED, l] + 1.0
+                inside = (nis <= w.GATE) | (w.REJECTED >= MOST_REJECTED)
+                w.USE = 1.0 if inside else 0.0
+                w.REJECTED = 0.0 if inside else w.REJECTED + 1.0
     if adaptive and fading > 0:
         strong_tracking(w)
     if adaptive and fuzzy > 0:
@@ -85,19 +84,19 @@ def update_fix(w, z, lever, since, *, stores_innovation, gated, adaptive, fix_er
     if note_prior:  # P may have been inflated
         note_prior(w)
     for l in range(LANES):
-        rx, ry, use = w[R.R1, l], w[R.R2, l], w[R.USE, l]
-        s11, s12, s22 = w[R.S11, l] + rx, w[R.S12, l], w[R.S22, l] + ry
+        rx, ry, use = w.R1, w.R2, w.USE
+        s11, s12, s22 = w.S11 + rx, w.S12, w.S22 + ry
         det = s11 * s22 - s12 * s12
         g11, g12, g22 = s22 / det, -s12 / det, s11 / det
-        n1, n2 = w[R.N1, l], w[R.N2, l]
+        n1, n2 = w.N1, w.N2
         e1, e2 = g11 * n1 + g12 * n2, g12 * n1 + g22 * n2
-        w[R.OK, l] = w[R.OK, l] if (s11 > 0.0) & (det > 0.0) & (rx > 0.0) & (ry > 0.0) else 0.0
-        w[R.G11, l], w[R.G12, l], w[R.G22, l] = use * g11, use * g12, use * g22
+        w.OK = w.OK if (s11 > 0.0) & (det > 0.0) & (rx > 0.0) & (ry > 0.0) else 0.0
+        w.G11, w.G12, w.G22 = use * g11, use * g12, use * g22
         r1, r2 = (rx * e1 if use > 0.0 else n1), (ry * e2 if use > 0.0 else n2)
         # The residual after an update is R S^-1 nu; after a rejection it is nu.
-        w[R.SQ_FIX, l] += r1 * r1 + r2 * r2
-        w[R.GEE, l] += rx
-        w[R.GNN, l] += ry
+        w.SQ_FIX += r1 * r1 + r2 * r2
+        w.GEE += rx
+        w.GNN += ry
     if adaptive and adapting > 0:
         adapt(w, since)
     update_pair(w)
@@ -114,30 +113,32 @@ def forecast_fix(w, z, lever, since, *, n, fix_error):
         add_forecast(w, l)
 
 
+@kernel
 def add_forecast(w, l):
     """Add the squared innovation of a hidden fix, and its likelihoods, to the sums."""
-    nis = _add_likelihood(w, l)
-    w[R.SQ_FORECAST, l] += w[R.N1, l] * w[R.N1, l] + w[R.N2, l] * w[R.N2, l]
-    det = w[R.V11, l] * w[R.V22, l] - w[R.V12, l] * w[R.V12, l]
+    nis = add_likelihood(w, l)
+    w.SQ_FORECAST += w.N1 * w.N1 + w.N2 * w.N2
+    det = w.V11 * w.V22 - w.V12 * w.V12
     tail = math.log(1.0 + nis * (1.0 / FORECAST_SCALE))
-    w[R.FORECAST_T, l] += 0.5 * math.log(det) + 0.5 * (FORECAST_DOF + 2.0) * tail
+    w.FORECAST_T += 0.5 * math.log(det) + 0.5 * (FORECAST_DOF + 2.0) * tail
 
 
-def _add_likelihood(w, l):
+@kernel
+def add_likelihood(w, l):
     """Add the NIS and the likelihood of a fix to the sums, before the update; return the NIS.
 
     The kernel of `run` adds the logarithms of DET and TAIL to the sums.
     """
-    s11, s12, s22 = w[R.S11, l] + w[R.R1, l], w[R.S12, l], w[R.S22, l] + w[R.R2, l]
+    s11, s12, s22 = w.S11 + w.R1, w.S12, w.S22 + w.R2
     det = s11 * s22 - s12 * s12
-    n1, n2 = w[R.N1, l], w[R.N2, l]
+    n1, n2 = w.N1, w.N2
     nis = (s22 * n1 * n1 - 2.0 * s12 * n1 * n2 + s11 * n2 * n2) / det
-    w[R.V11, l], w[R.V12, l], w[R.V22, l] = s11, s12, s22
-    w[R.NU1, l], w[R.NU2, l] = n1, n2
-    w[R.NIS, l] += nis
-    w[R.DET, l] *= det
+    w.V11, w.V12, w.V22 = s11, s12, s22
+    w.NU1, w.NU2 = n1, n2
+    w.NIS += nis
+    w.DET *= det
     tail = 1.0 + nis * (1.0 / INNOVATION_SCALE)
-    w[R.TAIL, l] *= tail if tail < LARGEST_TAIL else LARGEST_TAIL
+    w.TAIL *= tail if tail < LARGEST_TAIL else LARGEST_TAIL
     return nis
 
 
@@ -149,29 +150,25 @@ def _measure_fix(w, z, lever, *, n):
     zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
     lever_x, lever_y = lever[0], lever[1]
     for l in range(LANES):
-        w[R.R1, l] = w[R.RX, l] + w[R.ACCURACY, l] * var_x
-        w[R.R2, l] = w[R.RY, l] + w[R.ACCURACY, l] * var_y
+        w.R1 = w.RX + w.ACCURACY * var_x
+        w.R2 = w.RY + w.ACCURACY * var_y
         for row in (R.EAST, R.NORTH, R.JEAST, R.JNORTH, R.E):
-            w[row, l] = 0.0
+            w[row] = 0.0
     if lever_x != 0.0 or lever_y != 0.0:
         _turn_lever(w, lever_x, lever_y)
     for l in range(LANES):
-        tau, east, north, e = w[R.LATENCY, l], w[R.EAST, l], w[R.NORTH, l], w[R.E, l]
-        je, jn = w[R.JEAST, l], w[R.JNORTH, l]
-        along = w[R.SPREAD, l] * e * e
-        w[R.GEE, l], w[R.GEN, l], w[R.GNN, l] = (
-            along * east * east,
-            along * east * north,
-            along * north * north,
-        )
-        w[R.N1, l] = zx - (w[R.X, l] - tau * w[R.U, l] + (1.0 + e) * east)
-        w[R.N2, l] = zy - (w[R.Y, l] - tau * w[R.V, l] + (1.0 + e) * north)
+        tau, east, north, e = w.LATENCY, w.EAST, w.NORTH, w.E
+        je, jn = w.JEAST, w.JNORTH
+        along = w.SPREAD * e * e
+        w.GEE, w.GEN, w.GNN = along * east * east, along * east * north, along * north * north
+        w.N1 = zx - (w.X - tau * w.U + (1.0 + e) * east)
+        w.N2 = zy - (w.Y - tau * w.V + (1.0 + e) * north)
         for i in range(n):
-            w[C1 + i, l] = w[at(i, R.X), l] - tau * w[at(i, R.U), l] + je * w[at(i, R.T), l]
-            w[C2 + i, l] = w[at(i, R.Y), l] - tau * w[at(i, R.V), l] + jn * w[at(i, R.T), l]
-        w[R.S11, l] = w[C1 + R.X, l] - tau * w[C1 + R.U, l] + je * w[C1 + R.T, l] + w[R.GEE, l]
-        w[R.S12, l] = w[C1 + R.Y, l] - tau * w[C1 + R.V, l] + jn * w[C1 + R.T, l] + w[R.GEN, l]
-        w[R.S22, l] = w[C2 + R.Y, l] - tau * w[C2 + R.V, l] + jn * w[C2 + R.T, l] + w[R.GNN, l]
+            w[C1 + i] = w[at(i, R.X)] - tau * w[at(i, R.U)] + je * w[at(i, R.T)]
+            w[C2 + i] = w[at(i, R.Y)] - tau * w[at(i, R.V)] + jn * w[at(i, R.T)]
+        w.S11 = w[C1 + R.X] - tau * w[C1 + R.U] + je * w[C1 + R.T] + w.GEE
+        w.S12 = w[C1 + R.Y] - tau * w[C1 + R.V] + jn * w[C1 + R.T] + w.GEN
+        w.S22 = w[C2 + R.Y] - tau * w[C2 + R.V] + jn * w[C2 + R.T] + w.GNN
 
 
 @kernel
@@ -181,11 +178,11 @@ def _turn_lever(w, lever_x, lever_y):
     k and e: see planar5.
     """
     for l in range(LANES):
-        sin_t, cos_t = sincos(w[R.T, l])
+        sin_t, cos_t = sincos(w.T)
         east, north = cos_t * lever_x - sin_t * lever_y, sin_t * lever_x + cos_t * lever_y
-        _, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], w[R.TT, l])
-        w[R.EAST, l], w[R.NORTH, l], w[R.E, l] = east, north, w[R.SHORTENS, l] * quarter_sin2
-        w[R.JEAST, l], w[R.JNORTH, l] = -k * north, k * east
+        _, k, quarter_sin2 = spread_of(w.QUARTER_GAMMA, w.TT)
+        w.EAST, w.NORTH, w.E = east, north, w.SHORTENS * quarter_sin2
+        w.JEAST, w.JNORTH = -k * north, k * east
 
 
 def _keep_digits(w, *, n, tilted, unscented, fix_error):
@@ -196,33 +193,30 @@ def _keep_digits(w, *, n, tilted, unscented, fix_error):
     includes the second-order terms of S.
     """
     for l in range(LANES):
-        used = w[R.G11, l] != 0.0
+        used = w.G11 != 0.0
         if unscented == 0:
-            tau, je, jn = w[R.LATENCY, l], w[R.JEAST, l], w[R.JNORTH, l]
+            tau, je, jn = w.LATENCY, w.JEAST, w.JNORTH
         else:
-            tau, je, jn = w[R.LATENCY, l], w[SLOPE, l], w[SLOPE + 1, l]
-        r1, r12, r2 = w[R.GEE, l], w[R.GEN, l], w[R.GNN, l]
+            tau, je, jn = w.LATENCY, w[SLOPE], w[SLOPE + 1]
+        r1, r12, r2 = w.GEE, w.GEN, w.GNN
         # The position comes last, since its elements depend on its new covariances with the other states.
         for j in (*range(2, n), 0, 1):
-            gain_1 = w[C1 + j, l] * w[R.G11, l] + w[C2 + j, l] * w[R.G12, l]
-            gain_2 = w[C1 + j, l] * w[R.G12, l] + w[C2 + j, l] * w[R.G22, l]
-            x = gain_1 * r1 + gain_2 * r12 + tau * w[at(j, R.U), l] - je * w[at(j, R.T), l]
-            y = gain_1 * r12 + gain_2 * r2 + tau * w[at(j, R.V), l] - jn * w[at(j, R.T), l]
+            gain_1 = w[C1 + j] * w.G11 + w[C2 + j] * w.G12
+            gain_2 = w[C1 + j] * w.G12 + w[C2 + j] * w.G22
+            x = gain_1 * r1 + gain_2 * r12 + tau * w[at(j, R.U)] - je * w[at(j, R.T)]
+            y = gain_1 * r12 + gain_2 * r2 + tau * w[at(j, R.V)] - jn * w[at(j, R.T)]
             if unscented:
-                x -= w[SLOPE + OUTPUTS, l] * w[at(j, R.I), l] + w[SLOPE + OUTPUTS * 2, l] * w[at(j, R.J), l]
-                y -= (
-                    w[SLOPE + OUTPUTS + 1, l] * w[at(j, R.I), l]
-                    + w[SLOPE + OUTPUTS * 2 + 1, l] * w[at(j, R.J), l]
-                )
+                x -= w[SLOPE + OUTPUTS] * w[at(j, R.I)] + w[SLOPE + OUTPUTS * 2] * w[at(j, R.J)]
+                y -= w[SLOPE + OUTPUTS + 1] * w[at(j, R.I)] + w[SLOPE + OUTPUTS * 2 + 1] * w[at(j, R.J)]
             elif tilted:
-                x -= w[R.LEVER_UP, l] * w[at(j, R.J), l]
-                y += w[R.LEVER_UP, l] * w[at(j, R.I), l]
+                x -= w.LEVER_UP * w[at(j, R.J)]
+                y += w.LEVER_UP * w[at(j, R.I)]
             if fix_error:
-                x -= w[at(j, n - 2), l]
-                y -= w[at(j, n - 1), l]
+                x -= w[at(j, n - 2)]
+                y -= w[at(j, n - 1)]
             if j != R.Y:
-                w[at(j, R.X), l] = x if used else w[at(j, R.X), l]
-            w[at(j, R.Y), l] = y if used else w[at(j, R.Y), l]
+                w[at(j, R.X)] = x if used else w[at(j, R.X)]
+            w[at(j, R.Y)] = y if used else w[at(j, R.Y)]
 
 
 UPDATES = (
@@ -257,17 +251,15 @@ def measurement_kernels(name: str, note_prior=None, noted=0):
     if unscented:
         ready["_measure_fix"] = measure_fix_unscented
         ready["measure_heading"] = measure_heading_unscented
-        ready["measure_lateral"], ready["measure_odometer"] = (
-            measure_lateral_unscented,
-            measure_odometer_unscented,
-        )
+        ready |= {
+            "measure_lateral": measure_lateral_unscented,
+            "measure_odometer": measure_odometer_unscented,
+        }
     elif ready["tilted"]:
         ready["_measure_fix"] = kernel(measure_fix_tilted, n=ready["n"])
         ready["measure_heading"] = kernel(measure_heading_tilted, n=ready["n"])
-        along = {"n": ready["n"], **ALONG["lateral"]}, {"n": ready["n"], **ALONG["odometer"]}
-        ready["measure_lateral"], ready["measure_odometer"] = (
-            kernel(measure_along_tilted, **known) for known in along
-        )
+        for what, known in ALONG.items():
+            ready[f"measure_{what}"] = kernel(measure_along_tilted, n=ready["n"], **known)
     else:
         for name, bias in (("lateral", model.gyro_bias), ("odometer", model.accel_bias)):
             known = {"n": ready["n"], "bias": -1 if bias is None else bias, "lateral": int(name == "lateral")}

@@ -1,6 +1,9 @@
-"""Memory of a live filter, passed to compiled code as one address: passing eight arrays takes longer than a step."""
+"""Memory of runs and live filters for compiled code.
 
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
+The array of a run is on the stack, aligned to a cache line. In Numba, the arrays of `np.empty` start at multiples of 32
+bytes. With AVX-512, each load and store may then access two cache lines, and a run takes a seventh longer. The memory
+of a live filter is passed as one address: passing eight arrays takes longer than a step.
+"""
 
 from typing import Any, NamedTuple
 
@@ -10,7 +13,41 @@ from numba import config, float64, int64, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from sigmaswarm.filters.compiled.rows import CACHE_LINE, array_at
+from sigmaswarm.filters.compiled.layout import BLOCKS, LANES, N_ROWS
+
+CACHE_LINE = 64  # bytes; also the width of the widest vectors
+
+
+def array_at(context, builder, kind, data, shape, strides):
+    """Return an array of doubles in given memory, for the generator of an intrinsic; strides in bytes."""
+    array = context.make_array(kind)(context, builder)
+    size = ir.IntType(64)(8)
+    context.populate_array(array, data=data, shape=shape, strides=strides, itemsize=size, meminfo=None)
+    return array._getvalue()
+
+
+@intrinsic
+def _on_the_stack(typing_context, lanes):
+    kind = types.Array(types.float64, 2, "A")
+
+    def generate(context, builder, signature, arguments):
+        size = ir.IntType(64)
+        with builder.goto_entry_block():  # `cgutils.alloca_once` would also write zeros
+            data = builder.alloca(ir.ArrayType(ir.DoubleType(), BLOCKS * N_ROWS * LANES))
+        data.align = CACHE_LINE
+        data = builder.bitcast(data, ir.DoubleType().as_pointer())
+        shape = [size(BLOCKS * N_ROWS), arguments[0]]
+        return array_at(context, builder, kind, data, shape, [size(8 * LANES), size(8)])
+
+    return kind(types.int64), generate
+
+
+new_rows = (lambda _: np.empty((N_ROWS, LANES))) if config.DISABLE_JIT else _on_the_stack
+"""``new_rows(lanes)`` returns an uninitialized array of rows on the stack of the calling kernel.
+
+Its type has ``lanes`` columns, but its memory has LANES columns: w[r, LANES + k] is stored at w[N_ROWS + r, k]. Without
+compilation, the array always has LANES columns.
+"""
 
 _ARRAYS = (types.Array(float64, 1, "C"), types.Array(int64, 1, "C"), *(types.Array(float64, 2, "C"),) * 6)
 _KIND = types.Tuple((int64, *_ARRAYS))
@@ -78,9 +115,5 @@ def _at(typing_context, handle):
     return _KIND(int64), generate
 
 
-def _as_it_is(handle):
-    return handle
-
-
-memory_at = _as_it_is if config.DISABLE_JIT else _at
+memory_at = (lambda handle: handle) if config.DISABLE_JIT else _at
 """For compiled code: ``memory_at(handle)`` returns the address of the step, and the arrays of a `Memory`."""

@@ -3,8 +3,6 @@
 The samples of the last seconds are in a ring buffer: time, ax, ay, gz and the other axes.
 """
 
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
-
 import math
 
 from numba import njit

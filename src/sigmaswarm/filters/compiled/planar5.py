@@ -20,8 +20,6 @@ same angle in all lanes, so rows COS and SIN are rotated. After an update, a sta
 SIN_COS_VALID_ALL are 0, and the next step computes COS and SIN from the heading.
 """
 
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
-
 from sigmaswarm.drives.timeline import AX, AY, DT, GZ, Q_SCALE
 from sigmaswarm.filters.compiled.lanes import FAR, kernel, sinc_cos, sincos, spread_of
 from sigmaswarm.filters.compiled.layout import LANES, R
@@ -31,18 +29,18 @@ from sigmaswarm.filters.compiled.layout import LANES, R
 def _refresh_sin_cos(w):
     """Compute cosine and sine of the heading if they are invalid."""
     for l in range(LANES):
-        sin_t, cos_t = sincos(w[R.T, l])
-        valid = w[R.SIN_COS_VALID, l] > 0.0
-        w[R.COS, l] = w[R.COS, l] if valid else cos_t
-        w[R.SIN, l] = w[R.SIN, l] if valid else sin_t
-        w[R.SIN_COS_VALID, l], w[R.SIN_COS_VALID_ALL, l] = 1.0, 1.0
+        sin_t, cos_t = sincos(w.T)
+        valid = w.SIN_COS_VALID > 0.0
+        w.COS = w.COS if valid else cos_t
+        w.SIN = w.SIN if valid else sin_t
+        w.SIN_COS_VALID, w.SIN_COS_VALID_ALL = 1.0, 1.0
 
 
 @kernel
 def _invalidate_sin_cos(w):
     """Mark cosine and sine of the heading as invalid after a turn that is too large for `sinc_cos`."""
     for l in range(LANES):
-        w[R.SIN_COS_VALID, l], w[R.SIN_COS_VALID_ALL, l] = 0.0, 0.0
+        w.SIN_COS_VALID, w.SIN_COS_VALID_ALL = 0.0, 0.0
 
 
 @kernel
@@ -54,14 +52,14 @@ def _turn(w, ax, ay, turn):
     for l in range(LANES):
         k_turn, cos_turn = sinc_cos(turn * turn)
         sin_turn = turn * k_turn
-        sin_t, cos_t = w[R.SIN, l], w[R.COS, l]
-        w[R.COS, l], w[R.SIN, l] = cos_turn * cos_t - sin_turn * sin_t, cos_turn * sin_t + sin_turn * cos_t
-        w[R.T, l] += turn
+        sin_t, cos_t = w.SIN, w.COS
+        w.COS, w.SIN = cos_turn * cos_t - sin_turn * sin_t, cos_turn * sin_t + sin_turn * cos_t
+        w.T += turn
         a, b = cos_t * ax - sin_t * ay, sin_t * ax + cos_t * ay
-        _, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], w[R.TT, l])
-        e = w[R.SHORTENS, l] * quarter_sin2
-        w[R.EAST, l], w[R.NORTH, l], w[R.E, l], w[R.ALONG, l] = a, b, e, w[R.SPREAD, l] * e * e
-        w[R.JEAST, l], w[R.JNORTH, l] = -k * b, k * a
+        _, k, quarter_sin2 = spread_of(w.QUARTER_GAMMA, w.TT)
+        e = w.SHORTENS * quarter_sin2
+        w.EAST, w.NORTH, w.E, w.ALONG = a, b, e, w.SPREAD * e * e
+        w.JEAST, w.JNORTH = -k * b, k * a
 
 
 @kernel
@@ -80,17 +78,17 @@ def predict_planar5(w, u):
         _invalidate_sin_cos(w)
     h = 0.5 * dt
     for l in range(LANES):
-        u, v, tt = w[R.U, l], w[R.V, l], w[R.TT, l]
-        a, b, ke, kn = w[R.EAST, l], w[R.NORTH, l], w[R.JEAST, l], w[R.JNORTH, l]  # dt g0; dt k J g0
-        along_a, along_b = w[R.ALONG, l] * a, w[R.ALONG, l] * b
-        u1, v1 = u + (a + w[R.E, l] * a), v + (b + w[R.E, l] * b)
-        w[R.X, l] += h * (u + u1)
-        w[R.Y, l] += h * (v + v1)
-        w[R.U, l], w[R.V, l] = u1, v1
+        u, v, tt = w.U, w.V, w.TT
+        a, b, ke, kn = w.EAST, w.NORTH, w.JEAST, w.JNORTH  # dt g0; dt k J g0
+        along_a, along_b = w.ALONG * a, w.ALONG * b
+        u1, v1 = u + (a + w.E * a), v + (b + w.E * b)
+        w.X += h * (u + u1)
+        w.Y += h * (v + v1)
+        w.U, w.V = u1, v1
 
-        ut, vt, uu, uv, vv = w[R.UT, l], w[R.VT, l], w[R.UU, l], w[R.UV, l], w[R.VV, l]
-        xt, yt = w[R.XT, l] + h * ut, w[R.YT, l] + h * vt
-        xu, xv, yu, yv = w[R.XU, l], w[R.XV, l], w[R.YU, l], w[R.YV, l]
+        ut, vt, uu, uv, vv = w.UT, w.VT, w.UU, w.UV, w.VV
+        xt, yt = w.XT + h * ut, w.YT + h * vt
+        xu, xv, yu, yv = w.XU, w.XV, w.YU, w.YV
         xu1, xv1, yu1, yv1 = xu + h * uu, xv + h * uv, yu + h * uv, yv + h * vv
         ut1, vt1 = ut + ke * tt, vt + kn * tt
         uu1 = uu + ke * ut + ke * ut1 + along_a * a
@@ -98,11 +96,11 @@ def predict_planar5(w, u):
         vv1 = vv + kn * vt + kn * vt1 + along_b * b
         xu2, xv2, yu2, yv2 = xu1 + ke * xt, xv1 + kn * xt, yu1 + ke * yt, yv1 + kn * yt
         xu3, xv3, yu3, yv3 = xu2 + h * uu1, xv2 + h * uv1, yu2 + h * uv1, yv2 + h * vv1
-        w[R.XX, l] += h * ((xu + xu1) + (xu2 + xu3)) + q_scale * w[R.Q_X, l]
-        w[R.XY, l] += h * ((xv + yu1) + (xv2 + yu3))
-        w[R.YY, l] += h * ((yv + yv1) + (yv2 + yv3)) + q_scale * w[R.Q_Y, l]
-        w[R.XU, l], w[R.XV, l], w[R.XT, l] = xu3, xv3, xt + h * ut1
-        w[R.YU, l], w[R.YV, l], w[R.YT, l] = yu3, yv3, yt + h * vt1
-        w[R.UU, l], w[R.UV, l], w[R.UT, l] = uu1 + q_scale * w[R.Q_U, l], uv1, ut1
-        w[R.VV, l], w[R.VT, l] = vv1 + q_scale * w[R.Q_V, l], vt1
-        w[R.TT, l] = tt + q_scale * w[R.Q_T, l]
+        w.XX += h * ((xu + xu1) + (xu2 + xu3)) + q_scale * w.Q_X
+        w.XY += h * ((xv + yu1) + (xv2 + yu3))
+        w.YY += h * ((yv + yv1) + (yv2 + yv3)) + q_scale * w.Q_Y
+        w.XU, w.XV, w.XT = xu3, xv3, xt + h * ut1
+        w.YU, w.YV, w.YT = yu3, yv3, yt + h * vt1
+        w.UU, w.UV, w.UT = uu1 + q_scale * w.Q_U, uv1, ut1
+        w.VV, w.VT = vv1 + q_scale * w.Q_V, vt1
+        w.TT = tt + q_scale * w.Q_T

@@ -14,44 +14,38 @@ over the sigma points are
 The extended Kalman filter has no second-order terms: gamma = SECOND = 0, so mu = 0, m = 0 and k = cos d = 1.
 """
 
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
-
 from sigmaswarm.drives.timeline import AX, AY, DT, GZ, Q_SCALE
 from sigmaswarm.filters.compiled.lanes import kernel, sincos, spread_of
-from sigmaswarm.filters.compiled.layout import LANES, R
+from sigmaswarm.filters.compiled.layout import LANES
 
 
 @kernel
 def _turn(w, dt, ax, ay):
     """Compute the acceleration times dt and its covariances, from heading and biases."""
     for l in range(LANES):
-        sin_t, cos_t = sincos(w[R.T, l])
+        sin_t, cos_t = sincos(w.T)
         s, c = dt * sin_t, dt * cos_t  # all vectors below are multiplied by dt
-        fx, fy = ax - w[R.A, l], ay - w[R.B, l]
+        fx, fy = ax - w.A, ay - w.B
         a, b = c * fx - s * fy, s * fx + c * fy
-        second, quarter_gamma, tt = w[R.SECOND, l], w[R.QUARTER_GAMMA, l], w[R.TT, l]
+        second, quarter_gamma, tt = w.SECOND, w.QUARTER_GAMMA, w.TT
         quarter_d, k, quarter_sin2 = spread_of(quarter_gamma, tt)
         g2, sin2_h = 16.0 * quarter_gamma * quarter_gamma, 4.0 * quarter_sin2
-        e = w[R.SHORTENS, l] * quarter_sin2
+        e = w.SHORTENS * quarter_sin2
         m = 2.0 * sin2_h * (quarter_gamma / quarter_d) * (quarter_gamma / quarter_d)
-        te, tn = c * w[R.TA, l] - s * w[R.TB, l], s * w[R.TA, l] + c * w[R.TB, l]
+        te, tn = c * w.TA - s * w.TB, s * w.TA + c * w.TB
         mu_e, mu_n = e * a + second * k * tn, e * b - second * k * te
-        w[R.COS, l], w[R.SIN, l], w[R.EAST, l], w[R.NORTH, l] = c, s, a, b
-        w[R.MU_EAST, l], w[R.MU_NORTH, l] = mu_e, mu_n
-        w[R.JEAST, l], w[R.JNORTH, l] = m * te - k * b, m * tn + k * a
+        w.COS, w.SIN, w.EAST, w.NORTH = c, s, a, b
+        w.MU_EAST, w.MU_NORTH = mu_e, mu_n
+        w.JEAST, w.JNORTH = m * te - k * b, m * tn + k * a
 
-        aa, ab, bb = w[R.AA, l], w[R.AB, l], w[R.BB, l]
+        aa, ab, bb = w.AA, w.AB, w.BB
         ea, eb, na, nb = c * aa - s * ab, c * ab - s * bb, s * aa + c * ab, s * ab + c * bb  # R P[b, b]
-        k2, kc, spread = k * k, k * (1.0 - 2.0 * sin2_h), w[R.SPREAD, l]
-        w[R.GEE, l] = (
-            c * ea - s * eb + k2 * (tt * b * b - g2 * te * te) + 2.0 * kc * b * te + spread * mu_e * mu_e
-        )
-        w[R.GEN, l] = (
+        k2, kc, spread = k * k, k * (1.0 - 2.0 * sin2_h), w.SPREAD
+        w.GEE = c * ea - s * eb + k2 * (tt * b * b - g2 * te * te) + 2.0 * kc * b * te + spread * mu_e * mu_e
+        w.GEN = (
             s * ea + c * eb - k2 * (tt * a * b + g2 * te * tn) + kc * (b * tn - a * te) + spread * mu_e * mu_n
         )
-        w[R.GNN, l] = (
-            s * na + c * nb + k2 * (tt * a * a - g2 * tn * tn) - 2.0 * kc * a * tn + spread * mu_n * mu_n
-        )
+        w.GNN = s * na + c * nb + k2 * (tt * a * a - g2 * tn * tn) - 2.0 * kc * a * tn + spread * mu_n * mu_n
 
 
 @kernel
@@ -61,25 +55,19 @@ def predict_planar8(w, u):
     _turn(w, dt, ax, ay)
     h = 0.5 * dt
     for l in range(LANES):
-        c, s, ke, kn = w[R.COS, l], w[R.SIN, l], w[R.JEAST, l], w[R.JNORTH, l]  # dt R; dt (k J g0 + m t)
-        xt, yt, ut, vt, tt = w[R.XT, l], w[R.YT, l], w[R.UT, l], w[R.VT, l], w[R.TT, l]
-        xa, ya, ua, va, ta, aa = w[R.XA, l], w[R.YA, l], w[R.UA, l], w[R.VA, l], w[R.TA, l], w[R.AA, l]
-        xb, yb, ub, vb, tb, ab, bb = (
-            w[R.XB, l], w[R.YB, l], w[R.UB, l], w[R.VB, l], w[R.TB, l], w[R.AB, l], w[R.BB, l],
-        )  # fmt: skip
-        xw, yw, uw, vw, tw, aw, bw, ww = (
-            w[R.XW, l], w[R.YW, l], w[R.UW, l], w[R.VW, l], w[R.TW, l], w[R.AW, l], w[R.BW, l], w[R.WW, l],
-        )  # fmt: skip
-        xu, yu, uu, xv, yv, uv, vv = (
-            w[R.XU, l], w[R.YU, l], w[R.UU, l], w[R.XV, l], w[R.YV, l], w[R.UV, l], w[R.VV, l],
-        )  # fmt: skip
+        c, s, ke, kn = w.COS, w.SIN, w.JEAST, w.JNORTH  # dt R; dt (k J g0 + m t)
+        xt, yt, ut, vt, tt = w.XT, w.YT, w.UT, w.VT, w.TT
+        xa, ya, ua, va, ta, aa = w.XA, w.YA, w.UA, w.VA, w.TA, w.AA
+        xb, yb, ub, vb, tb, ab, bb = w.XB, w.YB, w.UB, w.VB, w.TB, w.AB, w.BB
+        xw, yw, uw, vw, tw, aw, bw, ww = w.XW, w.YW, w.UW, w.VW, w.TW, w.AW, w.BW, w.WW
+        xu, yu, uu, xv, yv, uv, vv = w.XU, w.YU, w.UU, w.XV, w.YV, w.UV, w.VV
 
-        u, v = w[R.U, l], w[R.V, l]
-        u1, v1 = u + (w[R.EAST, l] + w[R.MU_EAST, l]), v + (w[R.NORTH, l] + w[R.MU_NORTH, l])
-        w[R.X, l] += h * (u + u1)
-        w[R.Y, l] += h * (v + v1)
-        w[R.U, l], w[R.V, l] = u1, v1
-        w[R.T, l] += dt * (gz - w[R.W, l])
+        u, v = w.U, w.V
+        u1, v1 = u + (w.EAST + w.MU_EAST), v + (w.NORTH + w.MU_NORTH)
+        w.X += h * (u + u1)
+        w.Y += h * (v + v1)
+        w.U, w.V = u1, v1
+        w.T += dt * (gz - w.W)
 
         # xu1 is Cov(x, u'), x1u is Cov(x', u), x1u1 is Cov(x', u'), and so on; t1 is theta'.
         xu1, xv1 = xu + ke * xt - (c * xa - s * xb), xv + kn * xt - (s * xa + c * xb)
@@ -90,27 +78,27 @@ def predict_planar8(w, u):
         u1a, v1a = ua + ke * ta - (c * aa - s * ab), va + kn * ta - (s * aa + c * ab)
         u1b, v1b = ub + ke * tb - (c * ab - s * bb), vb + kn * tb - (s * ab + c * bb)
         u1w, v1w = uw + ke * tw - (c * aw - s * bw), vw + kn * tw - (s * aw + c * bw)
-        u1u1 = uu1 + (uu1 - uu) + w[R.GEE, l]
-        u1v1 = uv1 + (vu1 - uv) + w[R.GEN, l]
-        v1v1 = vv1 + (vv1 - vv) + w[R.GNN, l]
+        u1u1 = uu1 + (uu1 - uu) + w.GEE
+        u1v1 = uv1 + (vu1 - uv) + w.GEN
+        v1v1 = vv1 + (vv1 - vv) + w.GNN
         u1t1, v1t1 = u1t - dt * u1w, v1t - dt * v1w
         x1u, y1u, y1v = xu + h * (uu + uu1), yu + h * (uv + uv1), yv + h * (vv + vv1)
         x1u1, x1v1 = xu1 + h * (uu1 + u1u1), xv1 + h * (uv1 + u1v1)
         y1u1, y1v1 = yu1 + h * (vu1 + u1v1), yv1 + h * (vv1 + v1v1)
 
-        w[R.XX, l] += h * ((xu + xu1) + (x1u + x1u1)) + q_scale * w[R.Q_X, l]
-        w[R.XY, l] += h * ((xv + xv1) + (y1u + y1u1))
-        w[R.YY, l] += h * ((yv + yv1) + (y1v + y1v1)) + q_scale * w[R.Q_Y, l]
-        w[R.XU, l], w[R.XV, l], w[R.YU, l], w[R.YV, l] = x1u1, x1v1, y1u1, y1v1
-        w[R.UU, l], w[R.UV, l], w[R.VV, l] = u1u1 + q_scale * w[R.Q_U, l], u1v1, v1v1 + q_scale * w[R.Q_V, l]
-        w[R.XT, l] = xt - dt * xw + h * ((ut - dt * uw) + u1t1)
-        w[R.YT, l] = yt - dt * yw + h * ((vt - dt * vw) + v1t1)
-        w[R.UT, l], w[R.VT, l] = u1t1, v1t1
-        w[R.TT, l] = tt - dt * (2.0 * tw - dt * ww) + q_scale * w[R.Q_T, l]
-        w[R.XA, l], w[R.XB, l], w[R.XW, l] = xa + h * (ua + u1a), xb + h * (ub + u1b), xw + h * (uw + u1w)
-        w[R.YA, l], w[R.YB, l], w[R.YW, l] = ya + h * (va + v1a), yb + h * (vb + v1b), yw + h * (vw + v1w)
-        w[R.UA, l], w[R.UB, l], w[R.UW, l], w[R.VA, l], w[R.VB, l], w[R.VW, l] = u1a, u1b, u1w, v1a, v1b, v1w
-        w[R.TA, l], w[R.TB, l], w[R.TW, l] = ta - dt * aw, tb - dt * bw, tw - dt * ww
-        w[R.AA, l] = aa + q_scale * w[R.Q_A, l]
-        w[R.BB, l] = bb + q_scale * w[R.Q_B, l]
-        w[R.WW, l] = ww + q_scale * w[R.Q_W, l]
+        w.XX += h * ((xu + xu1) + (x1u + x1u1)) + q_scale * w.Q_X
+        w.XY += h * ((xv + xv1) + (y1u + y1u1))
+        w.YY += h * ((yv + yv1) + (y1v + y1v1)) + q_scale * w.Q_Y
+        w.XU, w.XV, w.YU, w.YV = x1u1, x1v1, y1u1, y1v1
+        w.UU, w.UV, w.VV = u1u1 + q_scale * w.Q_U, u1v1, v1v1 + q_scale * w.Q_V
+        w.XT = xt - dt * xw + h * ((ut - dt * uw) + u1t1)
+        w.YT = yt - dt * yw + h * ((vt - dt * vw) + v1t1)
+        w.UT, w.VT = u1t1, v1t1
+        w.TT = tt - dt * (2.0 * tw - dt * ww) + q_scale * w.Q_T
+        w.XA, w.XB, w.XW = xa + h * (ua + u1a), xb + h * (ub + u1b), xw + h * (uw + u1w)
+        w.YA, w.YB, w.YW = ya + h * (va + v1a), yb + h * (vb + v1b), yw + h * (vw + v1w)
+        w.UA, w.UB, w.UW, w.VA, w.VB, w.VW = u1a, u1b, u1w, v1a, v1b, v1w
+        w.TA, w.TB, w.TW = ta - dt * aw, tb - dt * bw, tw - dt * ww
+        w.AA = aa + q_scale * w.Q_A
+        w.BB = bb + q_scale * w.Q_B
+        w.WW = ww + q_scale * w.Q_W

@@ -5,8 +5,6 @@ ax, ay (body), yaw rate. F is a product of elementary matrices, one for each row
 is diagonal, so sequential updates with single states equal the joint update.
 """
 
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
-
 import math
 
 import numpy as np
@@ -28,7 +26,7 @@ from sigmaswarm.drives.timeline import (
 )
 from sigmaswarm.filters.compiled.lanes import kernel, sincos
 from sigmaswarm.filters.compiled.layout import LANES, Q0, R, at
-from sigmaswarm.filters.compiled.measurements import _add_likelihood, add_forecast
+from sigmaswarm.filters.compiled.measurements import add_forecast, add_likelihood
 from sigmaswarm.filters.compiled.unroll import unrolled
 
 USES_VY, USES_AY = LATERAL, STANDSTILL
@@ -48,39 +46,39 @@ def _predict(w, d, q):
     """Compute a step of ``d`` s by the equations of `models.robot_localization`; ``q`` Q is added to F P F^T."""
     h = 0.5 * d
     for l in range(LANES):
-        s, c = sincos(w[R.T, l])
-        a, b = d * (w[R.U, l] + h * w[R.A, l]), d * (w[R.V, l] + h * w[R.B, l])
+        s, c = sincos(w.T)
+        a, b = d * (w.U + h * w.A), d * (w.V + h * w.B)
         east, north = c * a - s * b, s * a + c * b
         cd, sd = c * d, s * d
         ch, sh = cd * h, sd * h
-        w[R.X, l] += east
-        w[R.Y, l] += north
-        w[R.U, l] += d * w[R.A, l]
-        w[R.V, l] += d * w[R.B, l]
-        w[R.T, l] = _wrap(w[R.T, l] + d * w[R.W, l])
-        before = cd * w[R.XU, l] - sd * w[R.XV, l] + ch * w[at(R.X, R.A), l] - sh * w[at(R.X, R.B), l]
-        before = before - north * w[R.XT, l]
+        w.X += east
+        w.Y += north
+        w.U += d * w.A
+        w.V += d * w.B
+        w.T = _wrap(w.T + d * w.W)
+        before = cd * w.XU - sd * w.XV + ch * w[at(R.X, R.A)] - sh * w[at(R.X, R.B)]
+        before = before - north * w.XT
         for k in range(1, 8):
-            moved = cd * w[at(R.U, k), l] - sd * w[at(R.V, k), l] - north * w[at(R.T, k), l]
-            w[at(R.X, k), l] += moved + (ch * w[at(R.A, k), l] - sh * w[at(R.B, k), l])
-        after = cd * w[R.XU, l] - sd * w[R.XV, l] + ch * w[at(R.X, R.A), l] - sh * w[at(R.X, R.B), l]
-        w[R.XX, l] += before + (after - north * w[R.XT, l]) + q * w[Q0 + R.X, l]
-        before = sd * w[R.YU, l] + cd * w[R.YV, l] + sh * w[at(R.Y, R.A), l] + ch * w[at(R.Y, R.B), l]
-        before = before + east * w[R.YT, l]
+            moved = cd * w[at(R.U, k)] - sd * w[at(R.V, k)] - north * w[at(R.T, k)]
+            w[at(R.X, k)] += moved + (ch * w[at(R.A, k)] - sh * w[at(R.B, k)])
+        after = cd * w.XU - sd * w.XV + ch * w[at(R.X, R.A)] - sh * w[at(R.X, R.B)]
+        w.XX += before + (after - north * w.XT) + q * w[Q0 + R.X]
+        before = sd * w.YU + cd * w.YV + sh * w[at(R.Y, R.A)] + ch * w[at(R.Y, R.B)]
+        before = before + east * w.YT
         for k in (0, 2, 3, 4, 5, 6, 7):
-            moved = sd * w[at(R.U, k), l] + cd * w[at(R.V, k), l] + east * w[at(R.T, k), l]
-            w[at(R.Y, k), l] += moved + (sh * w[at(R.A, k), l] + ch * w[at(R.B, k), l])
-        after = sd * w[R.YU, l] + cd * w[R.YV, l] + sh * w[at(R.Y, R.A), l] + ch * w[at(R.Y, R.B), l]
-        w[R.YY, l] += before + (after + east * w[R.YT, l]) + q * w[Q0 + R.Y, l]
+            moved = sd * w[at(R.U, k)] + cd * w[at(R.V, k)] + east * w[at(R.T, k)]
+            w[at(R.Y, k)] += moved + (sh * w[at(R.A, k)] + ch * w[at(R.B, k)])
+        after = sd * w.YU + cd * w.YV + sh * w[at(R.Y, R.A)] + ch * w[at(R.Y, R.B)]
+        w.YY += before + (after + east * w.YT) + q * w[Q0 + R.Y]
     for l in range(LANES):
         for i in (R.T, R.U, R.V):  # yaw by its rate, vx by ax, vy by ay
-            old = w[at(i, RATES[i]), l]
+            old = w[at(i, RATES[i])]
             for k in range(8):
                 if k != i:
-                    w[at(i, k), l] += d * w[at(RATES[i], k), l]
-            w[at(i, i), l] += d * (old + w[at(i, RATES[i]), l]) + q * w[Q0 + i, l]
+                    w[at(i, k)] += d * w[at(RATES[i], k)]
+            w[at(i, i)] += d * (old + w[at(i, RATES[i])]) + q * w[Q0 + i]
         for i in (R.A, R.B, R.W):
-            w[at(i, i), l] += q * w[Q0 + i, l]
+            w[at(i, i)] += q * w[Q0 + i]
 
 
 RATES = {R.T: R.W, R.U: R.A, R.V: R.B}
@@ -91,30 +89,30 @@ def _correct(w, l, off, r, use, *, state):
 
     ``off``: nu; ``r``: R; ``use``: 0 if the measurement is rejected, else 1.
     """
-    one = use / (w[at(state, state), l] + r)
+    one = use / (w[at(state, state)] + r)
     nu = one * off
     for k in range(8):
-        w[k, l] += w[at(k, state), l] * nu
-    w[R.T, l] = _wrap(w[R.T, l])
+        w[k] += w[at(k, state)] * nu
+    w.T = _wrap(w.T)
     for i in range(8):
         if i != state:
-            gain = one * w[at(i, state), l]
+            gain = one * w[at(i, state)]
             for k in range(i + 1):
                 if k != state:
-                    w[at(i, k), l] = w[at(i, k), l] - gain * w[at(k, state), l]
+                    w[at(i, k)] = w[at(i, k)] - gain * w[at(k, state)]
     left = one * r if use > 0.0 else 1.0
     for k in range(8):
-        w[at(k, state), l] = w[at(k, state), l] * left
+        w[at(k, state)] = w[at(k, state)] * left
 
 
 def _update(w, z, *, state, noise, gate, correct):
     """Update with a measurement of one state; ``gate``: row of the NIS from which measurements are rejected, or 0."""
     for l in range(LANES):
-        r, use, off = w[noise, l], 1.0, z - w[state, l]
+        r, use, off = w[noise], 1.0, z - w[state]
         if state == R.T:
             off = _wrap(off)
         if gate:
-            use = 1.0 if off * off < w[gate, l] * (w[at(state, state), l] + r) else 0.0
+            use = 1.0 if off * off < w[gate] * (w[at(state, state)] + r) else 0.0
         correct(w, l, off, r, use)
 
 
@@ -134,23 +132,23 @@ _update_vx, _update_vy, _update_yaw = _updated(R.U, R.R_ODOMETER), _updated(R.V,
 def _measure_fix(w, x, y, var_x, var_y, forward, left):
     """Compute nu, H P H^T and R of a fix; the antenna is ``forward`` and ``left`` of the IMU, m."""
     for l in range(LANES):
-        s, c = sincos(w[R.T, l])
-        w[R.N1, l] = x - (c * forward - s * left) - w[R.X, l]
-        w[R.N2, l] = y - (s * forward + c * left) - w[R.Y, l]
-        w[R.C1_X, l], w[R.C1_Y, l] = w[R.X, l], w[R.Y, l]
-        w[R.S11, l], w[R.S12, l], w[R.S22, l] = w[R.XX, l], w[R.XY, l], w[R.YY, l]
-        w[R.R1, l] = w[R.RX, l] + w[R.ACCURACY, l] * var_x
-        w[R.R2, l] = w[R.RY, l] + w[R.ACCURACY, l] * var_y
+        s, c = sincos(w.T)
+        w.N1 = x - (c * forward - s * left) - w.X
+        w.N2 = y - (s * forward + c * left) - w.Y
+        w.C1_X, w.C1_Y = w.X, w.Y
+        w.S11, w.S12, w.S22 = w.XX, w.XY, w.YY
+        w.R1 = w.RX + w.ACCURACY * var_x
+        w.R2 = w.RY + w.ACCURACY * var_y
 
 
 @kernel
 def _check_fix(w):
     """Add the likelihood of a fix to the sums; reject the fix if its NIS is not below GATE, the squared threshold."""
     for l in range(LANES):
-        nis = _add_likelihood(w, l)
-        det = w[R.V11, l] * w[R.V22, l] - w[R.V12, l] * w[R.V12, l]
-        w[R.OK, l] = w[R.OK, l] if (det > 0.0) & (w[R.V11, l] > 0.0) else 0.0
-        w[R.USE, l] = 1.0 if nis < w[R.GATE, l] else 0.0
+        nis = add_likelihood(w, l)
+        det = w.V11 * w.V22 - w.V12 * w.V12
+        w.OK = w.OK if (det > 0.0) & (w.V11 > 0.0) else 0.0
+        w.USE = 1.0 if nis < w.GATE else 0.0
 
 
 BEFORE = {R.X: R.C1_X, R.Y: R.C1_Y}
@@ -159,8 +157,8 @@ BEFORE = {R.X: R.C1_X, R.Y: R.C1_Y}
 def _update_axis(w, *, state, noise, innovation, correct):
     """Update with one axis of a fix in the lanes that accept the fix."""
     for l in range(LANES):
-        off = w[innovation, l] - (w[state, l] - w[BEFORE[state], l])
-        correct(w, l, off, w[noise, l], w[R.USE, l])
+        off = w[innovation] - (w[state] - w[BEFORE[state]])
+        correct(w, l, off, w[noise], w.USE)
 
 
 _update_x, _update_y = (
@@ -172,9 +170,9 @@ _update_x, _update_y = (
 @kernel
 def _add_residual(w):
     for l in range(LANES):
-        e = w[R.N1, l] - (w[R.X, l] - w[R.C1_X, l])
-        n = w[R.N2, l] - (w[R.Y, l] - w[R.C1_Y, l])
-        w[R.SQ_FIX, l] += e * e + n * n
+        e = w.N1 - (w.X - w.C1_X)
+        n = w.N2 - (w.Y - w.C1_Y)
+        w.SQ_FIX += e * e + n * n
 
 
 @kernel
@@ -186,7 +184,7 @@ def _add_forecast(w):
 @kernel
 def _update_heading(w, theta, stated):
     for l in range(LANES):
-        w[R.R1, l] = w[R.R_HEADING, l] + stated
+        w.R1 = w.R_HEADING + stated
     _update_yaw(w, theta)
 
 

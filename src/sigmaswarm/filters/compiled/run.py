@@ -1,13 +1,11 @@
 """Compiled run of up to `most_lanes` filters over one time line, with scores."""
 
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
-
 import hashlib
-import inspect
 import math
 import re
 from functools import cache, partial
 from pathlib import Path
+from types import FunctionType
 
 import numpy as np
 from numba import njit
@@ -21,7 +19,7 @@ from sigmaswarm.drives.timeline import Q_SCALE
 from sigmaswarm.filters import fix_error, fuzzy, models, schedule, student, tilted
 from sigmaswarm.filters.compiled.lanes import OPTIONS, exchange_control, kernel
 from sigmaswarm.filters.compiled.layout import LANES, N_KEPT, N_ROWS, R, state_rows
-from sigmaswarm.filters.compiled.rows import new_rows
+from sigmaswarm.filters.compiled.memory import new_rows
 from sigmaswarm.filters.compiled.step import step_of
 from sigmaswarm.filters.compiled.step_log import logged_rows
 from sigmaswarm.filters.compiled.unroll import unrolled
@@ -73,28 +71,30 @@ _DETERMINANTS_PER_LOG = 8  # determinants per logarithm; a double can contain th
 def _take_logarithm(w):
     """Add the logarithms of the products DET and TAIL over the last fixes to the sums, and reset the products."""
     for l in range(LANES):
-        w[R.LOG_DET, l] += math.log(w[R.DET, l])
-        w[R.LOG_TAIL, l] += math.log(w[R.TAIL, l])
-        w[R.DET, l], w[R.TAIL, l] = 1.0, 1.0
+        w.LOG_DET += math.log(w.DET)
+        w.LOG_TAIL += math.log(w.TAIL)
+        w.DET, w.TAIL = 1.0, 1.0
 
 
 def _wrapped(angle):
     return angle - _TWO_PI * np.floor(angle / _TWO_PI + 0.5)
 
 
+@kernel
 def _off_between(w, l, weight, true_x, true_y, true_theta, heading):
     """Interpolate the estimate linearly between two IMU samples; return its errors in x, y and heading."""
-    x = w[R.BEFORE_X, l] + weight * (w[R.X, l] - w[R.BEFORE_X, l]) - true_x
-    y = w[R.BEFORE_Y, l] + weight * (w[R.Y, l] - w[R.BEFORE_Y, l]) - true_y
-    turn = _wrapped(w[heading, l] - w[R.BEFORE_T, l])
-    return x, y, _wrapped(w[R.BEFORE_T, l] + weight * turn - true_theta)
+    x = w.BEFORE_X + weight * (w.X - w.BEFORE_X) - true_x
+    y = w.BEFORE_Y + weight * (w.Y - w.BEFORE_Y) - true_y
+    turn = _wrapped(w[heading] - w.BEFORE_T)
+    return x, y, _wrapped(w.BEFORE_T + weight * turn - true_theta)
 
 
+@kernel
 def _add(w, l, x, y, wrong, scores_heading):
-    w[R.SQ_POSITION, l] += x * x + y * y
-    w[R.SQ_HEADING, l] += scores_heading * wrong * wrong
-    xx, xy, yy = w[R.XX, l], w[R.XY, l], w[R.YY, l]
-    w[R.NEES, l] += (x * (yy * x - xy * y) + y * (xx * y - xy * x)) / (xx * yy - xy * xy)
+    w.SQ_POSITION += x * x + y * y
+    w.SQ_HEADING += scores_heading * wrong * wrong
+    xx, xy, yy = w.XX, w.XY, w.YY
+    w.NEES += (x * (yy * x - xy * y) + y * (xx * y - xy * x)) / (xx * yy - xy * xy)
 
 
 def _score(w, weight, true_x, true_y, true_theta, scores_heading, *, heading):
@@ -106,7 +106,7 @@ def _score(w, weight, true_x, true_y, true_theta, scores_heading, *, heading):
 
 def _score_there(w, true_x, true_y, true_theta, scores_heading, *, heading):
     for l in range(LANES):
-        x, y, wrong = w[R.X, l] - true_x, w[R.Y, l] - true_y, _wrapped(w[heading, l] - true_theta)
+        x, y, wrong = w.X - true_x, w.Y - true_y, _wrapped(w[heading] - true_theta)
         _add(w, l, x, y, wrong, scores_heading)
 
 
@@ -119,10 +119,10 @@ def _score_by_deviation(
     """
     for l in range(LANES):
         x, y, wrong = _off_between(w, l, weight, true_x, true_y, true_theta, heading)
-        w[R.SQ_POSITION, l] += counts * (x * x + y * y)
-        w[R.SQ_HEADING, l] += scores_heading * heading_counts * wrong * wrong
-        xx, xy, yy = w[R.XX, l] + var_x, w[R.XY, l], w[R.YY, l] + var_y
-        w[R.NEES, l] += (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+        w.SQ_POSITION += counts * (x * x + y * y)
+        w.SQ_HEADING += scores_heading * heading_counts * wrong * wrong
+        xx, xy, yy = w.XX + var_x, w.XY, w.YY + var_y
+        w.NEES += (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
 
 
 def _run(
@@ -163,9 +163,9 @@ def _run(
             and (weight[n_targets] != 1.0 or deviations.shape[0] > 0)
         ):
             for l in range(LANES):
-                w[R.BEFORE_X, l] = w[R.X, l]
-                w[R.BEFORE_Y, l] = w[R.Y, l]
-                w[R.BEFORE_T, l] = w[heading, l]
+                w.BEFORE_X = w.X
+                w.BEFORE_Y = w.Y
+                w.BEFORE_T = w[heading]
         m = sample[s]
         u = tuple(steps[s, k] for k in range(3)) + tuple(driving[m, k] for k in range(n_axes))
         events = int(flags[s])
@@ -203,8 +203,8 @@ def _run(
         if interval_starts and record.shape[0] > 0:
             for l in range(record.shape[2]):
                 for r in range(len(state)):
-                    record[n_recorded, r, l] = w[state[r], l]
-                record[n_recorded, len(state), l] = w[R.OK, l]
+                    record[n_recorded, r, l] = w[state[r]]
+                record[n_recorded, len(state), l] = w.OK
             n_recorded += 1
     if stop == steps.shape[0]:
         _take_logarithm(w)
@@ -259,41 +259,33 @@ def _digest():
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
-def named_by_sources(make, name, known=None):
-    """Return the recipe of ``make(sources)``; its key in Numba's cache contains a hash of all kernels' sources.
+def named_by_sources(function, name, known=None):
+    """Return the recipe of a function; its key in Numba's cache contains a hash of all kernels' sources.
 
     Numba's own key does not depend on the called functions, which are in other files or bound by `unrolled`. ``known``
-    returns the values of the keyword-only parameters of ``make``, which are needed only for compilation.
+    returns the values of the keyword-only parameters, which are needed only for compilation.
     """
-    sources = f"{name} {_digest()}"
 
-    def named(make):
-        function = make(sources)
+    def named(function):
         function.__qualname__ += "_" + re.sub(r"\W+", "_", name)  # see `unroll._hash_of`
         return function
 
-    if known is None:
-        return FunctionRecipe(named(make), sources, lambda: named(make))
-    like = named(partial(make, **dict.fromkeys(inspect.getfullargspec(make).kwonlyargs)))
-    return FunctionRecipe(like, sources, lambda: named(unrolled(make, **known())))
+    like = named(FunctionType(function.__code__.replace(co_kwonlyargcount=0), function.__globals__))
+    make = (lambda: named(unrolled(function, **known()))) if known else lambda: like
+    return FunctionRecipe(like, f"{name} {_digest()}", make)
 
 
-def cached_by_sources(make, name, known=None):
-    return cached(named_by_sources(make, name, known), **OPTIONS)
+def cached_by_sources(function, name, known=None):
+    return cached(named_by_sources(function, name, known), **OPTIONS)
 
 
-def _machine_code(sources, *, steps_to):
-    def run_model(drive, rows, place, stop, record, innovations):
-        if sources == "":  # never true; makes ``sources`` a part of the closure
-            return
-        control = exchange_control(-1)
-        w = new_rows(rows.shape[1])
-        _load(w, rows)
-        steps_to(w, drive, place, stop, record, innovations)
-        _store(w, rows)
-        exchange_control(control)
-
-    return run_model
+def _run_model(drive, rows, place, stop, record, innovations, *, steps_to):
+    control = exchange_control(-1)
+    w = new_rows(rows.shape[1])
+    _load(w, rows)
+    steps_to(w, drive, place, stop, record, innovations)
+    _store(w, rows)
+    exchange_control(control)
 
 
 def _kernel_of(model, step, rows, name):
@@ -308,7 +300,7 @@ def _kernel_of(model, step, rows, name):
         )  # fmt: skip
         return {"steps_to": steps_to}
 
-    return cached_by_sources(_machine_code, name, known)
+    return cached_by_sources(_run_model, name, known)
 
 
 @call_once

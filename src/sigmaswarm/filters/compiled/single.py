@@ -4,8 +4,6 @@ Otherwise, Numba would inline the step into its callers, the functions of a live
 model.
 """
 
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +15,7 @@ from numba.extending import intrinsic
 from sigmaswarm.compilation import address_of, call_once
 from sigmaswarm.filters.compiled.lanes import exchange_control
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, N_KEPT, WIDEST, R, state_rows
-from sigmaswarm.filters.compiled.rows import new_rows
+from sigmaswarm.filters.compiled.memory import new_rows
 from sigmaswarm.filters.compiled.run import named_by_sources
 from sigmaswarm.filters.compiled.step import step_of
 from sigmaswarm.filters.compiled.step_log import logged_rows
@@ -26,31 +24,26 @@ _NUMBERS = types.CPointer(float64)
 SIGNATURE = types.void(_NUMBERS, _NUMBERS, int64, _NUMBERS, _NUMBERS, _NUMBERS, float64)
 
 
-def _one_step(sources, *, step, kept, step_log, logged):
-    def one_step(v, u, events, z, wheels, lever, since):
-        if sources == "":  # never true; makes ``sources`` a part of the closure
-            return
-        control = exchange_control(-1)
-        w = new_rows(WIDEST)
-        for r in kept:
-            for lane in range(w.shape[1]):
-                w[r, lane] = v[r]
+def _one_step(v, u, events, z, wheels, lever, since, *, step, kept, step_log, logged):
+    control = exchange_control(-1)
+    w = new_rows(WIDEST)
+    for r in kept:
         for lane in range(w.shape[1]):
-            w[R.SIN_COS_VALID_ALL, lane] = v[R.SIN_COS_VALID]  # all lanes are equal
-        step(
-            w, tuple(u[k] for k in range(9)), events, tuple(z[k] for k in range(8)),
-            tuple(wheels[k] for k in range(3)), tuple(lever[k] for k in range(3)), since,
-        )  # fmt: skip
-        for r in kept:
-            v[r] = w[r, 0]
-        exchange_control(control)
-        if step_log >= 0:
-            at = step_log + 1 + int(v[step_log]) * len(logged)
-            for r in range(len(logged)):
-                v[at + r] = w[logged[r], 0]
-            v[step_log] += 1.0
-
-    return one_step
+            w[r, lane] = v[r]
+    for lane in range(w.shape[1]):
+        w[R.SIN_COS_VALID_ALL, lane] = v[R.SIN_COS_VALID]  # all lanes are equal
+    step(
+        w, tuple(u[k] for k in range(9)), events, tuple(z[k] for k in range(8)),
+        tuple(wheels[k] for k in range(3)), tuple(lever[k] for k in range(3)), since,
+    )  # fmt: skip
+    for r in kept:
+        v[r] = w[r, 0]
+    exchange_control(control)
+    if step_log >= 0:
+        at = step_log + 1 + int(v[step_log]) * len(logged)
+        for r in range(len(logged)):
+            v[at + r] = w[logged[r], 0]
+        v[step_log] += 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,11 +96,7 @@ def _call(typing_context, step, v, u, events, z, wheels, lever, since):
     return types.void(int64, v, u, int64, z, wheels, lever, float64), generate
 
 
-def _called(step, v, u, events, z, wheels, lever, since):
-    step(v, u, events, z, wheels, lever, since)
-
-
-take_step = _called if config.DISABLE_JIT else _call
+take_step = (lambda step, *arguments: step(*arguments)) if config.DISABLE_JIT else _call
 """For compiled code: ``take_step(step, v, u, events, z, wheels, lever, since)`` computes one step of one filter.
 
 ``step`` is `SingleStep.address`; ``v`` (N_KEPT or more,) is the filter, which changes in place. For the other arguments

@@ -9,8 +9,6 @@ the predicted ones after it; m^s and P^s are smoothed before the step, m^s' and 
 P. In a model with roll and pitch, `tilted` defines differences and sums. Sources: see `filters.smoothing.smooth`.
 """
 
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportIndexIssue=false
-
 import math
 
 import numpy as np
@@ -152,25 +150,20 @@ def _step_back(
             at += 1
 
 
-def _backwards(sources, *, n, step_back):
-    def backwards(step_log, start, ends, started, sampled, behind, out):
-        if sources == "":  # never true; makes ``sources`` a part of the closure
-            return
-        work = np.empty((5, n, n))
-        written, starts = out.shape[0], started.shape[0]
-        for s in range(step_log.shape[0] - 1, -1, -1):
-            if sampled[s]:
-                written -= 1
-                out[written] = behind
-            if starts > 0 and ends[starts - 1] == s:
-                starts -= 1
-                behind[:] = step_log[s, : len(behind)]
-            before = step_log[s - 1] if s > 0 else start
-            if starts > 0 and ends[starts - 1] == s - 1:
-                before = started[starts - 1]
-            step_back(before, step_log[s], behind, work)
-
-    return backwards
+def _backwards(step_log, start, ends, started, sampled, behind, out, *, n, step_back):
+    work = np.empty((5, n, n))
+    written, starts = out.shape[0], started.shape[0]
+    for s in range(step_log.shape[0] - 1, -1, -1):
+        if sampled[s]:
+            written -= 1
+            out[written] = behind
+        if starts > 0 and ends[starts - 1] == s:
+            starts -= 1
+            behind[:] = step_log[s, : len(behind)]
+        before = step_log[s - 1] if s > 0 else start
+        if starts > 0 and ends[starts - 1] == s - 1:
+            before = started[starts - 1]
+        step_back(before, step_log[s], behind, work)
 
 
 @call_once

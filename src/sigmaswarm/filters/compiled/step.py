@@ -1,14 +1,12 @@
 """One step of LANES filters: predict, then update with the measurements."""
 
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
-
 from functools import cache
 
 from sigmaswarm.drives.events import COMPARED, FIX, HEADING, HIDDEN, LATERAL, ODOMETER, STANDSTILL, VELOCITY
 from sigmaswarm.drives.timeline import DT, GAP
 from sigmaswarm.filters.compiled import fix_error, robot_localization, step_log
 from sigmaswarm.filters.compiled.lanes import kernel
-from sigmaswarm.filters.compiled.layout import LANES, R
+from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.compiled.measurements import measurement_kernels
 from sigmaswarm.filters.compiled.planar5 import predict_planar5
 from sigmaswarm.filters.compiled.planar8 import predict_planar8
@@ -28,16 +26,16 @@ def _grow(w, dt, gap, *, tilted):
     turn = GAP_TURN_STD * GAP_TURN_STD * gap * dt
     g = GAP_ACCELERATION_STD * GAP_ACCELERATION_STD * gap * dt
     for l in range(LANES):
-        w[R.XX, l] += 0.25 * g * dt * dt
-        w[R.YY, l] += 0.25 * g * dt * dt
-        w[R.XU, l] += 0.5 * g * dt
-        w[R.YV, l] += 0.5 * g * dt
-        w[R.UU, l] += g
-        w[R.VV, l] += g
-        w[R.TT, l] += turn
+        w.XX += 0.25 * g * dt * dt
+        w.YY += 0.25 * g * dt * dt
+        w.XU += 0.5 * g * dt
+        w.YV += 0.5 * g * dt
+        w.UU += g
+        w.VV += g
+        w.TT += turn
         if tilted:
-            w[R.II, l] += GAP_TILT_STD * GAP_TILT_STD * gap * dt
-            w[R.JJ, l] += GAP_TILT_STD * GAP_TILT_STD * gap * dt
+            w.II += GAP_TILT_STD * GAP_TILT_STD * gap * dt
+            w.JJ += GAP_TILT_STD * GAP_TILT_STD * gap * dt
 
 
 def _step(

@@ -4,8 +4,6 @@ A is the transition of the step: see transition.py. If a fading factor or a run 
 includes this inflation.
 """
 
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
-
 import numpy as np
 
 from sigmaswarm.filters.compiled.lanes import kernel
@@ -31,17 +29,17 @@ def phi_place(model):
 
 def _note_move(w, dt, *, places, moves, phi):
     for l in range(LANES):
-        w[MOVE, l] = dt
+        w[MOVE] = dt
         for i in places:  # A is the identity in a step of length 0
-            w[MOVE + 1 + i, l] = w[moves[i], l] if dt > 0.0 else 0.0
+            w[MOVE + 1 + i] = w[moves[i]] if dt > 0.0 else 0.0
         if phi:
-            w[MOVE + phi, l] = 1.0  # at a fix, `move_fix_error` replaces it
+            w[MOVE + phi] = 1.0  # at a fix, `move_fix_error` replaces it
 
 
 def _note_prior(w, *, state):
     for l in range(LANES):
         for row in state:
-            w[PRIOR + row, l] = w[row, l]
+            w[PRIOR + row] = w[row]
 
 
 def note_move(name):

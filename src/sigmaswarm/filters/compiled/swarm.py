@@ -12,8 +12,6 @@ The evidence of a lane is the Gaussian log-likelihood of the fixes, with limited
 The weight of a lane is exp(EVIDENCE_COUNTS evidence - penalty), normalized.
 """
 
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
-
 import math
 
 from llvmlite import ir
@@ -27,7 +25,7 @@ from sigmaswarm.drives.timeline import DT
 from sigmaswarm.filters.compiled.lanes import OPTIONS, exchange_control
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, N_ROWS, P0, R, state_rows
 from sigmaswarm.filters.compiled.live import BEHIND, DIMENSION, FACTOR, TIME, is_definite
-from sigmaswarm.filters.compiled.rows import array_at
+from sigmaswarm.filters.compiled.memory import array_at
 from sigmaswarm.filters.compiled.run import named_by_sources
 from sigmaswarm.filters.compiled.single import SIGNATURE, SingleStep
 from sigmaswarm.filters.compiled.step import step_of
@@ -69,12 +67,11 @@ def _rows_behind(typing_context, v):
     return kind(v), generate
 
 
-def _rows_in_python(v):
-    first = BEHIND + NUMBERS
-    return v[first : first + N_ROWS * LANES].reshape(N_ROWS, LANES)
-
-
-_rows_of = _rows_in_python if config.DISABLE_JIT else _rows_behind
+_rows_of = (
+    (lambda v: v[BEHIND + NUMBERS :][: N_ROWS * LANES].reshape(N_ROWS, LANES))
+    if config.DISABLE_JIT
+    else _rows_behind
+)
 
 
 @njit(**OPTIONS)
@@ -145,41 +142,36 @@ def _check_lanes(v, w):
             w[R.OK, lane] = 0.0
 
 
-def _swarm_step(sources, *, step, kept):
-    def swarm_step(v, u, events, z, wheels, lever, since):
-        if sources == "":  # never true; makes ``sources`` a part of the closure
-            return
-        control = exchange_control(-1)
-        w = _rows_of(v)
-        for lane in range(LANES):
-            w[R.SIN_COS_VALID_ALL, lane] = 0.0  # some lanes may have been replaced
-        if v[R.OK] == 0.0:  # set by the live filter's check
-            w[R.OK, 0] = 0.0
-        step(
-            w, tuple(u[k] for k in range(9)), events, tuple(z[k] for k in range(8)),
-            tuple(wheels[k] for k in range(3)), tuple(lever[k] for k in range(3)), since,
-        )  # fmt: skip
-        exchange_control(control)
-        now = v[TIME] + u[DT]
-        if events & FIX:
-            _check_lanes(v, w)
-            _note_fix(v, w, now)
-            weigh(v)
-        for r in kept:
-            v[r] = w[r, 0]
-        row = BEHIND + STEP_LOG + N_LOG_ROW * (int(v[BEHIND + LOGGED]) % int(v[BEHIND + LOG_LENGTH]))
-        v[BEHIND + LOGGED] += 1.0
-        for c in range(9):
-            v[row + c] = u[c]
-        v[row + 9] = events
-        for c in range(8):
-            v[row + 10 + c] = z[c]
-        for c in range(3):
-            v[row + 18 + c] = wheels[c]
-        v[row + 21] = since
-        v[row + 22] = now
-
-    return swarm_step
+def _swarm_step(v, u, events, z, wheels, lever, since, *, step, kept):
+    control = exchange_control(-1)
+    w = _rows_of(v)
+    for lane in range(LANES):
+        w[R.SIN_COS_VALID_ALL, lane] = 0.0  # some lanes may have been replaced
+    if v[R.OK] == 0.0:  # set by the live filter's check
+        w[R.OK, 0] = 0.0
+    step(
+        w, tuple(u[k] for k in range(9)), events, tuple(z[k] for k in range(8)),
+        tuple(wheels[k] for k in range(3)), tuple(lever[k] for k in range(3)), since,
+    )  # fmt: skip
+    exchange_control(control)
+    now = v[TIME] + u[DT]
+    if events & FIX:
+        _check_lanes(v, w)
+        _note_fix(v, w, now)
+        weigh(v)
+    for r in kept:
+        v[r] = w[r, 0]
+    row = BEHIND + STEP_LOG + N_LOG_ROW * (int(v[BEHIND + LOGGED]) % int(v[BEHIND + LOG_LENGTH]))
+    v[BEHIND + LOGGED] += 1.0
+    for c in range(9):
+        v[row + c] = u[c]
+    v[row + 9] = events
+    for c in range(8):
+        v[row + 10 + c] = z[c]
+    for c in range(3):
+        v[row + 18 + c] = wheels[c]
+    v[row + 21] = since
+    v[row + 22] = now
 
 
 @call_once

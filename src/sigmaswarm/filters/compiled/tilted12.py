@@ -8,8 +8,6 @@ A changes seven states (see transition.py). A P A^T is computed in two parts: fi
 scratch rows, then those of (A P) A^T.
 """
 
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
-
 import math
 
 from sigmaswarm.drives.odometer import WHEEL_AGE, WHEEL_NOISE, WHEEL_SPEED
@@ -42,15 +40,15 @@ def _turn_far(w):
     It replaces the result of `_half_turn` in lanes with a large angle.
     """
     for l in range(LANES):
-        x, y, z = w[R.HALF_X, l], w[R.HALF_Y, l], w[R.HALF_Z, l]
+        x, y, z = w.HALF_X, w.HALF_Y, w.HALF_Z
         angle = math.sqrt(x * x + y * y + z * z) + TINY
         sine, c = sincos(angle)
         k = sine / angle
         near = x * x + y * y + z * z < FAR
-        w[R.TURN_W, l] = w[R.TURN_W, l] if near else c
-        w[R.TURN_X, l] = w[R.TURN_X, l] if near else k * x
-        w[R.TURN_Y, l] = w[R.TURN_Y, l] if near else k * y
-        w[R.TURN_Z, l] = w[R.TURN_Z, l] if near else k * z
+        w.TURN_W = w.TURN_W if near else c
+        w.TURN_X = w.TURN_X if near else k * x
+        w.TURN_Y = w.TURN_Y if near else k * y
+        w.TURN_Z = w.TURN_Z if near else k * z
 
 
 @kernel
@@ -59,11 +57,11 @@ def _half_turn(w, u):
     gx, gy, gz, quarter = u[GX], u[GY], u[GZ], 0.25 * u[DT]
     far = 0
     for l in range(LANES):
-        x, y, z = quarter * (gx - w[R.K, l]), quarter * (gy - w[R.L, l]), quarter * (gz - w[R.W, l])
+        x, y, z = quarter * (gx - w.K), quarter * (gy - w.L), quarter * (gz - w.W)
         angle2 = x * x + y * y + z * z
         k, c = sinc_cos(angle2)
-        w[R.TURN_W, l], w[R.TURN_X, l], w[R.TURN_Y, l], w[R.TURN_Z, l] = c, k * x, k * y, k * z
-        w[R.HALF_X, l], w[R.HALF_Y, l], w[R.HALF_Z, l] = x, y, z
+        w.TURN_W, w.TURN_X, w.TURN_Y, w.TURN_Z = c, k * x, k * y, k * z
+        w.HALF_X, w.HALF_Y, w.HALF_Z = x, y, z
         far += not (angle2 < FAR)
     if far > 0:
         _turn_far(w)
@@ -75,8 +73,8 @@ def _move(w, u):
     dt, ax, ay, az = u[DT], u[AX], u[AY], u[AZ]
     h = 0.5 * dt
     for l in range(LANES):
-        c, x, y, z = w[R.TURN_W, l], w[R.TURN_X, l], w[R.TURN_Y, l], w[R.TURN_Z, l]
-        q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+        c, x, y, z = w.TURN_W, w.TURN_X, w.TURN_Y, w.TURN_Z
+        q0, q1, q2, q3 = w.ATT_W, w.ATT_X, w.ATT_Y, w.ATT_Z
         m0 = q0 * c - q1 * x - q2 * y - q3 * z
         m1 = q0 * x + q1 * c + q2 * z - q3 * y
         m2 = q0 * y - q1 * z + q2 * c + q3 * x
@@ -86,20 +84,20 @@ def _move(w, u):
         q2 = m0 * y - m1 * z + m2 * c + m3 * x
         q3 = m0 * z + m1 * y - m2 * x + m3 * c
         one = 1.5 - 0.5 * (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)  # normalizes after rounding
-        w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l] = one * q0, one * q1, one * q2, one * q3
+        w.ATT_W, w.ATT_X, w.ATT_Y, w.ATT_Z = one * q0, one * q1, one * q2, one * q3
         d11, d12, d13 = 1.0 - 2.0 * (m2 * m2 + m3 * m3), 2.0 * (m1 * m2 - m0 * m3), 2.0 * (m1 * m3 + m0 * m2)
         d21, d22, d23 = 2.0 * (m1 * m2 + m0 * m3), 1.0 - 2.0 * (m1 * m1 + m3 * m3), 2.0 * (m2 * m3 - m0 * m1)
         d31, d32, d33 = 2.0 * (m1 * m3 - m0 * m2), 2.0 * (m2 * m3 + m0 * m1), 1.0 - 2.0 * (m1 * m1 + m2 * m2)
-        fx, fy = ax - w[R.A, l], ay - w[R.B, l]
+        fx, fy = ax - w.A, ay - w.B
         east, north = dt * (d11 * fx + d12 * fy + d13 * az), dt * (d21 * fx + d22 * fy + d23 * az)
-        w[R.D11, l], w[R.D12, l], w[R.D13, l] = dt * d11, dt * d12, dt * d13
-        w[R.D21, l], w[R.D22, l], w[R.D23, l] = dt * d21, dt * d22, dt * d23
-        w[R.D31, l], w[R.D32, l], w[R.D33, l] = dt * d31, dt * d32, dt * d33
-        w[R.EAST, l], w[R.NORTH, l] = east, north
-        w[R.X, l] += dt * w[R.U, l] + h * east
-        w[R.Y, l] += dt * w[R.V, l] + h * north
-        w[R.U, l] += east
-        w[R.V, l] += north
+        w.D11, w.D12, w.D13 = dt * d11, dt * d12, dt * d13
+        w.D21, w.D22, w.D23 = dt * d21, dt * d22, dt * d23
+        w.D31, w.D32, w.D33 = dt * d31, dt * d32, dt * d33
+        w.EAST, w.NORTH = east, north
+        w.X += dt * w.U + h * east
+        w.Y += dt * w.V + h * north
+        w.U += east
+        w.V += north
 
 
 def propagate(w, u, *, columns, coefficients, transition):
@@ -107,34 +105,34 @@ def propagate(w, u, *, columns, coefficients, transition):
     dt = u[DT]
     for group in columns:
         for l in range(LANES):
-            f = tuple(w[row, l] for row in coefficients)
+            f = tuple(w[row] for row in coefficients)
             for j in group:
-                e = transition(f, dt, tuple(w[at(k, j), l] for k in range(N)))
+                e = transition(f, dt, tuple(w[at(k, j)] for k in range(N)))
                 (
-                    w[fp(R.X, j), l], w[fp(R.Y, j), l], w[fp(R.U, j), l], w[fp(R.V, j), l], w[fp(R.T, j), l],
-                    _, _, _, w[fp(R.I, j), l], w[fp(R.J, j), l], _, _,
+                    w[fp(R.X, j)], w[fp(R.Y, j)], w[fp(R.U, j)], w[fp(R.V, j)], w[fp(R.T, j)],
+                    _, _, _, w[fp(R.I, j)], w[fp(R.J, j)], _, _,
                 ) = e  # fmt: skip
     for group in ROWS:
         for l in range(LANES):
-            f = tuple(w[row, l] for row in coefficients)
+            f = tuple(w[row] for row in coefficients)
             for i in group:
                 x, y, vx, vy, up, _, _, _, east, north, _, _ = transition(
-                    f, dt, tuple(w[fp(i, k), l] for k in range(N))
+                    f, dt, tuple(w[fp(i, k)] for k in range(N))
                 )
                 # Each pair in MOVED is computed once, in the column of the state that is later in MOVED.
                 if i == R.X:
-                    w[at(i, R.X), l] = x
+                    w[at(i, R.X)] = x
                 if i in (R.X, R.Y):
-                    w[at(i, R.Y), l] = y
+                    w[at(i, R.Y)] = y
                 if i in (R.X, R.Y, R.U):
-                    w[at(i, R.U), l] = vx
+                    w[at(i, R.U)] = vx
                 if i in (R.X, R.Y, R.U, R.V):
-                    w[at(i, R.V), l] = vy
+                    w[at(i, R.V)] = vy
                 if i not in (R.I, R.J):
-                    w[at(i, R.T), l] = up
+                    w[at(i, R.T)] = up
                 if i != R.J:
-                    w[at(i, R.I), l] = east
-                w[at(i, R.J), l] = north
+                    w[at(i, R.I)] = east
+                w[at(i, R.J)] = north
 
 
 def predict_tilted12(w, u, *, propagate, linearize, add_curvature):
@@ -149,33 +147,33 @@ def predict_tilted12(w, u, *, propagate, linearize, add_curvature):
     q_scale = u[Q_SCALE]
     for l in range(LANES):
         for i in range(N):
-            w[at(i, i), l] += q_scale * w[Q0 + i, l]
+            w[at(i, i)] += q_scale * w[Q0 + i]
 
 
 @kernel
 def fold(w):
     """Rotate the quaternion by the error in I, J and T, from the left; set the error to 0."""
     for l in range(LANES):
-        x, y, z = 0.5 * w[R.I, l], 0.5 * w[R.J, l], 0.5 * w[R.T, l]
+        x, y, z = 0.5 * w.I, 0.5 * w.J, 0.5 * w.T
         angle = math.sqrt(x * x + y * y + z * z) + TINY
         sine, c = sincos(angle)
         k = sine / angle
         x, y, z = k * x, k * y, k * z
-        m0, m1, m2, m3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+        m0, m1, m2, m3 = w.ATT_W, w.ATT_X, w.ATT_Y, w.ATT_Z
         q0 = c * m0 - x * m1 - y * m2 - z * m3
         q1 = c * m1 + x * m0 + y * m3 - z * m2
         q2 = c * m2 - x * m3 + y * m0 + z * m1
         q3 = c * m3 + x * m2 - y * m1 + z * m0
         one = 1.5 - 0.5 * (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
-        w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l] = one * q0, one * q1, one * q2, one * q3
-        w[R.I, l], w[R.J, l], w[R.T, l] = 0.0, 0.0, 0.0
+        w.ATT_W, w.ATT_X, w.ATT_Y, w.ATT_Z = one * q0, one * q1, one * q2, one * q3
+        w.I, w.J, w.T = 0.0, 0.0, 0.0
 
 
 @kernel
 def settle(w):
     for l in range(LANES):
-        q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
-        w[R.HEADING, l] = angle_of(2.0 * (q1 * q2 + q0 * q3), 1.0 - 2.0 * (q2 * q2 + q3 * q3))
+        q0, q1, q2, q3 = w.ATT_W, w.ATT_X, w.ATT_Y, w.ATT_Z
+        w.HEADING = angle_of(2.0 * (q1 * q2 + q0 * q3), 1.0 - 2.0 * (q2 * q2 + q3 * q3))
 
 
 def measure_fix_tilted(w, z, lever, *, n):
@@ -186,7 +184,7 @@ def measure_fix_tilted(w, z, lever, *, n):
     zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
     lever_x, lever_y, lever_z = lever[0], lever[1], lever[2]
     for l in range(LANES):
-        q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+        q0, q1, q2, q3 = w.ATT_W, w.ATT_X, w.ATT_Y, w.ATT_Z
         # R lever = lever + 2 q x (q x lever + q0 lever), with q the vector part of the quaternion.
         tx = q2 * lever_z - q3 * lever_y + q0 * lever_x
         ty = q3 * lever_x - q1 * lever_z + q0 * lever_y
@@ -194,25 +192,21 @@ def measure_fix_tilted(w, z, lever, *, n):
         east = lever_x + 2.0 * (q2 * tz - q3 * ty)
         north = lever_y + 2.0 * (q3 * tx - q1 * tz)
         up = lever_z + 2.0 * (q1 * ty - q2 * tx)
-        tau = w[R.LATENCY, l]
-        w[R.R1, l] = w[R.RX, l] + w[R.ACCURACY, l] * var_x
-        w[R.R2, l] = w[R.RY, l] + w[R.ACCURACY, l] * var_y
-        w[R.GEE, l], w[R.GEN, l], w[R.GNN, l] = 0.0, 0.0, 0.0
-        w[R.JEAST, l], w[R.JNORTH, l], w[R.LEVER_UP, l] = -north, east, up
-        w[R.N1, l] = zx - (w[R.X, l] - tau * w[R.U, l] + east)
-        w[R.N2, l] = zy - (w[R.Y, l] - tau * w[R.V, l] + north)
+        tau = w.LATENCY
+        w.R1 = w.RX + w.ACCURACY * var_x
+        w.R2 = w.RY + w.ACCURACY * var_y
+        w.GEE, w.GEN, w.GNN = 0.0, 0.0, 0.0
+        w.JEAST, w.JNORTH, w.LEVER_UP = -north, east, up
+        w.N1 = zx - (w.X - tau * w.U + east)
+        w.N2 = zy - (w.Y - tau * w.V + north)
     for l in range(LANES):
-        tau, je, jn, up = w[R.LATENCY, l], w[R.JEAST, l], w[R.JNORTH, l], w[R.LEVER_UP, l]
+        tau, je, jn, up = w.LATENCY, w.JEAST, w.JNORTH, w.LEVER_UP
         for i in range(n):
-            w[C1 + i, l] = (
-                w[at(i, R.X), l] - tau * w[at(i, R.U), l] + je * w[at(i, R.T), l] + up * w[at(i, R.J), l]
-            )
-            w[C2 + i, l] = (
-                w[at(i, R.Y), l] - tau * w[at(i, R.V), l] + jn * w[at(i, R.T), l] - up * w[at(i, R.I), l]
-            )
-        w[R.S11, l] = w[C1 + R.X, l] - tau * w[C1 + R.U, l] + je * w[C1 + R.T, l] + up * w[C1 + R.J, l]
-        w[R.S12, l] = w[C1 + R.Y, l] - tau * w[C1 + R.V, l] + jn * w[C1 + R.T, l] - up * w[C1 + R.I, l]
-        w[R.S22, l] = w[C2 + R.Y, l] - tau * w[C2 + R.V, l] + jn * w[C2 + R.T, l] - up * w[C2 + R.I, l]
+            w[C1 + i] = w[at(i, R.X)] - tau * w[at(i, R.U)] + je * w[at(i, R.T)] + up * w[at(i, R.J)]
+            w[C2 + i] = w[at(i, R.Y)] - tau * w[at(i, R.V)] + jn * w[at(i, R.T)] - up * w[at(i, R.I)]
+        w.S11 = w[C1 + R.X] - tau * w[C1 + R.U] + je * w[C1 + R.T] + up * w[C1 + R.J]
+        w.S12 = w[C1 + R.Y] - tau * w[C1 + R.V] + jn * w[C1 + R.T] - up * w[C1 + R.I]
+        w.S22 = w[C2 + R.Y] - tau * w[C2 + R.V] + jn * w[C2 + R.T] - up * w[C2 + R.I]
 
 
 def measure_heading_tilted(w, *, n):
@@ -221,14 +215,14 @@ def measure_heading_tilted(w, *, n):
     H is in `tilted.Heading`.
     """
     for l in range(LANES):
-        q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+        q0, q1, q2, q3 = w.ATT_W, w.ATT_X, w.ATT_Y, w.ATT_Z
         east, north = 1.0 - 2.0 * (q2 * q2 + q3 * q3), 2.0 * (q1 * q2 + q0 * q3)
         climb = 2.0 * (q1 * q3 - q0 * q2) / (east * east + north * north)
         hi, hj = -climb * east, -climb * north
-        w[R.N1, l] = angle_of(north, east)
+        w.N1 = angle_of(north, east)
         for i in range(n):
-            w[C1 + i, l] = w[at(i, R.T), l] + hi * w[at(i, R.I), l] + hj * w[at(i, R.J), l]
-        w[R.S11, l] = w[C1 + R.T, l] + hi * w[C1 + R.I, l] + hj * w[C1 + R.J, l]
+            w[C1 + i] = w[at(i, R.T)] + hi * w[at(i, R.I)] + hj * w[at(i, R.J)]
+        w.S11 = w[C1 + R.T] + hi * w[C1 + R.I] + hj * w[C1 + R.J]
 
 
 def measure_along_tilted(w, u, wheels, *, n, lateral, bias):
@@ -241,33 +235,33 @@ def measure_along_tilted(w, u, wheels, *, n, lateral, bias):
     else:
         shown, speed, age, more = u[AX], wheels[WHEEL_SPEED], wheels[WHEEL_AGE], wheels[WHEEL_NOISE]
     for l in range(LANES):
-        q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+        q0, q1, q2, q3 = w.ATT_W, w.ATT_X, w.ATT_Y, w.ATT_Z
         if lateral:
             e0, e1, e2 = 2.0 * (q1 * q2 - q0 * q3), 1.0 - 2.0 * (q1 * q1 + q3 * q3), 2.0 * (q2 * q3 + q0 * q1)
         else:
             e0, e1, e2 = 1.0 - 2.0 * (q2 * q2 + q3 * q3), 2.0 * (q1 * q2 + q0 * q3), 2.0 * (q1 * q3 - q0 * q2)
         c0, c1, c2 = 2.0 * (q1 * q3 + q0 * q2), 2.0 * (q2 * q3 - q0 * q1), 1.0 - 2.0 * (q1 * q1 + q2 * q2)
-        vx, vy = w[R.U, l], w[R.V, l]
+        vx, vy = w.U, w.V
         vz, climb = -(c0 * vx + c1 * vy) / c2, e2 / c2
         # e x v - climb c x v = (e - climb c) x v
         d0, d1 = e0 - climb * c0, e1 - climb * c1
         hi, hj, ht = d1 * vz, -d0 * vz, d0 * vy - d1 * vx
         if lateral:
-            arm, noise = w[R.ARM, l], w[R.R_LATERAL, l]
-            w[R.N1, l] = arm * (shown - w[bias, l]) - (e0 * vx + e1 * vy + e2 * vz)
+            arm, noise = w.ARM, w.R_LATERAL
+            w.N1 = arm * (shown - w[bias]) - (e0 * vx + e1 * vy + e2 * vz)
         else:
-            arm, noise = w[R.ODOMETER_LATENCY, l] + age, w[R.R_ODOMETER, l] + more
-            gained = shown - w[bias, l] - GRAVITY * e2
-            w[R.N1, l] = w[R.ODOMETER_SCALE, l] * speed + arm * gained - (e0 * vx + e1 * vy + e2 * vz)
+            arm, noise = w.ODOMETER_LATENCY + age, w.R_ODOMETER + more
+            gained = shown - w[bias] - GRAVITY * e2
+            w.N1 = w.ODOMETER_SCALE * speed + arm * gained - (e0 * vx + e1 * vy + e2 * vz)
             hi, hj = hi + arm * GRAVITY * e1, hj - arm * GRAVITY * e0
         for i in range(n):
-            w[C1 + i, l] = (
-                d0 * w[at(i, R.U), l] + d1 * w[at(i, R.V), l] + arm * w[at(i, bias), l]
-                + hi * w[at(i, R.I), l] + hj * w[at(i, R.J), l] + ht * w[at(i, R.T), l]
+            w[C1 + i] = (
+                d0 * w[at(i, R.U)] + d1 * w[at(i, R.V)] + arm * w[at(i, bias)]
+                + hi * w[at(i, R.I)] + hj * w[at(i, R.J)] + ht * w[at(i, R.T)]
             )  # fmt: skip
-        w[R.S11, l] = (
-            d0 * w[C1 + R.U, l] + d1 * w[C1 + R.V, l] + arm * w[C1 + bias, l]
-            + hi * w[C1 + R.I, l] + hj * w[C1 + R.J, l] + ht * w[C1 + R.T, l] + noise
+        w.S11 = (
+            d0 * w[C1 + R.U] + d1 * w[C1 + R.V] + arm * w[C1 + bias]
+            + hi * w[C1 + R.I] + hj * w[C1 + R.J] + ht * w[C1 + R.T] + noise
         )  # fmt: skip
 
 

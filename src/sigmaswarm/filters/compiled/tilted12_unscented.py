@@ -23,8 +23,6 @@ The rotated vector is exp(+-gamma [L_c]x) a = a +- k gamma L_c x a + q gamma^2 L
 two terms of Cov(r) are added to the covariance. H is stored in rows SLOPE, mu in SHIFT, and these two terms in EXTRA.
 """
 
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
-
 import math
 
 import numpy as np
@@ -49,39 +47,39 @@ def _root(w, *, order, columns):
     for l in range(LANES):
         for j in range(columns):
             for i in range(j, len(order)):
-                rest = w[at(order[i], order[j]), l]
+                rest = w[at(order[i], order[j])]
                 for k in range(j):
-                    rest -= w[ROOT + WIDTH * i + k, l] * w[ROOT + WIDTH * j + k, l]
+                    rest -= w[ROOT + WIDTH * i + k] * w[ROOT + WIDTH * j + k]
                 if i == j:
                     pivot = math.sqrt(rest)
                     one = 1.0 / pivot
-                    w[ROOT + WIDTH * j + j, l], w[PIVOT + j, l] = pivot, one
+                    w[ROOT + WIDTH * j + j], w[PIVOT + j] = pivot, one
                 else:
-                    w[ROOT + WIDTH * i + j, l] = one * rest
+                    w[ROOT + WIDTH * i + j] = one * rest
             for i in range(j):
-                w[ROOT + WIDTH * i + j, l] = 0.0
+                w[ROOT + WIDTH * i + j] = 0.0
 
 
 def _linearize(w, *, columns):
     """Replace the slopes by H; compute mu and EXTRA. ``columns``: number of columns with points for each output."""
     for l in range(LANES):
-        gamma2 = 16.0 * w[R.QUARTER_GAMMA, l] * w[R.QUARTER_GAMMA, l]
-        spread = w[R.SPREAD, l] - gamma2  # beta - alpha^2
+        gamma2 = 16.0 * w.QUARTER_GAMMA * w.QUARTER_GAMMA
+        spread = w.SPREAD - gamma2  # beta - alpha^2
         for k in range(len(columns)):
             shift = 0.0
             for j in range(columns[k] - 1, -1, -1):
-                slope = w[SLOPE + OUTPUTS * j + k, l]
+                slope = w[SLOPE + OUTPUTS * j + k]
                 for i in range(j + 1, columns[k]):
-                    slope -= w[ROOT + WIDTH * i + j, l] * w[SLOPE + OUTPUTS * i + k, l]
-                w[SLOPE + OUTPUTS * j + k, l] = w[PIVOT + j, l] * slope
-                shift += w[BEND + OUTPUTS * j + k, l]
-            w[SHIFT + k, l] = shift
+                    slope -= w[ROOT + WIDTH * i + j] * w[SLOPE + OUTPUTS * i + k]
+                w[SLOPE + OUTPUTS * j + k] = w[PIVOT + j] * slope
+                shift += w[BEND + OUTPUTS * j + k]
+            w[SHIFT + k] = shift
         for i in range(len(columns)):
             for k in range(i, len(columns)):
                 extra = 0.0
                 for j in range(min(columns[i], columns[k])):
-                    extra += w[BEND + OUTPUTS * j + i, l] * w[BEND + OUTPUTS * j + k, l]
-                w[EXTRA + OUTPUTS * i + k, l] = gamma2 * extra + spread * w[SHIFT + i, l] * w[SHIFT + k, l]
+                    extra += w[BEND + OUTPUTS * j + i] * w[BEND + OUTPUTS * j + k]
+                w[EXTRA + OUTPUTS * i + k] = gamma2 * extra + spread * w[SHIFT + i] * w[SHIFT + k]
 
 
 # ---- Vectors, as tuples of numbers ----
@@ -112,22 +110,25 @@ def _less(a, b):
     return a0 - b0, a1 - b1, a2 - b2
 
 
+@kernel
 def _first_of(w, l, j):
     """Return the vector in column j of the root: gyro bias in a step, rotation in a measurement."""
-    return w[ROOT + WIDTH + j, l], w[ROOT + WIDTH * 2 + j, l], w[ROOT + j, l]
+    return w[ROOT + WIDTH + j], w[ROOT + WIDTH * 2 + j], w[ROOT + j]
 
 
 # ---- Prediction ----
 
 
+@kernel
 def _turn_of(w, l, j):
     """Return the rotation vector in column j of the root of a step."""
-    return w[ROOT + WIDTH * 4 + j, l], w[ROOT + WIDTH * 5 + j, l], w[ROOT + WIDTH * 3 + j, l]
+    return w[ROOT + WIDTH * 4 + j], w[ROOT + WIDTH * 5 + j], w[ROOT + WIDTH * 3 + j]
 
 
+@kernel
 def _product(scalar, vector, w, l):
     """Return the product of the quaternion in rows POINT and another quaternion, as scalar and vector."""
-    p0, p1, p2, p3 = w[R.POINT_W, l], w[R.POINT_X, l], w[R.POINT_Y, l], w[R.POINT_Z, l]
+    p0, p1, p2, p3 = w.POINT_W, w.POINT_X, w.POINT_Y, w.POINT_Z
     a0, (a1, a2, a3) = scalar, vector
     return p0 * a0 - p1 * a1 - p2 * a2 - p3 * a3, (
         p0 * a1 + p1 * a0 + p2 * a3 - p3 * a2,
@@ -136,22 +137,24 @@ def _product(scalar, vector, w, l):
     )
 
 
+@kernel
 def _turned(a, w, l):
     """Rotate a vector from the body frame at the middle of the step into the local frame, and multiply it by dt."""
     x, y, z = a
     return (
-        w[R.D11, l] * x + w[R.D12, l] * y + w[R.D13, l] * z,
-        w[R.D21, l] * x + w[R.D22, l] * y + w[R.D23, l] * z,
-        w[R.D31, l] * x + w[R.D32, l] * y + w[R.D33, l] * z,
+        w.D11 * x + w.D12 * y + w.D13 * z,
+        w.D21 * x + w.D22 * y + w.D23 * z,
+        w.D31 * x + w.D32 * y + w.D33 * z,
     )
 
 
+@kernel
 def _turned_level(x, y, w, l):
     """Compute `_turned` of the vector (x, y, 0)."""
     return (
-        w[R.D11, l] * x + w[R.D12, l] * y,
-        w[R.D21, l] * x + w[R.D22, l] * y,
-        w[R.D31, l] * x + w[R.D32, l] * y,
+        w.D11 * x + w.D12 * y,
+        w.D21 * x + w.D22 * y,
+        w.D31 * x + w.D32 * y,
     )
 
 
@@ -189,13 +192,13 @@ def _rotation_vector_far(scalar, vector, near):
 
 def _point(w, l, sign, quarter, per_dt, *, j, sinc_cos, rotation_vector):
     """Return r at a point of column j: of the acceleration times dt (east, north) and of the error after the step."""
-    step = 4.0 * sign * w[R.QUARTER_GAMMA, l]
+    step = 4.0 * sign * w.QUARTER_GAMMA
     b = _scaled(quarter * step, _first_of(w, l, j))
     # Quaternions of half the turn: v, and v0 of the center. The vector part of v0^-1 v is p + c, of v v0^-1 p - c.
-    half = _less((w[R.HALF_X, l], w[R.HALF_Y, l], w[R.HALF_Z, l]), b)
+    half = _less((w.HALF_X, w.HALF_Y, w.HALF_Z), b)
     k, d = sinc_cos(_square(half))
     v = _scaled(k, half)
-    d0, v0 = w[R.TURN_W, l], (w[R.TURN_X, l], w[R.TURN_Y, l], w[R.TURN_Z, l])
+    d0, v0 = w.TURN_W, (w.TURN_X, w.TURN_Y, w.TURN_Z)
     p, c = _less(_scaled(d0, v), _scaled(d, v0)), _scaled(k, cross(v0, b))
     (x, y, z), (x0, y0, z0) = v, v0
     m0 = d * d0 + x * x0 + y * y0 + z * z0
@@ -206,35 +209,37 @@ def _point(w, l, sign, quarter, per_dt, *, j, sinc_cos, rotation_vector):
     error = _scaled(step, _turn_of(w, l, j))
     east, north, up = _less(rotation_vector(q0, q, error), error)
     # With the rotation M of the quaternion (m0, m): (M - 1) a = 2 m x (m x a + m0 a)
-    force = _turned_level(step * w[ROOT + WIDTH * 6 + j, l], step * w[ROOT + WIDTH * 7 + j, l], w, l)
-    a = _less((w[R.EAST, l], w[R.NORTH, l], w[R.UPWARD, l]), force)
+    force = _turned_level(step * w[ROOT + WIDTH * 6 + j], step * w[ROOT + WIDTH * 7 + j], w, l)
+    a = _less((w.EAST, w.NORTH, w.UPWARD), force)
     a0, a1, _ = cross(m, _added(cross(m, a), _scaled(m0, a)))
     return 2.0 * a0, 2.0 * a1, east, north, up
 
 
+@kernel
 def _store_near(w, l, place, a, b, one, two):
     """Store slope and curvature of an output, from its values at the two points."""
-    w[SLOPE + place, l], w[BEND + place, l] = one * (a - b), two * (a + b)
+    w[SLOPE + place], w[BEND + place] = one * (a - b), two * (a + b)
 
 
+@kernel
 def _store_far(w, l, place, a, b, one, two):
     """Store slope and curvature of an output, only in lanes with a large angle."""
-    far = w[R.POINT_FAR, l] > 0.0
-    w[SLOPE + place, l] = one * (a - b) if far else w[SLOPE + place, l]
-    w[BEND + place, l] = two * (a + b) if far else w[BEND + place, l]
+    far = w.POINT_FAR > 0.0
+    w[SLOPE + place] = one * (a - b) if far else w[SLOPE + place]
+    w[BEND + place] = two * (a + b) if far else w[BEND + place]
 
 
 def _draw(w, u, *, j, point, sinc_cos, store):
     """Compute slopes and curvatures of column j of the root from its two points."""
     quarter, per_dt = 0.25 * u[DT], 1.0 / u[DT]
     for l in range(LANES):
-        gamma = 4.0 * w[R.QUARTER_GAMMA, l]
+        gamma = 4.0 * w.QUARTER_GAMMA
         x, y, z = _turn_of(w, l, j)
         k, c = sinc_cos(0.25 * gamma * gamma * (x * x + y * y + z * z))
         k = 0.5 * gamma * k
-        w[R.POINT_W, l], w[R.POINT_X, l], w[R.POINT_Y, l], w[R.POINT_Z, l] = c, k * x, k * y, k * z
+        w.POINT_W, w.POINT_X, w.POINT_Y, w.POINT_Z = c, k * x, k * y, k * z
         a0, a1, a2, a3, a4 = point(w, l, 1.0, quarter, per_dt)
-        w[R.POINT_X, l], w[R.POINT_Y, l], w[R.POINT_Z, l] = -k * x, -k * y, -k * z
+        w.POINT_X, w.POINT_Y, w.POINT_Z = -k * x, -k * y, -k * z
         b0, b1, b2, b3, b4 = point(w, l, -1.0, quarter, per_dt)
         one = 0.5 / gamma
         two = one / gamma
@@ -262,19 +267,19 @@ _linearize_step = kernel(_linearize, columns=(6, 6, 3, 3, 3))
 @kernel
 def _turn_acceleration(w):
     for l in range(LANES):
-        a = w[R.EAST, l], w[R.NORTH, l], w[R.UPWARD, l]
-        gamma2 = 16.0 * w[R.QUARTER_GAMMA, l] * w[R.QUARTER_GAMMA, l]
+        a = w.EAST, w.NORTH, w.UPWARD
+        gamma2 = 16.0 * w.QUARTER_GAMMA * w.QUARTER_GAMMA
         for j in range(3, 6):
             turn = _turn_of(w, l, j)
-            quarter, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], _square(turn))
+            quarter, k, quarter_sin2 = spread_of(w.QUARTER_GAMMA, _square(turn))
             q = 0.5 * quarter_sin2 / (quarter * quarter)
             c = cross(turn, a)
-            d = cross(turn, _turned_level(-w[ROOT + WIDTH * 6 + j, l], -w[ROOT + WIDTH * 7 + j, l], w, l))
+            d = cross(turn, _turned_level(-w[ROOT + WIDTH * 6 + j], -w[ROOT + WIDTH * 7 + j], w, l))
             (c0, c1, _), (d0, d1, _), (e0, e1, _), (f0, f1, _) = c, d, cross(turn, c), cross(turn, d)
-            w[SLOPE + OUTPUTS * j, l] = k * c0 + gamma2 * q * f0
-            w[SLOPE + OUTPUTS * j + 1, l] = k * c1 + gamma2 * q * f1
-            w[BEND + OUTPUTS * j, l] = q * e0 + k * d0
-            w[BEND + OUTPUTS * j + 1, l] = q * e1 + k * d1
+            w[SLOPE + OUTPUTS * j] = k * c0 + gamma2 * q * f0
+            w[SLOPE + OUTPUTS * j + 1] = k * c1 + gamma2 * q * f1
+            w[BEND + OUTPUTS * j] = q * e0 + k * d0
+            w[BEND + OUTPUTS * j + 1] = q * e1 + k * d1
 
 
 @kernel
@@ -284,14 +289,14 @@ def linearize(w, u):
     ax, ay, az, h, quarter = u[AX], u[AY], u[AZ], 0.5 * u[DT], 0.25 * u[DT]
     far = 0
     for l in range(LANES):
-        gamma2 = 16.0 * w[R.QUARTER_GAMMA, l] * w[R.QUARTER_GAMMA, l]
-        x, y, z = w[R.HALF_X, l], w[R.HALF_Y, l], w[R.HALF_Z, l]
-        turn = gamma2 * (w[R.TT, l] + w[R.II, l] + w[R.JJ, l])
-        rate = gamma2 * quarter * quarter * (w[R.WW, l] + w[R.KK, l] + w[R.LL, l])
+        gamma2 = 16.0 * w.QUARTER_GAMMA * w.QUARTER_GAMMA
+        x, y, z = w.HALF_X, w.HALF_Y, w.HALF_Z
+        turn = gamma2 * (w.TT + w.II + w.JJ)
+        rate = gamma2 * quarter * quarter * (w.WW + w.KK + w.LL)
         near = (turn < 0.8) & (rate < 6e-4) & (x * x + y * y + z * z < 0.5 * FAR)
-        w[R.POINT_FAR, l] = 0.0 if near else 1.0
+        w.POINT_FAR = 0.0 if near else 1.0
         far += not near
-        w[R.UPWARD, l] = w[R.D31, l] * (ax - w[R.A, l]) + w[R.D32, l] * (ay - w[R.B, l]) + w[R.D33, l] * az
+        w.UPWARD = w.D31 * (ax - w.A) + w.D32 * (ay - w.B) + w.D33 * az
     _draw_0(w, u)
     _draw_1(w, u)
     _draw_2(w, u)
@@ -302,11 +307,11 @@ def linearize(w, u):
     _turn_acceleration(w)
     _linearize_step(w)
     for l in range(LANES):
-        w[R.X, l] += h * w[SHIFT, l]
-        w[R.Y, l] += h * w[SHIFT + 1, l]
-        w[R.U, l] += w[SHIFT, l]
-        w[R.V, l] += w[SHIFT + 1, l]
-        w[R.I, l], w[R.J, l], w[R.T, l] = w[SHIFT + 2, l], w[SHIFT + 3, l], w[SHIFT + 4, l]
+        w.X += h * w[SHIFT]
+        w.Y += h * w[SHIFT + 1]
+        w.U += w[SHIFT]
+        w.V += w[SHIFT + 1]
+        w.I, w.J, w.T = w[SHIFT + 2], w[SHIFT + 3], w[SHIFT + 4]
     fold(w)
 
 
@@ -317,14 +322,14 @@ def add_curvature(w, u):
     for l in range(LANES):
         for i in range(len(ADDED)):
             for j in range(i, len(ADDED)):
-                w[at(ADDED[i], ADDED[j]), l] += w[EXTRA + OUTPUTS * i + j, l]
+                w[at(ADDED[i], ADDED[j])] += w[EXTRA + OUTPUTS * i + j]
         for i in range(2):
             for j in range(i, len(ADDED)):
-                w[at(POSITION[i], ADDED[j]), l] += h * w[EXTRA + OUTPUTS * i + j, l]
-        w[at(R.Y, R.U), l] += h * w[EXTRA + 1, l]
-        w[at(R.X, R.X), l] += h * h * w[EXTRA, l]
-        w[at(R.X, R.Y), l] += h * h * w[EXTRA + 1, l]
-        w[at(R.Y, R.Y), l] += h * h * w[EXTRA + OUTPUTS + 1, l]
+                w[at(POSITION[i], ADDED[j])] += h * w[EXTRA + OUTPUTS * i + j]
+        w[at(R.Y, R.U)] += h * w[EXTRA + 1]
+        w[at(R.X, R.X)] += h * h * w[EXTRA]
+        w[at(R.X, R.Y)] += h * h * w[EXTRA + 1]
+        w[at(R.Y, R.Y)] += h * h * w[EXTRA + OUTPUTS + 1]
 
 
 # ---- Measurements ----
@@ -335,18 +340,21 @@ _linearize_fix = kernel(_linearize, columns=(3, 3))
 _linearize_along = kernel(_linearize, columns=(3,))
 
 
+@kernel
 def _forward(w, l):
-    q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+    q0, q1, q2, q3 = w.ATT_W, w.ATT_X, w.ATT_Y, w.ATT_Z
     return 1.0 - 2.0 * (q2 * q2 + q3 * q3), 2.0 * (q1 * q2 + q0 * q3), 2.0 * (q1 * q3 - q0 * q2)
 
 
+@kernel
 def _left(w, l):
-    q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+    q0, q1, q2, q3 = w.ATT_W, w.ATT_X, w.ATT_Y, w.ATT_Z
     return 2.0 * (q1 * q2 - q0 * q3), 1.0 - 2.0 * (q1 * q1 + q3 * q3), 2.0 * (q2 * q3 + q0 * q1)
 
 
+@kernel
 def _up(w, l):
-    q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+    q0, q1, q2, q3 = w.ATT_W, w.ATT_X, w.ATT_Y, w.ATT_Z
     return 2.0 * (q1 * q3 + q0 * q2), 2.0 * (q2 * q3 - q0 * q1), 1.0 - 2.0 * (q1 * q1 + q2 * q2)
 
 
@@ -357,43 +365,43 @@ def measure_fix_unscented(w, z, lever):
     lever_x, lever_y, lever_z = lever[0], lever[1], lever[2]
     _root_of_rotation(w)
     for l in range(LANES):
-        arm, q = (lever_x, lever_y, lever_z), (w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l])
-        arm = _added(arm, _scaled(2.0, cross(q, _added(cross(q, arm), _scaled(w[R.ATT_W, l], arm)))))
+        arm, q = (lever_x, lever_y, lever_z), (w.ATT_X, w.ATT_Y, w.ATT_Z)
+        arm = _added(arm, _scaled(2.0, cross(q, _added(cross(q, arm), _scaled(w.ATT_W, arm)))))
         east, north, _ = arm
-        tau = w[R.LATENCY, l]
-        w[R.R1, l] = w[R.RX, l] + w[R.ACCURACY, l] * var_x
-        w[R.R2, l] = w[R.RY, l] + w[R.ACCURACY, l] * var_y
-        w[R.N1, l] = zx - (w[R.X, l] - tau * w[R.U, l] + east)
-        w[R.N2, l] = zy - (w[R.Y, l] - tau * w[R.V, l] + north)
+        tau = w.LATENCY
+        w.R1 = w.RX + w.ACCURACY * var_x
+        w.R2 = w.RY + w.ACCURACY * var_y
+        w.N1 = zx - (w.X - tau * w.U + east)
+        w.N2 = zy - (w.Y - tau * w.V + north)
         for j in range(3):
             turn = _first_of(w, l, j)
             c = cross(turn, arm)
-            quarter, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], _square(turn))
+            quarter, k, quarter_sin2 = spread_of(w.QUARTER_GAMMA, _square(turn))
             q = 0.5 * quarter_sin2 / (quarter * quarter)
             (c0, c1, _), (d0, d1, _) = c, cross(turn, c)
-            w[SLOPE + OUTPUTS * j, l], w[SLOPE + OUTPUTS * j + 1, l] = k * c0, k * c1
-            w[BEND + OUTPUTS * j, l], w[BEND + OUTPUTS * j + 1, l] = q * d0, q * d1
+            w[SLOPE + OUTPUTS * j], w[SLOPE + OUTPUTS * j + 1] = k * c0, k * c1
+            w[BEND + OUTPUTS * j], w[BEND + OUTPUTS * j + 1] = q * d0, q * d1
     _linearize_fix(w)
     for l in range(LANES):
-        tau = w[R.LATENCY, l]
-        w[R.N1, l] -= w[SHIFT, l]
-        w[R.N2, l] -= w[SHIFT + 1, l]
-        w[R.GEE, l], w[R.GEN, l], w[R.GNN, l] = w[EXTRA, l], w[EXTRA + 1, l], w[EXTRA + OUTPUTS + 1, l]
+        tau = w.LATENCY
+        w.N1 -= w[SHIFT]
+        w.N2 -= w[SHIFT + 1]
+        w.GEE, w.GEN, w.GNN = w[EXTRA], w[EXTRA + 1], w[EXTRA + OUTPUTS + 1]
         for i in range(N):
-            east, north = w[at(i, R.X), l] - tau * w[at(i, R.U), l], w[at(i, R.Y), l] - tau * w[at(i, R.V), l]
+            east, north = w[at(i, R.X)] - tau * w[at(i, R.U)], w[at(i, R.Y)] - tau * w[at(i, R.V)]
             for k in range(3):
-                p = w[at(i, MEASURED_FIRST[k]), l]
-                east += w[SLOPE + OUTPUTS * k, l] * p
-                north += w[SLOPE + OUTPUTS * k + 1, l] * p
-            w[C1 + i, l], w[C2 + i, l] = east, north
-        s11 = w[C1 + R.X, l] - tau * w[C1 + R.U, l] + w[R.GEE, l]
-        s12 = w[C1 + R.Y, l] - tau * w[C1 + R.V, l] + w[R.GEN, l]
-        s22 = w[C2 + R.Y, l] - tau * w[C2 + R.V, l] + w[R.GNN, l]
+                p = w[at(i, MEASURED_FIRST[k])]
+                east += w[SLOPE + OUTPUTS * k] * p
+                north += w[SLOPE + OUTPUTS * k + 1] * p
+            w[C1 + i], w[C2 + i] = east, north
+        s11 = w[C1 + R.X] - tau * w[C1 + R.U] + w.GEE
+        s12 = w[C1 + R.Y] - tau * w[C1 + R.V] + w.GEN
+        s22 = w[C2 + R.Y] - tau * w[C2 + R.V] + w.GNN
         for k in range(3):
-            s11 += w[SLOPE + OUTPUTS * k, l] * w[C1 + MEASURED_FIRST[k], l]
-            s12 += w[SLOPE + OUTPUTS * k + 1, l] * w[C1 + MEASURED_FIRST[k], l]
-            s22 += w[SLOPE + OUTPUTS * k + 1, l] * w[C2 + MEASURED_FIRST[k], l]
-        w[R.S11, l], w[R.S12, l], w[R.S22, l] = s11, s12, s22
+            s11 += w[SLOPE + OUTPUTS * k] * w[C1 + MEASURED_FIRST[k]]
+            s12 += w[SLOPE + OUTPUTS * k + 1] * w[C1 + MEASURED_FIRST[k]]
+            s22 += w[SLOPE + OUTPUTS * k + 1] * w[C2 + MEASURED_FIRST[k]]
+        w.S11, w.S12, w.S22 = s11, s12, s22
 
 
 @kernel
@@ -403,10 +411,10 @@ def measure_heading_unscented(w):
     for l in range(LANES):
         e = _forward(w, l)
         e0, e1, _ = e
-        gamma = 4.0 * w[R.QUARTER_GAMMA, l]
+        gamma = 4.0 * w.QUARTER_GAMMA
         for j in range(3):
             turn = _first_of(w, l, j)
-            quarter, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], _square(turn))
+            quarter, k, quarter_sin2 = spread_of(w.QUARTER_GAMMA, _square(turn))
             q = 0.5 * gamma * gamma * quarter_sin2 / (quarter * quarter)
             g, o = gamma * k, cross(turn, e)
             (o0, o1, _), (t0, t1, _) = o, _scaled(q, cross(turn, o))
@@ -415,16 +423,16 @@ def measure_heading_unscented(w):
                 f0, f1 = t0 + i * (g * o0), t1 + i * (g * o1)  # change of the axis
                 turned = angle_of(e0 * f1 - e1 * f0, e0 * (e0 + f0) + e1 * (e1 + f1))
                 odd, even = odd + i * turned, even + turned
-            w[SLOPE + OUTPUTS * j, l] = odd * 0.5 / gamma
-            w[BEND + OUTPUTS * j, l] = even * 0.5 / (gamma * gamma)
-        w[R.N1, l] = angle_of(e1, e0)
+            w[SLOPE + OUTPUTS * j] = odd * 0.5 / gamma
+            w[BEND + OUTPUTS * j] = even * 0.5 / (gamma * gamma)
+        w.N1 = angle_of(e1, e0)
     _linearize_along(w)
     for l in range(LANES):
-        h0, h1, h2 = w[SLOPE, l], w[SLOPE + OUTPUTS, l], w[SLOPE + OUTPUTS * 2, l]
-        w[R.N1, l] += w[SHIFT, l]
+        h0, h1, h2 = w[SLOPE], w[SLOPE + OUTPUTS], w[SLOPE + OUTPUTS * 2]
+        w.N1 += w[SHIFT]
         for i in range(N):
-            w[C1 + i, l] = h0 * w[at(i, R.T), l] + h1 * w[at(i, R.I), l] + h2 * w[at(i, R.J), l]
-        w[R.S11, l] = w[EXTRA, l] + h0 * w[C1 + R.T, l] + h1 * w[C1 + R.I, l] + h2 * w[C1 + R.J, l]
+            w[C1 + i] = h0 * w[at(i, R.T)] + h1 * w[at(i, R.I)] + h2 * w[at(i, R.J)]
+        w.S11 = w[EXTRA] + h0 * w[C1 + R.T] + h1 * w[C1 + R.I] + h2 * w[C1 + R.J]
 
 
 def _measure_along(w, u, wheels, *, lateral, bias, axis):
@@ -437,23 +445,23 @@ def _measure_along(w, u, wheels, *, lateral, bias, axis):
     for l in range(LANES):
         e, c = axis(w, l), _up(w, l)
         (e0, e1, e2), (c0, c1, c2) = e, c
-        vx, vy, climb = w[R.U, l], w[R.V, l], e2 / c2
+        vx, vy, climb = w.U, w.V, e2 / c2
         d0, d1 = e0 - climb * c0, e1 - climb * c1  # derivative with respect to the horizontal velocity
         if lateral:
-            arm, noise = w[R.ARM, l], w[R.R_LATERAL, l]
-            w[R.N1, l] = arm * (shown - w[bias, l]) - (d0 * vx + d1 * vy)
+            arm, noise = w.ARM, w.R_LATERAL
+            w.N1 = arm * (shown - w[bias]) - (d0 * vx + d1 * vy)
         else:
-            arm, noise = w[R.ODOMETER_LATENCY, l] + age, w[R.R_ODOMETER, l] + more
-            gained = shown - w[bias, l] - GRAVITY * e2
-            w[R.N1, l] = w[R.ODOMETER_SCALE, l] * speed + arm * gained - (d0 * vx + d1 * vy)
-        gamma = 4.0 * w[R.QUARTER_GAMMA, l]
+            arm, noise = w.ODOMETER_LATENCY + age, w.R_ODOMETER + more
+            gained = shown - w[bias] - GRAVITY * e2
+            w.N1 = w.ODOMETER_SCALE * speed + arm * gained - (d0 * vx + d1 * vy)
+        gamma = 4.0 * w.QUARTER_GAMMA
         for j in range(3):
             turn = _first_of(w, l, j)
-            quarter, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], _square(turn))
+            quarter, k, quarter_sin2 = spread_of(w.QUARTER_GAMMA, _square(turn))
             q = 0.5 * gamma * gamma * quarter_sin2 / (quarter * quarter)
             g, oe, oc = gamma * k, cross(turn, e), cross(turn, c)
             te, tc = _scaled(q, cross(turn, oe)), _scaled(q, cross(turn, oc))
-            u1, v1 = gamma * w[ROOT + WIDTH * 3 + j, l], gamma * w[ROOT + WIDTH * 4 + j, l]
+            u1, v1 = gamma * w[ROOT + WIDTH * 3 + j], gamma * w[ROOT + WIDTH * 4 + j]
             odd, even = 0.0, 0.0
             for i in (1, -1):
                 f0, f1, f2 = _added(te, _scaled(i, _scaled(g, oe)))  # changes of the axes
@@ -466,22 +474,22 @@ def _measure_along(w, u, wheels, *, lateral, bias, axis):
                 if lateral == 0:
                     rest += arm * GRAVITY * f2
                 odd, even = odd + i * rest, even + rest
-            w[SLOPE + OUTPUTS * j, l] = odd * 0.5 / gamma
-            w[BEND + OUTPUTS * j, l] = even * 0.5 / (gamma * gamma)
-        w[R.EAST, l], w[R.NORTH, l], w[R.ALONG, l], w[R.E, l] = d0, d1, arm, noise
+            w[SLOPE + OUTPUTS * j] = odd * 0.5 / gamma
+            w[BEND + OUTPUTS * j] = even * 0.5 / (gamma * gamma)
+        w.EAST, w.NORTH, w.ALONG, w.E = d0, d1, arm, noise
     _linearize_along(w)
     for l in range(LANES):
-        d0, d1, arm = w[R.EAST, l], w[R.NORTH, l], w[R.ALONG, l]
-        h0, h1, h2 = w[SLOPE, l], w[SLOPE + OUTPUTS, l], w[SLOPE + OUTPUTS * 2, l]
-        w[R.N1, l] -= w[SHIFT, l]
+        d0, d1, arm = w.EAST, w.NORTH, w.ALONG
+        h0, h1, h2 = w[SLOPE], w[SLOPE + OUTPUTS], w[SLOPE + OUTPUTS * 2]
+        w.N1 -= w[SHIFT]
         for i in range(N):
-            w[C1 + i, l] = (
-                d0 * w[at(i, R.U), l] + d1 * w[at(i, R.V), l] + arm * w[at(i, bias), l]
-                + h0 * w[at(i, R.T), l] + h1 * w[at(i, R.I), l] + h2 * w[at(i, R.J), l]
+            w[C1 + i] = (
+                d0 * w[at(i, R.U)] + d1 * w[at(i, R.V)] + arm * w[at(i, bias)]
+                + h0 * w[at(i, R.T)] + h1 * w[at(i, R.I)] + h2 * w[at(i, R.J)]
             )  # fmt: skip
-        w[R.S11, l] = (
-            d0 * w[C1 + R.U, l] + d1 * w[C1 + R.V, l] + arm * w[C1 + bias, l] + w[EXTRA, l] + w[R.E, l]
-            + h0 * w[C1 + R.T, l] + h1 * w[C1 + R.I, l] + h2 * w[C1 + R.J, l]
+        w.S11 = (
+            d0 * w[C1 + R.U] + d1 * w[C1 + R.V] + arm * w[C1 + bias] + w[EXTRA] + w.E
+            + h0 * w[C1 + R.T] + h1 * w[C1 + R.I] + h2 * w[C1 + R.J]
         )  # fmt: skip
 
 

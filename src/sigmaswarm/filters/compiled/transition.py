@@ -6,8 +6,6 @@ tilted12_unscented.py. Each function returns A e as a tuple. Its coefficients ``
 `COEFFICIENTS`; they contain the length ``dt`` of the step as a factor.
 """
 
-# pyright: basic
-
 from sigmaswarm.filters.compiled.layout import SLOPE, R
 from sigmaswarm.filters.fix_error import UNSCENTED
 from sigmaswarm.filters.tilted import GRAVITY

@@ -1,6 +1,7 @@
 """Unroll loops over states, and inline kernels into each other.
 
-Loops over lanes become vector instructions, so their bodies must not contain branches (see `vectors`). Therefore,
+In functions with a lane ``l``, ``w.XX`` and ``w[row]`` denote the lane's elements of rows: ``w[R.XX, l]`` and ``w[row,
+l]``. Loops over lanes become vector instructions, so their bodies must not contain branches (see `vectors`). Therefore,
 `unrolled` unrolls the loops over the n states of a model, writes out ``tuple(... for ...)``, and replaces names of rows
 by numbers. It also inlines kernels, since Numba does this slowly. The names that a function uses must be defined before
 its code is generated.
@@ -30,12 +31,34 @@ class ParsedFunction(NamedTuple):
     names: Names
 
 
+def parsed(source: str) -> ast.Module:
+    """Return the syntax tree of a function's source, with two indices for each element of ``w``."""
+    tree = ast.parse(source)
+    has_lane = any("l" in (getattr(node, "id", ""), getattr(node, "arg", "")) for node in ast.walk(tree))
+    return _Elements().visit(tree) if has_lane else tree
+
+
+class _Elements(ast.NodeTransformer):
+    def generic_visit(self, node: ast.AST) -> ast.AST:
+        super().generic_visit(node)
+        match node:
+            case ast.Attribute(ast.Name("w"), name) if name in R._fields:
+                row = ast.Constant(getattr(R, name))
+            case ast.Subscript(ast.Name("w"), index) if not isinstance(index, ast.Tuple):
+                row = index
+            case _:
+                return node
+        index = ast.Tuple([row, ast.Name("l", ast.Load())], ast.Load())
+        new = ast.Subscript(ast.Name("w", ast.Load()), index, node.ctx)
+        return ast.fix_missing_locations(ast.copy_location(new, node))
+
+
 def written_out(function: Callable[..., Any], /, **known: Any) -> ParsedFunction:
     """Return a function's syntax tree, with its keyword-only parameters bound to ``known``; see `unrolled`."""
     if not known and (there := getattr(function, "written", None)) is not None:
         return there
     names = function.__globals__ | known
-    tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
+    tree = parsed(textwrap.dedent(inspect.getsource(function)))
     ast.increment_lineno(tree, function.__code__.co_firstlineno - 1)
     definition = tree.body[0]
     if not isinstance(definition, ast.FunctionDef):
@@ -65,60 +88,51 @@ class Kernel:
 
     @cached_property
     def written(self) -> ParsedFunction:
-        return _with_retries(_transformed, self.source, self._change, self.known)
+        return _with_retries(self._write)
+
+    def _write(self) -> ParsedFunction:
+        definition, names = written_out(self.source, **self.known)
+        definition = _copied(definition)
+        if self._change is not None:
+            self._change(definition, names)
+        return ParsedFunction(definition, names)
 
     @cached_property
     def name(self) -> str:
-        return _qualified_name(self.source, self.known)
+        own = self.source.__qualname__
+        return f"{own}_{_hash_of(self.known)}" if self.known else own
 
     @cached_property
-    def _compiled(self) -> Callable[..., Any]:
-        return _compiled(self.source, self.written, self.name)
+    def function(self) -> Callable[..., Any]:
+        return _with_retries(self._compile)
 
-    def __call__(self, *arguments: Any) -> None:
-        self._compiled(*arguments)
+    def _compile(self) -> Callable[..., Any]:
+        tree = ast.fix_missing_locations(ast.Module([self.written.definition], []))
+        defined: Names = {}
+        exec(compile(tree, self.source.__code__.co_filename, "exec"), self.written.names, defined)
+        made = defined[self.__name__]
+        made.written, made.__qualname__ = self.written, self.name
+        return made
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.function(*arguments)
 
 
-def unrolled(
-    function: Callable[..., Any], change: Change | None = None, /, **known: Any
-) -> Callable[..., Any]:
+def unrolled(function: Callable[..., Any], /, **known: Any) -> Callable[..., Any]:
     """Return the function with its keyword-only parameters bound to ``known``, and loops over states and rows unrolled.
 
-    ``change``: see `Change`. ``known`` can also contain globals.
+    ``known`` can also contain globals.
     """
-    return _with_retries(
-        lambda: _compiled(function, _transformed(function, change, known), _qualified_name(function, known))
-    )
+    return Kernel(function, None, known).function
 
 
-def _with_retries(make: Callable[..., T], *arguments: Any) -> T:
+def _with_retries(make: Callable[[], T]) -> T:
     for _ in range(9):
         try:
-            return make(*arguments)
+            return make()
         except SystemError:  # in Python 3.11, `compile` adds the recursion depths of all threads
             time.sleep(0.001)
-    return make(*arguments)
-
-
-def _qualified_name(function: Callable[..., Any], known: Names) -> str:
-    return f"{function.__qualname__}_{_hash_of(known)}" if known else function.__qualname__
-
-
-def _transformed(function: Callable[..., Any], change: Change | None, known: Names) -> ParsedFunction:
-    definition, names = written_out(function, **known)
-    definition = _copied(definition)
-    if change is not None:
-        change(definition, names)
-    return ParsedFunction(definition, names)
-
-
-def _compiled(function: Callable[..., Any], written: ParsedFunction, name: str) -> Callable[..., Any]:
-    tree = ast.fix_missing_locations(ast.Module([written.definition], []))
-    defined: Names = {}
-    exec(compile(tree, function.__code__.co_filename, "exec"), written.names, defined)
-    made = defined[function.__name__]
-    made.written, made.__qualname__ = written, name
-    return made
+    return make()
 
 
 def _hash_of(known: Names) -> str:

@@ -5,13 +5,11 @@ doubles, each loop over lanes is emitted directly, as a separate function of the
 that all lanes share. The name of this function contains a hash of its text, so all callers share it and get identical
 results.
 
-The body of a loop over lanes must not contain branches. It may contain assignments to names and to ``w[row, l]`` with a
-known row, arithmetic, comparisons, ``&``, ``|``, ``a if test else b``, `math.sqrt`, `math.log`, `math.exp`,
-`numpy.floor` and `abs`. Calls of plain functions with such bodies are inlined. ``n += test`` counts the lanes in which
-a test is true.
+The body of a loop over lanes must not contain branches. It may contain assignments to names and to ``w.XX`` or
+``w[row]`` with a known row, arithmetic, comparisons, ``&``, ``|``, ``a if test else b``, `math.sqrt`, `math.log`,
+`math.exp`, `numpy.floor` and `abs`. Calls of plain functions with such bodies are inlined. ``n += test`` counts the
+lanes in which a test is true.
 """
-
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 
 import ast
 import builtins

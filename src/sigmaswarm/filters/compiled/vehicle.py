@@ -1,6 +1,7 @@
-"""Updates with velocity, heading and odometer, and with the motion constraints of a wheeled vehicle."""
+"""Updates of mean and covariance: with velocity, heading and odometer, and with a wheeled vehicle's motion constraints.
 
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+In `update_scalar` and `update_pair`, the caller has computed nu, S and C of the measurement in every lane.
+"""
 
 import math
 
@@ -11,10 +12,37 @@ from sigmaswarm.drives.timeline import AX, FIX_THETA, FIX_VAR_THETA, FIX_VX, FIX
 from sigmaswarm.filters.compiled.lanes import sincos, spread_of
 from sigmaswarm.filters.compiled.layout import C1, C2, LANES, R, at
 from sigmaswarm.filters.compiled.tilted12 import fold
-from sigmaswarm.filters.compiled.updates import update_pair, update_scalar
 from sigmaswarm.filters.schedule import HEADING_GATE, SLIP_GATE
 
 TWO_PI = 2.0 * math.pi
+
+
+def update_scalar(w, *, n):
+    """Update with a scalar z: x += C nu / S, P -= C C^T / S, with S, nu and C in S11, N1 and C1."""
+    for l in range(LANES):
+        w.SIN_COS_VALID, w.SIN_COS_VALID_ALL = 0.0, 0.0
+        g = 1.0 / w.S11
+        for j in range(n):
+            gain = g * w[C1 + j]
+            w[j] += gain * w.N1
+            for i in range(j + 1):
+                w[at(i, j)] -= gain * w[C1 + i]
+
+
+def update_pair(w, *, n, tilted):
+    """Update with a z of two components: x += C G nu, P -= C G C^T, with G = S^-1, or 0 for a rejected z."""
+    for l in range(LANES):
+        g11, g12, g22 = w.G11, w.G12, w.G22
+        w.SIN_COS_VALID, w.SIN_COS_VALID_ALL = 0.0, 0.0
+        for j in range(n):
+            gain_1, gain_2 = w[C1 + j] * g11 + w[C2 + j] * g12, w[C1 + j] * g12 + w[C2 + j] * g22
+            w[j] += gain_1 * w.N1 + gain_2 * w.N2
+            for i in range(j + 1):
+                w[at(i, j)] -= gain_1 * w[C1 + i] + gain_2 * w[C2 + i]
+        for i in range(n):
+            w.OK = w.OK if w[at(i, i)] > 0.0 else 0.0
+    if tilted:
+        fold(w)
 
 
 def axis_of(bias):
@@ -25,7 +53,7 @@ def axis_of(bias):
 def update_velocity(w, z, *, n):
     """Update with the receiver's velocity over ground, m/s east and north."""
     for l in range(LANES):
-        w[R.R1, l] = w[R.R_VELOCITY, l]
+        w.R1 = w.R_VELOCITY
     take_velocity(w, z[FIX_VX], z[FIX_VY])
 
 
@@ -35,15 +63,15 @@ def update_standstill(w, u, *, n, gyro_biases, tilted):
     The measurements are linear, so sequential updates equal a joint update if the error is injected at the end.
     """
     for l in range(LANES):
-        w[R.R1, l] = w[R.R_STANDSTILL, l]
+        w.R1 = w.R_STANDSTILL
     take_velocity(w, 0.0, 0.0)
     for row in gyro_biases:
         shown = u[axis_of(row)]
         for l in range(LANES):
-            w[R.N1, l] = shown - w[row, l]
-            w[R.S11, l] = w[at(row, row), l] + w[R.R_RATE, l]
+            w.N1 = shown - w[row]
+            w.S11 = w[at(row, row)] + w.R_RATE
             for i in range(n):
-                w[C1 + i, l] = w[at(i, row), l]
+                w[C1 + i] = w[at(i, row)]
         update_scalar(w)
     if tilted:
         fold(w)
@@ -55,18 +83,18 @@ def take_velocity(w, zu, zv, *, n):
     The covariances of the velocity states are computed as C S^-1 R, without cancellation: see `_keep_digits`.
     """
     for l in range(LANES):
-        w[R.N1, l], w[R.N2, l] = zu - w[R.U, l], zv - w[R.V, l]
-        s11, s12, s22 = w[R.UU, l] + w[R.R1, l], w[R.UV, l], w[R.VV, l] + w[R.R1, l]
+        w.N1, w.N2 = zu - w.U, zv - w.V
+        s11, s12, s22 = w.UU + w.R1, w.UV, w.VV + w.R1
         det = s11 * s22 - s12 * s12
-        w[R.G11, l], w[R.G12, l], w[R.G22, l] = s22 / det, -s12 / det, s11 / det
+        w.G11, w.G12, w.G22 = s22 / det, -s12 / det, s11 / det
         for i in range(n):
-            w[C1 + i, l], w[C2 + i, l] = w[at(i, R.U), l], w[at(i, R.V), l]
+            w[C1 + i], w[C2 + i] = w[at(i, R.U)], w[at(i, R.V)]
     update_pair(w)
     for l in range(LANES):
-        r, g11, g12, g22 = w[R.R1, l], w[R.G11, l], w[R.G12, l], w[R.G22, l]
+        r, g11, g12, g22 = w.R1, w.G11, w.G12, w.G22
         for i in range(n):
-            w[at(i, R.U), l] = r * (w[C1 + i, l] * g11 + w[C2 + i, l] * g12)
-            w[at(i, R.V), l] = r * (w[C1 + i, l] * g12 + w[C2 + i, l] * g22)
+            w[at(i, R.U)] = r * (w[C1 + i] * g11 + w[C2 + i] * g12)
+            w[at(i, R.V)] = r * (w[C1 + i] * g12 + w[C2 + i] * g22)
 
 
 def measure_along_planar(w, u, wheels, *, n, bias, lateral):
@@ -82,19 +110,19 @@ def measure_along_planar(w, u, wheels, *, n, bias, lateral):
     else:
         shown, speed, age, more = u[AX], wheels[WHEEL_SPEED], wheels[WHEEL_AGE], wheels[WHEEL_NOISE]
     for l in range(LANES):
-        second, quarter_gamma = w[R.SECOND, l], w[R.QUARTER_GAMMA, l]
+        second, quarter_gamma = w.SECOND, w.QUARTER_GAMMA
         if lateral:  # noqa: SIM108 (known at compilation)
-            arm = w[R.ARM, l]
+            arm = w.ARM
         else:
-            arm = w[R.ODOMETER_LATENCY, l] + age
-        tt = w[R.TT, l]
-        s, c = sincos(w[R.T, l])
+            arm = w.ODOMETER_LATENCY + age
+        tt = w.TT
+        s, c = sincos(w.T)
         quarter_d, k, quarter_sin2 = spread_of(quarter_gamma, tt)
         g2, sin2_h = 16.0 * quarter_gamma * quarter_gamma, 4.0 * quarter_sin2
-        e = w[R.SHORTENS, l] * quarter_sin2
+        e = w.SHORTENS * quarter_sin2
         m = 2.0 * sin2_h * (quarter_gamma / quarter_d) * (quarter_gamma / quarter_d)
-        forward, left = c * w[R.U, l] + s * w[R.V, l], c * w[R.V, l] - s * w[R.U, l]
-        t_forward, t_left = c * w[R.UT, l] + s * w[R.VT, l], c * w[R.VT, l] - s * w[R.UT, l]
+        forward, left = c * w.U + s * w.V, c * w.V - s * w.U
+        t_forward, t_left = c * w.UT + s * w.VT, c * w.VT - s * w.UT
         if lateral:
             along, away, t_along, t_away = left, forward, t_left, t_forward
         else:
@@ -102,28 +130,28 @@ def measure_along_planar(w, u, wheels, *, n, bias, lateral):
         mu = e * along - second * k * t_away
         turn = k * away + m * t_along
         if lateral:
-            variance = c * c * w[R.VV, l] - 2.0 * c * s * w[R.UV, l] + s * s * w[R.UU, l]
+            variance = c * c * w.VV - 2.0 * c * s * w.UV + s * s * w.UU
         else:
-            variance = c * c * w[R.UU, l] + 2.0 * c * s * w[R.UV, l] + s * s * w[R.VV, l]
+            variance = c * c * w.UU + 2.0 * c * s * w.UV + s * s * w.VV
         variance += k * k * (tt * away * away - g2 * t_along * t_along)
-        variance += w[R.SPREAD, l] * mu * mu - 2.0 * k * (1.0 - 2.0 * sin2_h) * away * t_along
-        w[R.N1, l] = arm * shown - along - mu
+        variance += w.SPREAD * mu * mu - 2.0 * k * (1.0 - 2.0 * sin2_h) * away * t_along
+        w.N1 = arm * shown - along - mu
         if lateral == 0:
-            w[R.N1, l] += w[R.ODOMETER_SCALE, l] * speed
+            w.N1 += w.ODOMETER_SCALE * speed
         for i in range(n):
             if lateral:
-                w[C1 + i, l] = c * w[at(i, R.V), l] - s * w[at(i, R.U), l] - turn * w[at(i, R.T), l]
+                w[C1 + i] = c * w[at(i, R.V)] - s * w[at(i, R.U)] - turn * w[at(i, R.T)]
             else:
-                w[C1 + i, l] = c * w[at(i, R.U), l] + s * w[at(i, R.V), l] - turn * w[at(i, R.T), l]
+                w[C1 + i] = c * w[at(i, R.U)] + s * w[at(i, R.V)] - turn * w[at(i, R.T)]
         if bias >= 0:  # the IMU's reading has a bias
-            w[R.N1, l] -= arm * w[bias, l]
-            variance += 2.0 * arm * w[C1 + bias, l] + arm * arm * w[at(bias, bias), l]
+            w.N1 -= arm * w[bias]
+            variance += 2.0 * arm * w[C1 + bias] + arm * arm * w[at(bias, bias)]
             for i in range(n):
-                w[C1 + i, l] += arm * w[at(i, bias), l]
+                w[C1 + i] += arm * w[at(i, bias)]
         if lateral:
-            w[R.S11, l] = variance + w[R.R_LATERAL, l]
+            w.S11 = variance + w.R_LATERAL
         else:
-            w[R.S11, l] = variance + (w[R.R_ODOMETER, l] + more)
+            w.S11 = variance + (w.R_ODOMETER + more)
 
 
 def update_lateral(w, u, *, tilted, measure_lateral):
@@ -132,8 +160,8 @@ def update_lateral(w, u, *, tilted, measure_lateral):
     See `models.lateral_arm`.
     """
     for l in range(LANES):
-        speed2 = w[R.U, l] * w[R.U, l] + w[R.V, l] * w[R.V, l]
-        w[R.ARM, l] = w[R.REAR_AXLE, l] - w[R.TIRE_SLIP, l] * speed2
+        speed2 = w.U * w.U + w.V * w.V
+        w.ARM = w.REAR_AXLE - w.TIRE_SLIP * speed2
     measure_lateral(w, u, (0.0, 0.0, 0.0))
     update_scalar(w)
     if tilted:
@@ -147,9 +175,9 @@ def update_odometer(w, u, wheels, *, tilted, measure_odometer):
     """
     measure_odometer(w, u, wheels)
     for l in range(LANES):
-        used = w[R.N1, l] * w[R.N1, l] <= SLIP_GATE * w[R.S11, l]
-        w[R.S11, l] = w[R.S11, l] if used else math.inf
-        w[R.N1, l] = w[R.N1, l] if used else 0.0
+        used = w.N1 * w.N1 <= SLIP_GATE * w.S11
+        w.S11 = w.S11 if used else math.inf
+        w.N1 = w.N1 if used else 0.0
     update_scalar(w)
     if tilted:
         fold(w)
@@ -158,9 +186,9 @@ def update_odometer(w, u, wheels, *, tilted, measure_odometer):
 def measure_heading_planar(w, *, n):
     """Compute the prediction, C and H P H^T of z = theta, which is linear in the state."""
     for l in range(LANES):
-        w[R.N1, l], w[R.S11, l] = w[R.T, l], w[R.TT, l]
+        w.N1, w.S11 = w.T, w.TT
         for i in range(n):
-            w[C1 + i, l] = w[at(i, R.T), l]
+            w[C1 + i] = w[at(i, R.T)]
 
 
 def update_heading(w, u, z, *, tilted, measure_heading):
@@ -171,10 +199,10 @@ def update_heading(w, u, z, *, tilted, measure_heading):
     shown, theta, stated = u[GZ], z[FIX_THETA], z[FIX_VAR_THETA]
     measure_heading(w)
     for l in range(LANES):
-        off = theta + w[R.LATENCY, l] * shown - w[R.N1, l]
+        off = theta + w.LATENCY * shown - w.N1
         off -= TWO_PI * np.floor(off / TWO_PI + 0.5)
-        s, least = w[R.S11, l] + (w[R.R_HEADING, l] + stated), off * off / HEADING_GATE
-        w[R.N1, l], w[R.S11, l] = off, s if s > least else least
+        s, least = w.S11 + (w.R_HEADING + stated), off * off / HEADING_GATE
+        w.N1, w.S11 = off, s if s > least else least
     update_scalar(w)
     if tilted:
         fold(w)

@@ -88,7 +88,7 @@ class LiveModel:
         )
         check(model, start)
         self.model, self.parameters, self.history, self.too_late = model, dict(parameters), history, 0
-        self._kernel = kernel_of(model, build_steps(start), absent=True)
+        self._kernel = kernel_of(model, build_steps(start))
         self._time, self._state = float(time), (start.mean.copy(), start.covariance.copy(), np.zeros((m, 2)))
         self._m, self._n_inputs = m, n_inputs
         self._start, self._waiting = self._time, list[Timed]()

@@ -149,8 +149,7 @@ class Runner:
             check(model, log)
         self.model = model
         self.steps = [build_steps(log) for log in logs]
-        absent = any(np.isnan(steps.measurements).any() for steps in self.steps)
-        self.kernel = kernel_of(model, self.steps[0], absent=absent)
+        self.kernel = kernel_of(model, self.steps[0])
 
     def run(self, i: int, parameters: Mapping[str, float], *, covariances: bool = False) -> ModelTrajectory:
         return run_kernel(self.model, self.kernel, self.steps[i], parameters, covariances=covariances)
@@ -217,23 +216,19 @@ def _empty_trajectory(steps: FilterSteps, *, covariances: bool, failed: int = -1
     return ModelTrajectory(**vars(trajectory), nis=nis, nll=nll)
 
 
-_KERNELS: "WeakKeyDictionary[Model, dict[bool, Any]]" = WeakKeyDictionary()
+_KERNELS: "WeakKeyDictionary[Model, Any]" = WeakKeyDictionary()
 _BUILT: "WeakValueDictionary[str, Any]" = WeakValueDictionary()
 """Kernels by the hash of a model's functions; models that differ only in bounds or R share a kernel."""
 
 
-def kernel_of(model: Model, steps: FilterSteps, *, absent: bool = False) -> Any:
-    """Return the kernel of a model, compiled at the first use; None if the model cannot be compiled.
-
-    ``absent``: elements of measurements may be NaN.
-    """
-    kernels = _KERNELS.setdefault(model, {})
-    if absent not in kernels:
-        kernels[absent] = _compiled(model, steps, absent=absent) if model.kind == "ukf" else None
-    return kernels[absent]
+def kernel_of(model: Model, steps: FilterSteps) -> Any:
+    """Return the kernel of a model, compiled at the first use; None if the model cannot be compiled."""
+    if model not in _KERNELS:
+        _KERNELS[model] = _compiled(model, steps) if model.kind == "ukf" else None
+    return _KERNELS[model]
 
 
-def _compiled(model: Model, steps: FilterSteps, *, absent: bool) -> Any:
+def _compiled(model: Model, steps: FilterSteps) -> Any:
     """Compile the filter; warn and return None if this fails or the textbook filter has other results."""
     few = replace(
         steps,
@@ -242,11 +237,11 @@ def _compiled(model: Model, steps: FilterSteps, *, absent: bool) -> Any:
     trial = trial_parameters(model)
     diagonal = np.ndim(model.process_noise(1.0, model.values(trial))) == 1
     functions = model.f, model.h, model.process_noise
-    key = fingerprint(*functions, diagonal, absent)
+    key = fingerprint(*functions, diagonal)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Numba warns about slow constructs in a user's function
-            kernel = _BUILT.get(key) or build_kernel(*functions, diagonal=diagonal, absent=absent)
+            kernel = _BUILT.get(key) or build_kernel(*functions, diagonal=diagonal)
             compiled = run_kernel(model, kernel, few, trial, covariances=True)
     except (NumbaError, TypeError, NotImplementedError) as error:  # Numba also raises other errors
         why = _reason(error)
@@ -256,7 +251,7 @@ def _compiled(model: Model, steps: FilterSteps, *, absent: bool) -> Any:
             _BUILT[key] = kernel
             return kernel
         if _BUILT.pop(key, None):  # a global value that the functions read has changed
-            return _compiled(model, steps, absent=absent)
+            return _compiled(model, steps)
         why = "the compiled functions return other numbers than in Python"
     warnings.warn(
         f"model {model.name}: can't be compiled ({why}); the textbook filter runs instead, about a hundred times "
