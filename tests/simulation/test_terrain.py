@@ -12,15 +12,9 @@ from sigmaswarm.simulation.journey import drive_maneuver
 from sigmaswarm.simulation.motion import motion_at
 from sigmaswarm.simulation.planning import SPACING
 from sigmaswarm.simulation.terrain import (
-    CLIMB,
-    CLIMB_ACCEL,
     HEIGHT,
     ROAD_PITCH,
-    ROAD_PITCH_ACCEL,
-    ROAD_PITCH_RATE,
     ROAD_ROLL,
-    ROAD_ROLL_ACCEL,
-    ROAD_ROLL_RATE,
     _swing,
     add_slopes,
     build_road_profile,
@@ -132,15 +126,8 @@ def test_the_velocity_lies_in_the_road_and_the_height_is_its_integral(hills):
     road = Rotation.from_euler("ZYX", tilted[:, [YAW, ROAD_PITCH, ROAD_ROLL]]).as_matrix()
     velocity = motion_at(tilted, MODEL_3, (0.0, 0.0, 0.0)).velocity
     np.testing.assert_allclose(np.einsum("ni,ni->n", road[:, :, 2], velocity), 0, atol=1e-12)
-    derived = (
-        (HEIGHT, CLIMB),
-        (CLIMB, CLIMB_ACCEL),
-        (ROAD_PITCH, ROAD_PITCH_RATE),
-        (ROAD_ROLL, ROAD_ROLL_RATE),
-    )
-    derived += ((ROAD_PITCH_RATE, ROAD_PITCH_ACCEL), (ROAD_ROLL_RATE, ROAD_ROLL_ACCEL))
-    for of, rate in derived:
-        middle = (tilted[1:, rate] + tilted[:-1, rate]) / 2
+    for of in (first + k for first in (HEIGHT, ROAD_PITCH, ROAD_ROLL) for k in (0, 1)):
+        middle = (tilted[1:, of + 1] + tilted[:-1, of + 1]) / 2
         summed = tilted[0, of] + np.cumsum(middle) * STEP
         np.testing.assert_allclose(summed, tilted[1:, of], atol=2e-5)
     assert np.ptp(tilted[:, HEIGHT]) > 1.0

@@ -56,9 +56,8 @@ class Vehicle(NamedTuple):
     wheel_radius: float  # m
     wheel_inertia: float  # kg m2, of a wheel and its part of the motors
     slip_stiffness: float  # longitudinal force over load, per unit of slip
-    cornering_front: (
-        float  # lateral force over load, per rad, including the compliance of steering and suspension
-    )
+    # lateral force over load, per rad, including the compliance of steering and suspension
+    cornering_front: float
     cornering_rear: float
     load_sensitivity: float  # relative decrease of the three stiffnesses above at twice the static load
     tire_shape: float  # C of the magic formula
@@ -99,9 +98,8 @@ def _lookup(x: float, knots: Array, values: Array) -> float:
         return values[0]
     for i in range(1, len(knots)):
         if x < knots[i]:
-            return values[i - 1] + (values[i] - values[i - 1]) * (x - knots[i - 1]) / (
-                knots[i] - knots[i - 1]
-            )
+            before, low = knots[i - 1], values[i - 1]
+            return low + (values[i] - low) * (x - before) / (knots[i] - before)
     return values[-1]
 
 

@@ -5,23 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.simulation.dynamics import (
-    AX,
-    AY,
-    FRICTION_USE,
-    GRAVITY,
-    PEAK_ALPHA,
-    PEAK_KAPPA,
-    STEP,
-    VX,
-    VY,
-    YAW,
-    Vehicle,
-    X,
-    Y,
-    run_closed_loop,
-    start_state,
-)
+from sigmaswarm.simulation import dynamics
+from sigmaswarm.simulation.dynamics import GRAVITY, STEP, Vehicle
 from sigmaswarm.simulation.environments import Environment, lookup
 from sigmaswarm.simulation.maneuvers import KMH, MANEUVERS, AccelerationLimits, Maneuver, urban
 from sigmaswarm.simulation.planning import DRIVER_STEP, SPACING, build_path, draw_sway, plan_speed
@@ -58,8 +43,8 @@ def drive_maneuver(
     if name == "urban":
         plan = plan[: round(seconds / DRIVER_STEP)]
     own = int(np.searchsorted(plan[:, 2], sum(leg.length for leg in legs[:first]))) * DRIVER_STEP
-    start = start_state(path[0, 0], path[0, 1], path[0, 2], plan[0, 0], car)
-    record = run_closed_loop(car, where.friction, start, path, SPACING, plan)
+    start = dynamics.start_state(path[0, 0], path[0, 1], path[0, 2], plan[0, 0], car)
+    record = dynamics.run_closed_loop(car, where.friction, start, path, SPACING, plan)
     outages = [(round(own + begin, 3), round(own + end, 3)) for begin, end in drawn.outages]
     return Journey(drawn, path, record, own, outages)
 
@@ -78,15 +63,16 @@ def time_between(speed: Array, slow: float, fast: float, rising: bool) -> float:
 
 def achieved_figures(name: str, journey: Journey, fixes: Array) -> dict[str, float]:
     """Return the achieved values under the names of the targets; ``fixes`` (m,): times of the fixes, s."""
-    record, start = journey.record, journey.start
-    speed = np.hypot(record[:, VX], record[:, VY])
-    top, first = float(speed.max()) / KMH, int(start / STEP)
+    record, first = journey.record, int(journey.start / STEP)
+    along, across = np.abs(record[:, [dynamics.AX, dynamics.AY]]).T
+    speed = np.hypot(record[:, dynamics.VX], record[:, dynamics.VY])
+    top = float(speed.max()) / KMH
     own, moving = record[first:], record[speed > 2.0]
     if name == "cruise":
         figures = {"distance_m": _length(own), "speed_kmh": float(speed[first:].mean()) / KMH}
     elif name == "turns":
         left, right = _turned(own)
-        figures = {"left_deg": left, "right_deg": right, "peak_lateral_ms2": float(np.abs(own[:, AY]).max())}
+        figures = {"left_deg": left, "right_deg": right, "peak_lateral_ms2": float(across[first:].max())}
     elif name == "accelerate":
         figures = {"speed_kmh": min(top, 60.0), "time_s": time_between(speed, 0.1, 60 * KMH, rising=True)}
     elif name == "brake":
@@ -98,12 +84,12 @@ def achieved_figures(name: str, journey: Journey, fixes: Array) -> dict[str, flo
     figures |= {
         "total_distance_m": _length(record),
         "top_speed_kmh": top,
-        "peak_longitudinal_ms2": float(np.abs(record[:, AX]).max()),
-        "peak_lateral_ms2": float(np.abs(record[:, AY]).max()),
-        "peak_acceleration_g": float(np.hypot(record[:, AX], record[:, AY]).max()) / GRAVITY,
-        "peak_slip_percent": 100 * float(moving[:, PEAK_KAPPA].max(initial=0.0)),
-        "peak_slip_angle_deg": float(np.degrees(np.arctan(moving[:, PEAK_ALPHA].max(initial=0.0)))),
-        "peak_friction_use": float(record[:, FRICTION_USE].max()),
+        "peak_longitudinal_ms2": float(along.max()),
+        "peak_lateral_ms2": float(across.max()),
+        "peak_acceleration_g": float(np.hypot(along, across).max()) / GRAVITY,
+        "peak_slip_percent": 100 * float(moving[:, dynamics.PEAK_KAPPA].max(initial=0.0)),
+        "peak_slip_angle_deg": float(np.degrees(np.arctan(moving[:, dynamics.PEAK_ALPHA].max(initial=0.0)))),
+        "peak_friction_use": float(record[:, dynamics.FRICTION_USE].max()),
     }
     return {key: round(float(value), 4) for key, value in figures.items() if np.isfinite(value)}
 
@@ -115,12 +101,12 @@ def _gap(fixes: Array, start: float, end: float) -> float:
 
 
 def _length(record: Array) -> float:
-    return float(np.hypot(np.diff(record[:, X]), np.diff(record[:, Y])).sum())
+    return float(np.hypot(np.diff(record[:, dynamics.X]), np.diff(record[:, dynamics.Y])).sum())
 
 
 def _turned(record: Array) -> tuple[float, float]:
     """Return the angles of the left and the right turn, deg."""
-    yaw = np.degrees(record[:, YAW])
+    yaw = np.degrees(record[:, dynamics.YAW])
     extreme = int(np.argmax(np.abs(yaw - yaw[0])))
     # Between the turns the heading is constant.
     middle = float(np.median(yaw[np.abs(yaw - yaw[extreme]) < 10.0]))

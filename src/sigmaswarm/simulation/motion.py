@@ -13,27 +13,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.simulation.dynamics import (
-    AX,
-    AY,
-    GRAVITY,
-    PITCH,
-    PITCH_ACCEL,
-    PITCH_RATE,
-    RECORDED,
-    ROLL,
-    ROLL_ACCEL,
-    ROLL_RATE,
-    STEP,
-    VX,
-    VY,
-    YAW,
-    YAW_ACCEL,
-    YAW_RATE,
-    Vehicle,
-    X,
-    Y,
-)
+from sigmaswarm.simulation.dynamics import GRAVITY, PEAK_KAPPA, RECORDED, ROLL, STEER, STEP, Vehicle
 
 LeverArm = tuple[float, float, float]
 
@@ -81,21 +61,15 @@ def _rotation(yaw: Array, pitch: Array, roll: Array) -> Array:
     return np.moveaxis(np.array(rows), 2, 0)
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """Return the cross products of vectors (n, 3) and (n, 3) or (3,), faster than `numpy.cross` for small n."""
-    (a1, a2, a3), (b1, b2, b3) = a.T, b.T
-    return np.column_stack([a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1])
-
-
 def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm | Array) -> Motion:
     """Return the motion of the point at ``lever_arm`` (m forward, left, up) from the center of gravity.
 
     ``rows`` are recorded states of `dynamics` (n, 21), or with the road of `terrain` (n, 30).
     """
     arm = np.array(lever_arm)
-    yaw = rows[:, YAW]
-    r1, r2 = rows[:, YAW_RATE], rows[:, YAW_ACCEL]
-    body = np.array([rows[:, i] for i in (ROLL, ROLL_RATE, ROLL_ACCEL, PITCH, PITCH_RATE, PITCH_ACCEL)])
+    x, y, yaw, vx, vy, r1 = rows.T[:STEER]
+    roll, f1, pitch, p1, ax, ay, r2, f2, p2 = rows.T[ROLL:PEAK_KAPPA]
+    body = np.array([roll, f1, f2, pitch, p1, p2])
     body *= np.repeat([vehicle.roll_gain, -vehicle.pitch_gain], 3)[:, None]
     height, climb, climb_rate = np.zeros((3, len(rows)))
     if rows.shape[1] > RECORDED:
@@ -113,17 +87,13 @@ def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm | Array) -> Mot
         ]
     )
     rotation = _rotation(yaw, pitch, roll)
-    east = np.cos(yaw) * rows[:, AX] - np.sin(yaw) * rows[:, AY]
-    north = np.sin(yaw) * rows[:, AX] + np.cos(yaw) * rows[:, AY]
+    east = np.cos(yaw) * ax - np.sin(yaw) * ay
+    north = np.sin(yaw) * ax + np.cos(yaw) * ay
     force = np.column_stack([east, north, climb_rate + GRAVITY])
-    velocity = _cross(rate, arm)
-    center = np.column_stack([rows[:, X], rows[:, Y], height])
+    velocity = np.cross(rate, arm)
+    center = np.column_stack([x, y, height])
     moving = np.column_stack(
-        [
-            np.cos(yaw) * rows[:, VX] - np.sin(yaw) * rows[:, VY],
-            np.sin(yaw) * rows[:, VX] + np.cos(yaw) * rows[:, VY],
-            climb,
-        ]
+        [np.cos(yaw) * vx - np.sin(yaw) * vy, np.sin(yaw) * vx + np.cos(yaw) * vy, climb]
     )
     return Motion(
         position=center + rotation @ arm,
@@ -131,8 +101,8 @@ def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm | Array) -> Mot
         rotation=rotation,
         yaw=yaw,
         specific_force=np.einsum("nji,nj->ni", rotation, force)
-        + _cross(rate_change, arm)
-        + _cross(rate, velocity),
+        + np.cross(rate_change, arm)
+        + np.cross(rate, velocity),
         angular_rate=rate,
     )
 

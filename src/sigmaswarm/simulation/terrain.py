@@ -28,7 +28,6 @@ from scipy.signal import cont2discrete, lfilter, ss2tf
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.simulation.dynamics import (
     AX,
-    AY,
     GRAVITY,
     PITCH,
     PITCH_ACCEL,
@@ -37,19 +36,15 @@ from sigmaswarm.simulation.dynamics import (
     ROLL,
     ROLL_ACCEL,
     ROLL_RATE,
+    STEER,
     STEP,
-    VX,
-    VY,
-    YAW_RATE,
     Vehicle,
 )
 from sigmaswarm.simulation.environments import by_name
 from sigmaswarm.simulation.planning import SPACING
 
-# Columns after the record of the car: roll and pitch (rad) of the road and its height (m), with two derivatives.
-ROAD_ROLL, ROAD_ROLL_RATE, ROAD_ROLL_ACCEL = range(RECORDED, RECORDED + 3)
-ROAD_PITCH, ROAD_PITCH_RATE, ROAD_PITCH_ACCEL = range(RECORDED + 3, RECORDED + 6)
-HEIGHT, CLIMB, CLIMB_ACCEL = range(RECORDED + 6, RECORDED + 9)
+# Columns after the record of the car: roll and pitch (rad) of the road and its height (m), each with two derivatives.
+ROAD_ROLL, ROAD_PITCH, HEIGHT = range(RECORDED, RECORDED + 9, 3)
 
 _KNOT_SPACING = 2.0  # m, between the knots of the splines
 _PROFILE_MARGIN = 50.0  # m, length of the profiles beyond both ends of the path
@@ -157,10 +152,10 @@ def build_road_profile(curvature: Array, terrain: Terrain, rng: np.random.Genera
 
 
 def add_slopes(record: Array, road: RoadProfile, car: Vehicle) -> Array:
-    """Add the columns ROAD_ROLL to CLIMB_ACCEL, and effects on the suspension, to a record (n, 21) of a flat road."""
-    vx, vy, turn = record[:, VX], record[:, VY], record[:, YAW_RATE]
-    # Derivatives in the rotating body axes.
-    vx_rate, vy_rate = record[:, AX] + turn * vy, record[:, AY] - turn * vx
+    """Add the columns from ROAD_ROLL on, and effects on the suspension, to a record (n, 21) of a flat road."""
+    *_, vx, vy, turn = record.T[:STEER]
+    ax, ay = record.T[AX : AX + 2]
+    vx_rate, vy_rate = ax + turn * vy, ay - turn * vx  # derivatives in the rotating body axes
     way = _integral(vx)
     (p, p1, p2), (f, f1, f2) = (  # with two derivatives in time
         (profile(way), profile(way, 1) * vx, profile(way, 2) * vx**2 + profile(way, 1) * vx_rate)
@@ -175,14 +170,12 @@ def add_slopes(record: Array, road: RoadProfile, car: Vehicle) -> Array:
     tilted = np.column_stack([record, f, f1, f2, p, p1, p2, _integral(climb), climb, climb_rate])
     # Force in the axes of the road; the suspension responds to its difference from that on a flat road.
     up = climb_rate + GRAVITY
-    forward = np.cos(p) * record[:, AX] - np.sin(p) * up
-    normal = np.sin(p) * record[:, AX] + np.cos(p) * up
-    across = np.cos(f) * record[:, AY] + np.sin(f) * normal
-    more = _swing(forward - record[:, AX], car.pitch_frequency, car.pitch_damping)
+    forward = np.cos(p) * ax - np.sin(p) * up
+    normal = np.sin(p) * ax + np.cos(p) * up
+    across = np.cos(f) * ay + np.sin(f) * normal
+    more = _swing(forward - ax, car.pitch_frequency, car.pitch_damping)
     tilted[:, [PITCH, PITCH_RATE, PITCH_ACCEL]] += more
-    tilted[:, [ROLL, ROLL_RATE, ROLL_ACCEL]] += _swing(
-        across - record[:, AY], car.roll_frequency, car.roll_damping
-    )
+    tilted[:, [ROLL, ROLL_RATE, ROLL_ACCEL]] += _swing(across - ay, car.roll_frequency, car.roll_damping)
     return tilted
 
 

@@ -12,12 +12,6 @@ import numpy as np
 from sigmaswarm.simulation.dynamics import GRAVITY, Vehicle
 from sigmaswarm.simulation.environments import lookup
 
-
-def _table(*values: float) -> np.ndarray:
-    # Writable like a user's array, since a read-only array has another type in Numba.
-    return np.array(values)
-
-
 # Real car, dual motor.
 MODEL_3 = Vehicle(
     mass=1850.0,  # [O] 1844-1899
@@ -53,10 +47,10 @@ MODEL_3 = Vehicle(
     pitch_damping=0.3,  # [R]
     # Pedals of the real car [R]: 0-100 km/h in about 4.5 s, recuperation without pedals, brakes beyond the grip of the
     # tires.
-    pedal_speed=_table(0.0, 1.0, 5.0, 20.0, 30.0, 45.0),
-    full_throttle=_table(6.3, 6.5, 6.5, 6.5, 4.5, 2.8),
-    coast=_table(0.0, 0.0, -1.5, -1.5, -1.1, -0.7),
-    full_brake=_table(-11.0, -11.0, -11.0, -11.0, -11.0, -11.0),
+    pedal_speed=np.array([0.0, 1.0, 5.0, 20.0, 30.0, 45.0]),
+    full_throttle=np.array([6.3, 6.5, 6.5, 6.5, 4.5, 2.8]),
+    coast=np.array([0.0, 0.0, -1.5, -1.5, -1.1, -0.7]),
+    full_brake=np.array([-11.0, -11.0, -11.0, -11.0, -11.0, -11.0]),
 )
 
 # Mass, drag and pedals of CARLA, whose brakes stop the car from 50 km/h in 2.7 s.
@@ -66,10 +60,10 @@ MODEL_3_CARLA = MODEL_3._replace(
     steer_max=math.radians(70.0),  # [C]
     # Pedals of CARLA, measured [C]. Assumptions between the measured speeds: coasting fades below 10 m/s, and the
     # braking below 4.5 m/s is constant, so that a stop from 50 km/h takes the measured 2.66 s.
-    pedal_speed=_table(0.0, 4.5, 10.0, 14.0, 30.0),
-    full_throttle=_table(6.3, 6.6, 6.8, 7.0, 7.0),
-    coast=_table(0.0, -0.71, -1.58, -1.58, -1.58),
-    full_brake=_table(-4.4, -4.4, -6.1, -7.4, -7.4),
+    pedal_speed=np.array([0.0, 4.5, 10.0, 14.0, 30.0]),
+    full_throttle=np.array([6.3, 6.6, 6.8, 7.0, 7.0]),
+    coast=np.array([0.0, -0.71, -1.58, -1.58, -1.58]),
+    full_brake=np.array([-4.4, -4.4, -6.1, -7.4, -7.4]),
 )
 
 VEHICLES = {"model3": MODEL_3, "model3-carla": MODEL_3_CARLA}
