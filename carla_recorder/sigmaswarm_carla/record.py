@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from itertools import product, starmap
 from typing import Any
@@ -93,8 +93,10 @@ def _record(options: Options, journal: Journal, wanted: list[Condition], progres
         try:
             with Session(options, before) as session:
                 journal.note(server=session.version, map=session.town.name, geodesy=session.geodesy.report())
-                if not checked:
-                    check_routes(session, wanted)
+                if not checked:  # raise RecorderError if the map lacks a route for a drive
+                    for maneuver, friction in sorted({(m, ENVIRONMENTS[e].friction) for m, e, _ in wanted}):
+                        with session.trouble():
+                            plan_maneuver(maneuver, friction, session.town, random.Random(0))
                     checked = True
                 if options.brake_sweep and not journal.friction:
                     journal.note(friction=sweep_brakes(session, progress.say))
@@ -107,18 +109,13 @@ def _record(options: Options, journal: Journal, wanted: list[Condition], progres
             lost += 1
             complete = f"{progress.done} drives of this call are complete in {options.out}"
             if lost > 3 or not _wait_for(options):
-                _restore_settings(options, before)
+                if reachable(options.host, options.port, 1.0):  # restore the settings
+                    with suppress(RecorderError), Session(options, before):
+                        pass
                 raise RecorderError(
                     f"{error}; {complete}; restart the server and repeat with --resume"
                 ) from None
             progress.say(f"warning: {error}; the server answers again, and the recording continues")
-
-
-def check_routes(session: Session, wanted: Sequence[Condition]) -> None:
-    """Raise RecorderError if the map lacks a route for a drive."""
-    for maneuver, friction in sorted({(m, ENVIRONMENTS[e].friction) for m, e, _ in wanted}):
-        with session.trouble():
-            plan_maneuver(maneuver, friction, session.town, random.Random(0))
 
 
 def _wait_for(options: Options) -> bool:
@@ -132,16 +129,12 @@ def _wait_for(options: Options) -> bool:
     return False
 
 
-def _restore_settings(options: Options, before: dict[str, Any]) -> None:
-    if reachable(options.host, options.port, 1.0):
-        with suppress(RecorderError), Session(options, before):
-            pass
-
-
 def record_one(session: Session, journal: Journal, progress: Progress, condition: Condition) -> None:
     """Record one drive; after a failure, try up to three other routes."""
     options, name, where = session.options, condition.name, ENVIRONMENTS[condition.environment]
-    session.show_weather(condition.environment)
+    session.world.set_weather(
+        session.carla.WeatherParameters(**where.weather)
+    )  # no effect on the physics (carla#655)
     for attempt in range(4):
         rng = random.Random(seed_of(options.seed, name, "driver", attempt))
         recording = Recording(name)

@@ -51,14 +51,9 @@ class Path2D:
                 bends[-1][1] = i
             else:
                 bends.append([i, i])
-        turns = [
-            Turn(
-                a * SPACING,
-                b * SPACING,
-                self.heading[min(b + 4, len(self.x) - 1)] - self.heading[max(a - 4, 0)],
-            )
-            for a, b in bends
-        ]
+        last = len(self.x) - 1
+        angles = [self.heading[min(b + 4, last)] - self.heading[max(a - 4, 0)] for a, b in bends]
+        turns = (Turn(a * SPACING, b * SPACING, angle) for (a, b), angle in zip(bends, angles))
         return [turn for turn in turns if abs(turn.angle) > math.radians(30)]
 
     @property
@@ -79,11 +74,8 @@ class Need(NamedTuple):
 def straight(length: float) -> Need:
     """Require a straight path of a length (m) plus `RUN_OUT`."""
 
-    def fits(path: Path2D) -> bool:
-        return path.bend < MAX_BEND
-
     length += RUN_OUT
-    return Need(f"straight stretch of {length:.0f} m", length, True, fits)
+    return Need(f"straight stretch of {length:.0f} m", length, True, lambda path: path.bend < MAX_BEND)
 
 
 def find_path(town: Any, need: Need, rng: random.Random) -> Path2D:

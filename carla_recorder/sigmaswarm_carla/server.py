@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import Any
 
 from .geometry import Geodesy
-from .options import ENVIRONMENTS, TICK, LostConnection, Options, RecorderError
+from .options import TICK, LostConnection, Options, RecorderError
 
 _KEEP: list[Any] = []
 """Objects of a lost connection. They are kept, since their destructors would wait for the server."""
@@ -119,7 +119,9 @@ class Session:
             with self.trouble():
                 self._apply_settings()
                 self.tick()  # a world lists its actors only after a tick
-                self._remove_leftovers()
+                left = [a for a in self.world.get_actors() if a.attributes.get("role_name") == ROLE]
+                for actor in sorted(left, key=lambda a: not a.type_id.startswith("sensor")):
+                    actor.destroy()
         except BaseException:
             self.restore()
             raise
@@ -179,15 +181,6 @@ class Session:
                     f"the server has {name} = {getattr(found, name)} instead of {value}; restart it without "
                     "other clients"
                 )
-
-    def _remove_leftovers(self) -> None:
-        left = [a for a in self.world.get_actors() if a.attributes.get("role_name") == ROLE]
-        for actor in sorted(left, key=lambda a: not a.type_id.startswith("sensor")):
-            actor.destroy()
-
-    def show_weather(self, environment: str) -> None:
-        """Set the weather, which does not affect CARLA's physics (carla#655)."""
-        self.world.set_weather(self.carla.WeatherParameters(**ENVIRONMENTS[environment].weather))
 
     def tick(self) -> int:
         """Advance by one frame and return its number."""

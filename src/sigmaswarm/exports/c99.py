@@ -38,22 +38,11 @@ from sigmaswarm.versions import __version__
 from sigmaswarm.wording import printable
 
 FILES = (
-    "ins_gps.h",
-    "ins_gps.c",
-    "ins_gps_align.h",
-    "ins_gps_align.c",
-    "replay.c",
-    "README.md",
-    "CMakeLists.txt",
-    "library.json",
-    "zephyr/module.yml",
-    "zephyr/CMakeLists.txt",
-    "zephyr/Kconfig",
-    "ins_gps.py",
-    "ins_gps_shared.c",
+    *("ins_gps.h", "ins_gps.c", "ins_gps_align.h", "ins_gps_align.c", "replay.c", "README.md"),
+    *("CMakeLists.txt", "library.json", "zephyr/module.yml", "zephyr/CMakeLists.txt", "zephyr/Kconfig"),
+    *("ins_gps.py", "ins_gps_shared.c"),
 )
 MIN_INTERVAL = 1e-4  # s; at this IMU interval, the history of one second takes 3 to 15 MB
-SINGLE_LANE = Lanes()
 
 
 def c99(
@@ -61,13 +50,13 @@ def c99(
     interval: float,
     as_recorded: bool = False,
     mounting: Angles | None = None,
-    lanes: Lanes = SINGLE_LANE,
+    lanes: Lanes | None = None,
     imu_axes: Mapping[str, str] | None = None,
 ) -> dict[str, str]:
     """Return the text of each file by name. Q refers to steps of ``interval`` s; ``as_recorded``: see `PreparedDrive`.
 
     ``mounting``: roll, pitch and yaw of the IMU, deg, for the C function that rotates raw samples. ``lanes``: filters
-    of a bank. ``imu_axes``: expressions with which the import read the IMU's axes, for the README.
+    of a bank; None: one filter. ``imu_axes``: expressions with which the import read the IMU's axes, for the README.
 
     Raises
     ------
@@ -86,6 +75,7 @@ def c99(
         raise InputError(
             f"{parameters.model} is not available as {parameters.kind} in C; use kind {' or '.join(kinds)}"
         )
+    lanes = lanes or Lanes()
     features, several = features_of(parameters), lanes.n > 1
     features |= {
         "USE_DOUBLE": not all(fits_float(p) for p in lanes.filters(parameters)),
@@ -113,11 +103,9 @@ def c99(
     return texts
 
 
-def replay_rows(
-    drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False, heading: bool = False
-) -> str:
+def replay_rows(drive: Drive, *model: ModelName, **options: bool) -> str:
     """Return the events of `replay_events` as text, the input of replay.c."""
-    events = replay_events(drive, model, as_recorded=as_recorded, heading=heading)
+    events = replay_events(drive, *model, **options)
     return "".join(",".join([name, *(repr(float(z)) for z in numbers)]) + "\n" for name, numbers in events)
 
 
@@ -148,9 +136,8 @@ def replay_events(
     start += [*gyro.bias, *gyro.variance, gyro.taken, *gyro.turns]  # in the order of InsGpsGyro
     if MODELS[model].tilts is not None:
         start += [*tilt.numbers] if tilt else [0.0] * NUMBERS
-    events = [
-        (z[0], 0, "fix", z) for z in _fixes(drive.gps, heading)
-    ]  # a fix precedes a sample of the same time
+    # A fix precedes a sample of the same time.
+    events = [(z[0], 0, "fix", z) for z in _fixes(drive.gps, heading)]
     if drive.odometer is not None:
         readings = zip(drive.odometer.time, drive.odometer.speed, strict=True)
         events += [(t, 0, "odometer", [t, speed]) for t, speed in readings]
@@ -214,7 +201,7 @@ def _texts_of_heading(used: bool) -> dict[str, str]:
         "TAKES_HEADING": ", heading: Sequence[float] | None = None",
         "GIVES_HEADING": ", None if heading is None else self._reals(heading)",
     }
-    return {name: text if used else "" for name, text in texts.items()}
+    return texts if used else dict.fromkeys(texts, "")
 
 
 def _texts_of_axes(p: FilterParameters, uses_std: bool) -> dict[str, str]:
@@ -223,19 +210,14 @@ def _texts_of_axes(p: FilterParameters, uses_std: bool) -> dict[str, str]:
     turning = [axis for axis in axes if axis != "az" and (tilted or axis != "ay")]
     row = ["t", "ax", "ay", "yaw_rate", "az", "gx", "gy"]  # columns of an imu row of replay.csv
 
-    def replayed(names: list[str]) -> str:
-        return ", ".join(f"(ins_gps_real)z[{row.index(name)}]" for name in names)
-
     def joined(names: list[str], form: str, separator: str = ", ") -> str:
         return separator.join(form.format(name) for name in names)
 
-    return {
-        "AXES": joined(axes, "ins_gps_real {}"),
-        "GIVEN_AXES": joined(axes, "{}"),
-        "TURNING_AXES": joined(turning, "ins_gps_real {}"),
-        "GIVEN_TURNING_AXES": joined(turning, "{}"),
-        "REPLAYED_AXES": replayed(axes),
-        "REPLAYED_TURNING_AXES": replayed(turning),
+    texts: dict[str, str] = {}
+    for what, names in (("AXES", axes), ("TURNING_AXES", turning)):
+        texts |= {what: joined(names, "ins_gps_real {}"), f"GIVEN_{what}": ", ".join(names)}
+        texts[f"REPLAYED_{what}"] = ", ".join(f"(ins_gps_real)z[{row.index(name)}]" for name in names)
+    return texts | {
         "AXES_OF_SAMPLE": joined(axes, "    sample.{0} = {0};", "\n"),
         "AXES_IN_GAP": joined(axes, "            sample->{0} = R(0.5) * (f->last.{0} + given.{0});", "\n"),
         "ALSO_STD": ", const ins_gps_real std[2]" if uses_std else "",
@@ -278,12 +260,10 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         gamma_squared, spread = _sigma_points(p)
         derived |= {"QUARTER_GAMMA": 0.25 * math.sqrt(gamma_squared), "SHORTENS": -8.0 / gamma_squared}
         derived["SPREAD"] = spread
-    own = (
-        _texts_of_axes(p, weighs or lasting)
-        | _texts_of_states(p)
-        | _texts_of_heading(p.heading_noise is not None)
-    )
-    return own | {
+    return {
+        **_texts_of_axes(p, weighs or lasting),
+        **_texts_of_states(p),
+        **_texts_of_heading(p.heading_noise is not None),
         **exact_texts(derived),
         "PROCESS_NOISE": listed(p.process_noise, "R({})"),
         "MEASUREMENT_NOISE": listed(p.measurement_noise, "R({})"),

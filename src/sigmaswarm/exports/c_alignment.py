@@ -17,9 +17,8 @@ from sigmaswarm.filters.tilted import add_tilt_evidence
 MODULES = alignment, alignment_fit, gyro_bias, tilt_evidence, divergence, monitor, live
 """Modules that define constants of the C text."""
 _FIX = ("motion.time", "x", "y", "motion.turned", "motion.gained", "motion.leaned[0]", "motion.leaned[1]")
-_PAIRS = ("force", "force_variance", "turn", "drift")
 _NUMBERS = (
-    *(f"{name}[{k}]" for name in _PAIRS for k in range(2)),
+    *(f"{name}[{k}]" for name in ("force", "force_variance", "turn", "drift") for k in range(2)),
     *("speed", "assumed", "assumed_variance", "change[0]"),
 )
 

@@ -116,9 +116,7 @@ class _Function(ast.NodeTransformer):
         self.body = self.chosen(definition.body[ast.get_docstring(definition) is not None :])
         nodes = [node for statement in self.body for node in ast.walk(statement)]
         stored = [n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)]
-        stored += [
-            n.target.id for n in nodes if isinstance(n, ast.AugAssign) and isinstance(n.target, ast.Name)
-        ]
+        stored += [name_of(n.target) for n in nodes if isinstance(n, ast.AugAssign)]
         self.changing = {n for n in stored if stored.count(n) > 1}
         self.numbers: dict[str, ast.expr] = {}  # locals with a known value
         self.declared, self.lines, self.outs, self.returns = set[str](), list[str](), list[str](), ""
@@ -245,14 +243,11 @@ class _Function(ast.NodeTransformer):
         folded = [self.fold(value) for value in values]
         written: set[str] = set()
         for k, (target, value) in enumerate(zip(targets, folded, strict=True)):
-            if isinstance(target, ast.Name) and target.id in self.known:
+            if name_of(target) in self.known:
                 continue
-            if (
-                isinstance(target, ast.Name)
-                and target.id not in self.changing
-                and number_of(value) is not None
-            ):
-                self.numbers[target.id] = value
+            fixed = name_of(target) and name_of(target) not in self.changing
+            if fixed and number_of(value) is not None:
+                self.numbers[name_of(target)] = value
                 continue
             place, mirror = self.written(target)
             if place is None or place in written:
@@ -290,9 +285,8 @@ class _Function(ast.NodeTransformer):
         if name == "l":  # the columns
             self.block(body, depth)
             return
-        if isinstance(steps, ast.Name) or (
-            isinstance(steps, ast.Tuple) and not isinstance(steps.elts[0], ast.Starred)
-        ):
+        listed = isinstance(steps, ast.Tuple) and not isinstance(steps.elts[0], ast.Starred)
+        if isinstance(steps, ast.Name) or listed:
             rows = self.evaluate(steps)
             nodes = [node for statement in body for node in ast.walk(statement)] if len(rows) > 1 else []
             self.changing |= {n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}

@@ -53,10 +53,8 @@ NUMBERS = {
     "QUARTER_GAMMA": "gamma / 4, with gamma^2 = alpha^2 (n + kappa)",
     "SHORTENS": "-8 / gamma^2",
     "SPREAD": "alpha^2 (n + kappa - 1) + beta",
-    **{
-        f"{sensor.upper()}_BIAS_STD": f"{of.unit}: initial standard deviation of the bias"
-        for sensor, of in SENSORS.items()
-    },
+    "ACCEL_BIAS_STD": f"{SENSORS['accel'].unit}: initial standard deviation of the bias",
+    "GYRO_BIAS_STD": f"{SENSORS['gyro'].unit}: initial standard deviation of the bias",
     "TILT_STD": "rad: initial standard deviation of roll and pitch",
     "FORGETTING": "forgetting factor per fix",
     "WIDTH_RATIO": 'ratio at which "large" has membership 1',
@@ -119,18 +117,12 @@ def in_range(value: float, of: str) -> float:
 
 def exact_texts(numbers: Mapping[str, float | None]) -> dict[str, str]:
     """Return numbers as exact text; omit None."""
-    return {
-        name: str(value) if isinstance(value, int) else repr(float(value))
-        for name, value in numbers.items()
-        if value is not None
-    }
+    known = {name: value for name, value in numbers.items() if value is not None}
+    return {name: str(v) if isinstance(v, int) else repr(float(v)) for name, v in known.items()}
 
 
 def listed(numbers: Iterable[float], form: str = "{}") -> str:
     return ", ".join(form.format(repr(float(number))) for number in numbers)
-
-
-_DIRECTIVE = re.compile(r"#\s*(if\w*|else|endif)\b\s*(.*)")
 
 
 def fill(name: str, features: Mapping[str, bool], values: Mapping[str, str]) -> str:
@@ -143,8 +135,7 @@ def _chosen(text: str, features: Mapping[str, bool]) -> str:
     lines: list[str] = []
     open_parts: list[bool | None] = []  # True: used; None: for the C preprocessor
     for line in text.splitlines():
-        directive = _DIRECTIVE.match(line)
-        chosen = True
+        directive = re.match(r"#\s*(if\w*|else|endif)\b\s*(.*)", line)
         if directive is None:
             chosen = False
         elif directive[1] == "else":

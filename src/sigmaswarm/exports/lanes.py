@@ -42,9 +42,7 @@ class Lanes:
         penalties = spread.penalty(self._offsets(spread)).tolist()
         return {
             **biases,
-            "LANE_FIELDS": "\n".join(
-                f"    real {name}; /* {NUMBERS[name.upper()]} */" for name in _numbers(tuning)
-            ),
+            "LANE_FIELDS": "\n".join(f"    real {n}; /* {NUMBERS[n.upper()]} */" for n in _numbers(tuning)),
             "Q": "lanes[b->lane].process_noise",
             "R": "lanes[b->lane].measurement_noise",
             "LANES": str(self.n),

@@ -12,7 +12,7 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.compiled.layout import Q0, R
-from sigmaswarm.filters.filter_run import CHUNK_SAMPLES, InterruptibleRun
+from sigmaswarm.filters.filter_run import InterruptibleRun
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass
@@ -62,11 +62,9 @@ class NoiseRun(InterruptibleRun):
         replay: FilterPass,
         parameters: FilterParameters,
         weights: Mapping[str, Array],
-        *,
-        samples: int = CHUNK_SAMPLES,
-        recover: bool = False,
+        **options: Any,
     ) -> None:
-        super().__init__(replay, parameters, samples=samples, recover=recover)
+        super().__init__(replay, parameters, **options)
         self.scales: list[tuple[float, float]] = []
         self._weights, self._h = weights, np.zeros(weights["hidden"].shape[0])
         line = replay.timeline

@@ -22,7 +22,7 @@ from sigmaswarm.drives.tables import Array, Indices
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.layout import R
-from sigmaswarm.filters.filter_run import CHUNK_SAMPLES, InterruptibleRun
+from sigmaswarm.filters.filter_run import InterruptibleRun
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass
@@ -240,11 +240,10 @@ class OutageRun(InterruptibleRun):
         parameters: FilterParameters,
         network: OutageLstm,
         *,
-        samples: int = CHUNK_SAMPLES,
-        recover: bool = False,
         windows: Windows | None = None,
+        **options: Any,
     ) -> None:
-        super().__init__(replay, parameters, samples=samples, recover=recover)
+        super().__init__(replay, parameters, **options)
         self.accepted = self.rejected = 0
         self._displacements = Displacements(replay, parameters)
         self._network = network
