@@ -74,8 +74,11 @@ class Need(NamedTuple):
 def straight(length: float) -> Need:
     """Require a straight path of a length (m) plus `RUN_OUT`."""
 
+    def fits(path: Path2D) -> bool:
+        return path.bend < MAX_BEND
+
     length += RUN_OUT
-    return Need(f"straight stretch of {length:.0f} m", length, True, lambda path: path.bend < MAX_BEND)
+    return Need(f"straight stretch of {length:.0f} m", length, True, fits)
 
 
 def find_path(town: Any, need: Need, rng: random.Random) -> Path2D:

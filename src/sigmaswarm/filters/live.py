@@ -144,17 +144,12 @@ class LiveFilter:
         self._axes = MODELS[p.model].imu
         self._no_axes = (0.0,) * (len(AXES) - len(self._axes))
         self._plausible = bool(KernelArray((p,)).plausible[0])
-        self._takes_velocity = p.velocity_noise is not None
-        self._takes_accuracy = p.accuracy_scale is not None
         filter_state = _initial_filter_state(p, initial, nominal_interval, lever_arm)
         filter_state[live.AS_RECORDED], filter_state[live.LATE_BY] = as_recorded, history
-        # With a margin of 25%, since an IMU may run faster than stated.
-        samples = max(
-            1, int(np.ceil(1.25 * max(history, (lag or -1.0) + nominal_interval) / nominal_interval))
-        )
-        waiting = (
-            MAX_WAITING_FIXES + samples + int(FIX_WINDOW / nominal_interval)
-        )  # at most one fix per sample
+        span = 1.25 * max(history, (lag or -1.0) + nominal_interval)  # s; an IMU may run faster than stated
+        samples = max(1, int(np.ceil(span / nominal_interval)))
+        # At most one fix per sample
+        waiting = MAX_WAITING_FIXES + samples + int(FIX_WINDOW / nominal_interval)
         monitored = 2 + int(MAX_RATE_RATIO * MONITOR_SPAN / nominal_interval)
         arrays = LiveArrays(
             filter_state,
@@ -229,18 +224,15 @@ class LiveFilter:
             If a value is not a number, or the filter needs ``std`` and it is missing.
         """
         try:
-            takes = self._takes_accuracy or (std is not None and self.parameters.fix_error is not None)
-            var_x, var_y = _squared(std) if takes else (0.0, 0.0)
-            theta, var_theta = 0.0, math.inf
-            if heading is not None and self.parameters.heading_noise is not None:
-                theta, var_theta = _known_heading(*heading)
+            p = self.parameters
+            takes = p.accuracy_scale is not None or (std is not None and p.fix_error is not None)
+            more = *(_squared(std) if takes else (0.0, 0.0)), 0.0, math.inf
+            if heading is not None and p.heading_noise is not None:
+                more = *more[:2], *_known_heading(*heading)
             measured = fix[0], fix[1], 0.0, 0.0, 0.0
-            if velocity is not None and self._takes_velocity:
+            if velocity is not None and p.velocity_noise is not None:
                 measured = (fix[0], fix[1], velocity[0], velocity[1], 1.0)
-            return (
-                self._calls.fix(self._memory.handle, t, *measured, var_x, var_y, theta, var_theta)
-                == live.TAKEN
-            )
+            return self._calls.fix(self._memory.handle, t, *measured, *more) == live.TAKEN
         except _NO_NUMBERS as error:
             raise InputError(f"the fix contains values that are not numbers, or too few: {error}") from None
 

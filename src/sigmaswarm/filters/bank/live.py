@@ -13,9 +13,14 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.gyro_bias import UP
 from sigmaswarm.drives.tables import Array, Indices
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.bank.background import PendingSearch
 from sigmaswarm.filters.bank.mixture import Mixture, is_definite
-from sigmaswarm.filters.bank.search import FUZZY_FACTORS, FilterEvidence, LoggedSteps, SearchResult
+from sigmaswarm.filters.bank.search import (
+    FUZZY_FACTORS,
+    FilterEvidence,
+    LoggedSteps,
+    PendingSearch,
+    SearchResult,
+)
 from sigmaswarm.filters.bank.spread import FIXED_OFFSETS, START, OffsetPrior
 from sigmaswarm.filters.compiled import live, swarm
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, R, at, state_rows
@@ -121,9 +126,8 @@ class LiveFilterBank(LiveFilter):
         self._pending: PendingSearch | None = None
         self._due = initial.time + SEARCH_INTERVAL
         self._n_begun = 0
-        LoggedSteps(self._kernel, np.empty((0, N_LOG_ROW)), np.zeros(3)).run(
-            self._rows_of(self._numbers)[:, :8].copy()
-        )
+        nothing = LoggedSteps(self._kernel, np.empty((0, N_LOG_ROW)), np.zeros(3))
+        nothing.run(self._rows_of(self._numbers)[:, :8].copy())
         live.replay_call()
 
     def _with_lanes(self, nominal_interval: float) -> Memory:
@@ -216,9 +220,8 @@ class LiveFilterBank(LiveFilter):
             return None
         _, record, numbers = checkpoint
         settled = self._snapshot(numbers, float(record[live.TIME]))
-        self._snapshots = [
-            s for s in (*self._snapshots, settled) if s.time >= settled.time - REPLAY_SPAN - 1e-6
-        ]
+        earliest = settled.time - REPLAY_SPAN - 1e-6
+        self._snapshots = [s for s in (*self._snapshots, settled) if s.time >= earliest]
         if not numbers[swarm.WEIGHT].any():  # all filters have failed
             return None
         leads = int(np.argmax(numbers[swarm.WEIGHT]))
@@ -260,12 +263,12 @@ class LiveFilterBank(LiveFilter):
         rows, weight = self._rows_of(numbers), numbers[swarm.WEIGHT].copy()
         evidence = numbers[swarm.EVIDENCE]
         leads = int(np.argmax(weight))
-        worst = [int(lane) for lane in np.argsort(weight, kind="stable") if lane >= len(FIXED_OFFSETS)][
-            :N_REPLACED
-        ]
+        by_weight = np.argsort(weight, kind="stable").tolist()
+        worst = [lane for lane in by_weight if lane >= len(FIXED_OFFSETS)][:N_REPLACED]
         parents = rng.choice(LANES, size=len(worst) - 1, p=weight / weight.sum())
-        state, evidence_now = self._after_later_steps(result, since)
-        offsets, states, known = [result.offsets], [state], [evidence_now]
+        steps = LoggedSteps(self._kernel, since, self._filter_state[live.LEVER].copy())
+        state, followed = steps.followed(result.lane, result.known)
+        offsets, states, known = [result.offsets], [state], [followed.evidence]
         for parent in parents:
             jitter = COPY_STD * self.spread.std * rng.standard_normal(len(self.spread.names))
             offsets.append((self.offsets[parent] + jitter) * self.spread.lasting)
@@ -296,19 +299,16 @@ class LiveFilterBank(LiveFilter):
             self._memory.step.address, filter_state, counts, fixes, speeds, history, checkpoints, place, True
         )
 
-    def _after_later_steps(self, result: SearchResult, since: Array) -> tuple[Array, float]:
-        """Return the kernel rows (N_KEPT,) and evidence of a search's best filter after the later steps ``since``."""
-        steps = LoggedSteps(self._kernel, since, self._filter_state[live.LEVER].copy())
-        lane, known = steps.followed(result.lane, result.known)
-        return lane, known.evidence
-
     def _check_divergence(self, now: float, *, due: bool) -> None:
         super()._check_divergence(now, due=due)
         fix, together = self._last_fix(now), self._together
         if fix is None or together is None or not (due or together.lost):
             return
         estimate = self._with_sound_biases(together.lost, *self._mixed())
-        gyro_bias = self._gyro_bias(estimate[0])
+        mean = estimate[0]
+        # Without the known gyro bias (rad/s), an alignment has a wrong heading.
+        known = len(mean) > GYRO_BIAS and np.isfinite(mean[GYRO_BIAS])
+        gyro_bias = float(mean[GYRO_BIAS]) if known else 0.0
         start = self._reset_state(together, now, fix, lambda: estimate, due=due, gyro_bias=gyro_bias)
         if start is None and due and not self.weights.any():  # all filters have failed
             with np.errstate(all="ignore"):  # non-finite values give no start
@@ -334,28 +334,20 @@ class LiveFilterBank(LiveFilter):
         covariance[np.ix_(biases, biases)] = sound_covariance[np.ix_(biases, biases)]
         return mean, covariance
 
-    def _gyro_bias(self, mean: Array) -> float:
-        """Return the known gyro bias (rad/s), without which an alignment has a wrong heading."""
-        bias = float(mean[GYRO_BIAS]) if len(mean) > GYRO_BIAS else 0.0
-        return bias if np.isfinite(bias) else 0.0
-
     def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
         """Set the mixture's biases in the reset filters, except in those whose offsets assume other initial biases.
 
         The filters keep the alignment's gyro bias if it is more precise than the mixture's or contradicts it.
         """
         gyro = start.gyro
-        more_precise = (
-            gyro is not None
-            and len(mean) > GYRO_BIAS
-            and gyro.variance[UP] < covariance[GYRO_BIAS, GYRO_BIAS]
-        )
-        contradicts = gyro is not None and gyro.taken != gyro_bias
-        if more_precise or contradicts or not np.isfinite(mean.sum() + covariance.sum()):
+        if gyro is not None:
+            precise = len(mean) > GYRO_BIAS and gyro.variance[UP] < covariance[GYRO_BIAS, GYRO_BIAS]
+            if precise or gyro.taken != gyro_bias:
+                return
+        if not np.isfinite(mean.sum() + covariance.sum()):
             return
-        lanes = [
-            lane for lane in range(1, LANES) if lane >= len(FIXED_OFFSETS) or START not in FIXED_OFFSETS[lane]
-        ]
+        others = range(len(FIXED_OFFSETS), LANES)
+        lanes = [*(k for k, fixed in enumerate(FIXED_OFFSETS) if k and START not in fixed), *others]
         biases = self._biases
         rows, state = self._rows_of(self._numbers), state_rows(self._kernel)
         of_state = state[:, np.newaxis], np.array(lanes)
@@ -376,9 +368,7 @@ class LiveFilterBank(LiveFilter):
     def _begin_history(self) -> None:
         counts = self._memory.arrays.counts
         counts[live.N_HISTORY] = counts[live.OLDEST] = 0
-        counts[live.N_SAMPLES] = (
-            -(-int(counts[live.N_SAMPLES]) // live.CHECKPOINT_EVERY) * live.CHECKPOINT_EVERY
-        )
+        counts[live.N_SAMPLES] += -int(counts[live.N_SAMPLES]) % live.CHECKPOINT_EVERY
         self._snapshots = [self._snapshot(self._numbers, float(self._filter_state[live.TIME]))]
         self._pending = None
 

@@ -1,11 +1,15 @@
 """Search for better offsets of a bank's filters by differential evolution; each candidate replays the last minute.
 
 Source: R. Storn and K. Price, Differential evolution, Journal of Global Optimization 11, 1997 (rand/1/bin). Each search
-begins with the population of the previous one.
+begins with the population of the previous one. It runs in a thread, while the filters of the bank continue.
 """
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -72,12 +76,9 @@ class LoggedSteps:
         The loss is the negative log-likelihood under Student's t, as in the objective ``innovation-t``.
         """
         place = self._place
-        scored = (
-            int(np.searchsorted(self.rows[:, T_TIME], self._begins + CONVERGENCE_TIME))
-            if len(self.rows)
-            else 0
-        )
-        self._run(lanes, place, scored)
+        if len(self.rows):
+            scored = np.searchsorted(self.rows[:, T_TIME], self._begins + CONVERGENCE_TIME)
+            self._run(lanes, place, int(scored))
         before = _loss(lanes)
         self._run(lanes, place, len(self.rows))
         return _loss(lanes) - before
@@ -148,12 +149,9 @@ FUZZY_FACTORS = R.TIMES_R, R.TIMES_Q
 def with_zero_sums(lanes: Array) -> Array:
     """Return filters (N_KEPT, m) in the same state, with sums of 0 and fuzzy factors of 1."""
     fresh = lanes.copy()
-    sums = fresh[SUM_ROWS]
-    lasting = R.REJECTED, R.RECENT, R.OUTLIERS, R.SPAN, R.QUICK, R.SLOW, R.HEADING, R.OK
-    kept = [row - SUM_ROWS.start for row in lasting]
-    remembered = sums[kept].copy()
-    sums[:] = 0.0
-    sums[kept] = remembered
+    fresh[SUM_ROWS] = 0.0
+    lasting = [R.REJECTED, R.RECENT, R.OUTLIERS, R.SPAN, R.QUICK, R.SLOW, R.HEADING, R.OK]
+    fresh[lasting] = lanes[lasting]
     fresh[[R.DET, R.TAIL, *FUZZY_FACTORS]] = 1.0
     return fresh
 
@@ -224,3 +222,39 @@ def _trials(offsets: Array, spread: OffsetPrior, rng: np.random.Generator) -> Ar
     crossed[np.arange(n), rng.integers(d, size=n)] = True
     trial = np.where(crossed, moved, offsets)
     return np.clip(trial, -MAX_OFFSET * spread.std, MAX_OFFSET * spread.std) * spread.lasting
+
+
+@cache
+def _searcher() -> ThreadPoolExecutor:
+    """Return the executor, with one thread, for the searches of all banks in a process."""
+    return ThreadPoolExecutor(1, thread_name_prefix="swarm")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_searcher.cache_clear)  # the thread does not exist in a forked process
+
+
+@dataclass(frozen=True, eq=False)
+class PendingSearch:
+    """A search over the logged steps before step number ``logged``.
+
+    ``led`` is the filter with the largest weight. The search starts from an earlier state of this filter, or of the
+    filter from which it was copied. A forked copy of this object searches in the calling thread, and an unpickled copy
+    starts the search again.
+    """
+
+    logged: int
+    led: int
+    arguments: tuple[Any, ...]
+    process: int
+    found: Future[SearchResult | None]
+
+    @classmethod
+    def begun(cls, logged: int, led: int, *arguments: Any) -> "PendingSearch":
+        return cls(logged, led, arguments, os.getpid(), _searcher().submit(search, *arguments))
+
+    def result(self) -> SearchResult | None:
+        return self.found.result() if self.process == os.getpid() else search(*self.arguments)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return PendingSearch.begun, (self.logged, self.led, *self.arguments)

@@ -13,9 +13,8 @@ from sigmaswarm.filters.parameters import FilterParameters
 OFFSET_DOF = 4.0  # degrees of freedom of Student's t, the prior of an offset; allows a few large offsets
 Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
 """Standard deviations, in decades, of offsets of Q, of Q for biases, of R, and of other variances."""
-R_DOWN_STD = (
-    0.45  # decades, for a smaller R; less than R_STD, since fixes in a city seem accurate until they jump
-)
+# decades, for a smaller R; less than R_STD, since fixes in a city seem accurate until they jump
+R_DOWN_STD = 0.45
 SCALE_STD = 0.7  # decades, for a factor of all variances, which hardly changes the estimates
 START_STD = 1.5  # decades, for the initial variance of the biases; `OffsetPrior.first` only increases it
 AXLE_STD = 0.7  # m, standard deviation of the offset of the rear axle
@@ -93,17 +92,9 @@ class OffsetPrior:
         receivers = [lane for lane, changes in enumerate(FIXED_OFFSETS) if R in changes]
         others = [*range(len(FIXED_OFFSETS), LANES)]
         if START not in self.names:
-            return {
-                "the tuning": [0],
-                "other receivers": receivers,
-                "found by the search": [*biased, *others],
-            }
-        return {
-            "the tuning": [0],
-            "other biases": biased,
-            "other receivers": receivers,
-            "found by the search": others,
-        }
+            biased, others = [], [*biased, *others]
+        groups = {"other biases": biased, "other receivers": receivers, "found by the search": others}
+        return {"the tuning": [0]} | {name: lanes for name, lanes in groups.items() if lanes}
 
     def penalty(self, offsets: Array) -> Array:
         """Return the log-prior penalty (m,) of offsets (m, d): the sum of -log of Student's t, without constants."""
@@ -153,12 +144,9 @@ class OffsetPrior:
             elif name not in (START, SCALE):
                 is_its_own = abs(offset) > WARNING_OFFSET or abs(common) <= WARNING_OFFSET
                 if is_its_own and abs(offset + common) > WARNING_OFFSET:
-                    sentence = _MEANS.get(
-                        name, "the noise of {name} is {times}, which indicates a different IMU"
-                    )
-                    messages.append(
-                        sentence.format(name=name.removeprefix("q_"), times=_times(offset + common))
-                    )
+                    usual = "the noise of {name} is {times}, which indicates a different IMU"
+                    values = {"name": name.removeprefix("q_"), "times": _times(offset + common)}
+                    messages.append(_MEANS.get(name, usual).format(**values))
         return tuple(messages)
 
     said = warnings  # deprecated name
