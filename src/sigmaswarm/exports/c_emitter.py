@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from sigmaswarm.exports.c_names import CALLS, INPUTS, PARAMETERS, RENAMED, STATES
 from sigmaswarm.exports.c_text import in_c, is_truth, name_of, number_of, numeral, parsed, uses, wrapped
-from sigmaswarm.filters.compiled.layout import COVARIANCE, MEAN, N_KEPT, NAMES, QUATERNION
+from sigmaswarm.filters.compiled.layout import COVARIANCE, MEAN, N_KEPT, NAMES, QUATERNION, at
 from sigmaswarm.filters.compiled.unroll import Kernel
 
 _SIGNS: dict[type, str] = {
@@ -111,7 +111,7 @@ class _Function(ast.NodeTransformer):
         definition, self.comments = parsed(function)
         self.emitter, self.key, self.definition = emitter, key, definition
         self.name = emitter.names.get(key, key.lstrip("_"))
-        self.known, self.names = known, {**function.__globals__, **known}
+        self.known, self.names = known, {**function.__globals__, **known, "at": at}
         self.is_kernel = any(each.arg == "w" for each in definition.args.args)
         self.body = self.chosen(definition.body[ast.get_docstring(definition) is not None :])
         nodes = [node for statement in self.body for node in ast.walk(statement)]
@@ -383,7 +383,7 @@ class _Function(ast.NodeTransformer):
         match index:
             case ast.Call(_, [i, j]):
                 return self.mirrored(self.index(i), self.index(j))
-            case ast.BinOp(ast.Name("Q0"), _, right):
+            case ast.BinOp(ast.Name("Q"), _, right):
                 return str(self.emitter.rows["Q"]).format(self.index(right)), ""
             case ast.BinOp(ast.Name(block), _, right):
                 return f"work->{block}[{self.index(right)}]", ""

@@ -5,7 +5,7 @@ The textbook form is `textbook.adaptive`.
 
 import math
 
-from sigmaswarm.filters.compiled.layout import C1, C2, LANES, Q0, R, at
+from sigmaswarm.filters.compiled.layout import C1, C2, LANES, P, Q, R
 from sigmaswarm.filters.fuzzy import LARGEST_RATIO, SLOWER
 from sigmaswarm.filters.student import ITERATIONS, OUTLIERS, OUTLYING
 
@@ -57,7 +57,7 @@ def apply_fuzzy_rules(w, *, n):
         for row in (R.RX, R.RY, R.ACCURACY, R.R1, R.R2):
             w[row] *= more_r
         for i in range(n):
-            w[Q0 + i] *= more_q
+            Q[i] *= more_q
         w.QUICK = quick if used else w.QUICK
         w.SLOW = slow if used else w.SLOW
         w.TIMES_R *= more_r
@@ -71,16 +71,16 @@ def inflate_observed(w, l, s11, s12, s22, factor, *, n):
     """
     more = (factor - 1.0) / (s11 * s22 - s12 * s12) if factor > 1.0 else 0.0
     for j in range(n):
-        c1, c2 = w[C1 + j], w[C2 + j]
+        c1, c2 = C1[j], C2[j]
         gain_1, gain_2 = more * (s22 * c1 - s12 * c2), more * (s11 * c2 - s12 * c1)
         for i in range(j + 1):
-            w[at(i, j)] += gain_1 * w[C1 + i] + gain_2 * w[C2 + i]
+            P[i, j] += gain_1 * C1[i] + gain_2 * C2[i]
     w.S11 += (factor - 1.0) * s11
     w.S12 += (factor - 1.0) * s12
     w.S22 += (factor - 1.0) * s22
     for i in range(n):
-        w[C1 + i] *= factor
-        w[C2 + i] *= factor
+        C1[i] *= factor
+        C2[i] *= factor
 
 
 def student_t_weight(w, since):
@@ -137,9 +137,9 @@ def adapt(w, since, *, n):
         w.RX = rx + weight * rx * rx * (e1 * e1 - g11)  # H P+ H^T = R - R S^-1 R
         w.RY = ry + weight * ry * ry * (e2 * e2 - g22)
         for i in range(n):
-            c1, c2 = w[C1 + i], w[C2 + i]
+            c1, c2 = C1[i], C2[i]
             moved = c1 * e1 + c2 * e2
             shrunk = c1 * (c1 * g11 + c2 * g12) + c2 * (c1 * g12 + c2 * g22)
             change = (moved * moved - shrunk) / span
-            q = w[Q0 + i]
-            w[Q0 + i] = q + weight * (change if change > -q else -q)
+            q = Q[i]
+            Q[i] = q + weight * (change if change > -q else -q)

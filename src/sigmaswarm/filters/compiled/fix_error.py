@@ -7,7 +7,7 @@ The coefficients of A are in scratch rows: see transition.py.
 import math
 
 from sigmaswarm.drives.timeline import DT, FIX_VAR_X, FIX_VAR_Y
-from sigmaswarm.filters.compiled.layout import C1, C2, LANES, MOVE, R, at
+from sigmaswarm.filters.compiled.layout import C1, C2, LANES, MOVE, P, R
 
 
 def carry(w, u, *, n, biases):
@@ -20,15 +20,15 @@ def carry(w, u, *, n, biases):
     for l in range(LANES):
         ke, kn = w.JEAST, w.JNORTH
         for j in range(n - 2, n):
-            ub, vb, tb = w[at(R.U, j)], w[at(R.V, j)], w[at(R.T, j)]
+            ub, vb, tb = P[R.U, j], P[R.V, j], P[R.T, j]
             u1, v1 = ub + ke * tb, vb + kn * tb
             if biases:
-                ab, bb, c, s = w[at(R.A, j)], w[at(R.B, j)], w.COS, w.SIN
+                ab, bb, c, s = P[R.A, j], P[R.B, j], w.COS, w.SIN
                 u1, v1 = u1 - (c * ab - s * bb), v1 - (s * ab + c * bb)
-                w[at(R.T, j)] = tb - dt * w[at(R.W, j)]
-            w[at(R.X, j)] += h * (ub + u1)
-            w[at(R.Y, j)] += h * (vb + v1)
-            w[at(R.U, j)], w[at(R.V, j)] = u1, v1
+                P[R.T, j] = tb - dt * P[R.W, j]
+            P[R.X, j] += h * (ub + u1)
+            P[R.Y, j] += h * (vb + v1)
+            P[R.U, j], P[R.V, j] = u1, v1
 
 
 def age_fix_error(w, z, since):
@@ -52,12 +52,12 @@ def move_fix_error(w, *, n, noted):
         for j in range(n - 2, n):
             w[j] *= phi
             for i in range(n):
-                w[at(i, j)] *= phi
-            w[at(j, j)] *= phi
-        w[at(n - 2, n - 2)] += w.GAINED_X
-        w[at(n - 1, n - 1)] += w.GAINED_Y
+                P[i, j] *= phi
+            P[j, j] *= phi
+        P[n - 2, n - 2] += w.GAINED_X
+        P[n - 1, n - 1] += w.GAINED_Y
         if noted:
-            w[MOVE + noted] = phi
+            MOVE[noted] = phi
         w.PHI, w.GAINED_X, w.GAINED_Y = 1.0, 0.0, 0.0
 
 
@@ -67,10 +67,10 @@ def observe_fix_error(w, *, n):
         phi = w.PHI
         w.N1 -= phi * w[n - 2]
         w.N2 -= phi * w[n - 1]
-        xx, xy, yy = w[at(n - 2, n - 2)], w[at(n - 2, n - 1)], w[at(n - 1, n - 1)]
-        w.S11 += phi * (2.0 * w[C1 + n - 2] + phi * xx) + w.GAINED_X
-        w.S12 += phi * (w[C1 + n - 1] + w[C2 + n - 2] + phi * xy)
-        w.S22 += phi * (2.0 * w[C2 + n - 1] + phi * yy) + w.GAINED_Y
+        xx, xy, yy = P[n - 2, n - 2], P[n - 2, n - 1], P[n - 1, n - 1]
+        w.S11 += phi * (2.0 * C1[n - 2] + phi * xx) + w.GAINED_X
+        w.S12 += phi * (C1[n - 1] + C2[n - 2] + phi * xy)
+        w.S22 += phi * (2.0 * C2[n - 1] + phi * yy) + w.GAINED_Y
         for i in range(n):
-            w[C1 + i] += phi * w[at(i, n - 2)]
-            w[C2 + i] += phi * w[at(i, n - 1)]
+            C1[i] += phi * P[i, n - 2]
+            C2[i] += phi * P[i, n - 1]

@@ -1,7 +1,7 @@
 """Layout of the array of a run, (row, lane): a lane is one filter, a row is one number of each filter.
 
-Kernels contain ``w.XX``, the element of lane ``l``; before Numba compiles them, `unroll` replaces it by ``w[R.XX, l]``
-with the number of the row.
+Kernels contain ``w.XX``, ``P[i, j]`` and ``C1[i]``, which denote elements of lane ``l``; before Numba compiles them,
+`unroll` replaces them by ``w[R.XX, l]``, ``w[at(i, j), l]`` and ``w[C1 + i, l]``.
 """
 
 from collections import namedtuple
@@ -114,6 +114,9 @@ R: Any = namedtuple("R", NAMES)(*range(N_ROWS))  # pyright: ignore[reportUntyped
 P0, Q0, C1, C2, FP, PRIOR, MOVE = R.XX, R.Q_X, R.C1_X, R.C2_X, R.FP0, R.PRIOR_X, R.MOVE0
 ROOT, SLOPE, BEND, SHIFT, EXTRA, PIVOT = R.ROOT0, R.SLOPE0, R.BEND0, R.SHIFT0, R.EXTRA0, R.PIVOT0
 """First rows: P[i, j] with i <= j is in row P0 + j (j + 1) / 2 + i, Q[i, i] in row Q0 + i, and so on."""
+P, Q = P0, Q0
+COLUMNS = {"ROOT": 6, "SLOPE": 5, "BEND": 5, "EXTRA": 5}
+"""Columns of matrices. Those of SLOPE, BEND and EXTRA: vx and vy, and the rotation about east, north and up."""
 
 
 def _rows(block: str) -> slice:

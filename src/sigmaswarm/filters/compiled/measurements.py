@@ -18,7 +18,7 @@ from sigmaswarm.filters.compiled.adaptive import (
 )
 from sigmaswarm.filters.compiled.fix_error import age_fix_error, move_fix_error, observe_fix_error
 from sigmaswarm.filters.compiled.lanes import kernel, sincos, spread_of
-from sigmaswarm.filters.compiled.layout import C1, C2, LANES, SLOPE, R, at
+from sigmaswarm.filters.compiled.layout import C1, C2, LANES, SLOPE, P, R
 from sigmaswarm.filters.compiled.tilted12 import (
     ALONG,
     measure_along_tilted,
@@ -26,7 +26,6 @@ from sigmaswarm.filters.compiled.tilted12 import (
     measure_heading_tilted,
 )
 from sigmaswarm.filters.compiled.tilted12_unscented import (
-    OUTPUTS,
     measure_fix_unscented,
     measure_heading_unscented,
     measure_lateral_unscented,
@@ -164,11 +163,11 @@ def _measure_fix(w, z, lever, *, n):
         w.N1 = zx - (w.X - tau * w.U + (1.0 + e) * east)
         w.N2 = zy - (w.Y - tau * w.V + (1.0 + e) * north)
         for i in range(n):
-            w[C1 + i] = w[at(i, R.X)] - tau * w[at(i, R.U)] + je * w[at(i, R.T)]
-            w[C2 + i] = w[at(i, R.Y)] - tau * w[at(i, R.V)] + jn * w[at(i, R.T)]
-        w.S11 = w[C1 + R.X] - tau * w[C1 + R.U] + je * w[C1 + R.T] + w.GEE
-        w.S12 = w[C1 + R.Y] - tau * w[C1 + R.V] + jn * w[C1 + R.T] + w.GEN
-        w.S22 = w[C2 + R.Y] - tau * w[C2 + R.V] + jn * w[C2 + R.T] + w.GNN
+            C1[i] = P[i, R.X] - tau * P[i, R.U] + je * P[i, R.T]
+            C2[i] = P[i, R.Y] - tau * P[i, R.V] + jn * P[i, R.T]
+        w.S11 = w.C1_X - tau * w.C1_U + je * w.C1_T + w.GEE
+        w.S12 = w.C1_Y - tau * w.C1_V + jn * w.C1_T + w.GEN
+        w.S22 = w.C2_Y - tau * w.C2_V + jn * w.C2_T + w.GNN
 
 
 @kernel
@@ -197,26 +196,26 @@ def _keep_digits(w, *, n, tilted, unscented, fix_error):
         if unscented == 0:
             tau, je, jn = w.LATENCY, w.JEAST, w.JNORTH
         else:
-            tau, je, jn = w.LATENCY, w[SLOPE], w[SLOPE + 1]
+            tau, je, jn = w.LATENCY, SLOPE[0, 0], SLOPE[0, 1]
         r1, r12, r2 = w.GEE, w.GEN, w.GNN
         # The position comes last, since its elements depend on its new covariances with the other states.
         for j in (*range(2, n), 0, 1):
-            gain_1 = w[C1 + j] * w.G11 + w[C2 + j] * w.G12
-            gain_2 = w[C1 + j] * w.G12 + w[C2 + j] * w.G22
-            x = gain_1 * r1 + gain_2 * r12 + tau * w[at(j, R.U)] - je * w[at(j, R.T)]
-            y = gain_1 * r12 + gain_2 * r2 + tau * w[at(j, R.V)] - jn * w[at(j, R.T)]
+            gain_1 = C1[j] * w.G11 + C2[j] * w.G12
+            gain_2 = C1[j] * w.G12 + C2[j] * w.G22
+            x = gain_1 * r1 + gain_2 * r12 + tau * P[j, R.U] - je * P[j, R.T]
+            y = gain_1 * r12 + gain_2 * r2 + tau * P[j, R.V] - jn * P[j, R.T]
             if unscented:
-                x -= w[SLOPE + OUTPUTS] * w[at(j, R.I)] + w[SLOPE + OUTPUTS * 2] * w[at(j, R.J)]
-                y -= w[SLOPE + OUTPUTS + 1] * w[at(j, R.I)] + w[SLOPE + OUTPUTS * 2 + 1] * w[at(j, R.J)]
+                x -= SLOPE[1, 0] * P[j, R.I] + SLOPE[2, 0] * P[j, R.J]
+                y -= SLOPE[1, 1] * P[j, R.I] + SLOPE[2, 1] * P[j, R.J]
             elif tilted:
-                x -= w.LEVER_UP * w[at(j, R.J)]
-                y += w.LEVER_UP * w[at(j, R.I)]
+                x -= w.LEVER_UP * P[j, R.J]
+                y += w.LEVER_UP * P[j, R.I]
             if fix_error:
-                x -= w[at(j, n - 2)]
-                y -= w[at(j, n - 1)]
+                x -= P[j, n - 2]
+                y -= P[j, n - 1]
             if j != R.Y:
-                w[at(j, R.X)] = x if used else w[at(j, R.X)]
-            w[at(j, R.Y)] = y if used else w[at(j, R.Y)]
+                P[j, R.X] = x if used else P[j, R.X]
+            P[j, R.Y] = y if used else P[j, R.Y]
 
 
 UPDATES = (

@@ -25,7 +25,7 @@ from sigmaswarm.drives.timeline import (
     Q_SCALE,
 )
 from sigmaswarm.filters.compiled.lanes import kernel, sincos
-from sigmaswarm.filters.compiled.layout import LANES, Q0, R, at
+from sigmaswarm.filters.compiled.layout import LANES, P, Q, R
 from sigmaswarm.filters.compiled.measurements import add_forecast, add_likelihood
 from sigmaswarm.filters.compiled.unroll import unrolled
 
@@ -56,29 +56,29 @@ def _predict(w, d, q):
         w.U += d * w.A
         w.V += d * w.B
         w.T = _wrap(w.T + d * w.W)
-        before = cd * w.XU - sd * w.XV + ch * w[at(R.X, R.A)] - sh * w[at(R.X, R.B)]
+        before = cd * w.XU - sd * w.XV + ch * w.XA - sh * w.XB
         before = before - north * w.XT
         for k in range(1, 8):
-            moved = cd * w[at(R.U, k)] - sd * w[at(R.V, k)] - north * w[at(R.T, k)]
-            w[at(R.X, k)] += moved + (ch * w[at(R.A, k)] - sh * w[at(R.B, k)])
-        after = cd * w.XU - sd * w.XV + ch * w[at(R.X, R.A)] - sh * w[at(R.X, R.B)]
-        w.XX += before + (after - north * w.XT) + q * w[Q0 + R.X]
-        before = sd * w.YU + cd * w.YV + sh * w[at(R.Y, R.A)] + ch * w[at(R.Y, R.B)]
+            moved = cd * P[R.U, k] - sd * P[R.V, k] - north * P[R.T, k]
+            P[R.X, k] += moved + (ch * P[R.A, k] - sh * P[R.B, k])
+        after = cd * w.XU - sd * w.XV + ch * w.XA - sh * w.XB
+        w.XX += before + (after - north * w.XT) + q * w.Q_X
+        before = sd * w.YU + cd * w.YV + sh * w.YA + ch * w.YB
         before = before + east * w.YT
         for k in (0, 2, 3, 4, 5, 6, 7):
-            moved = sd * w[at(R.U, k)] + cd * w[at(R.V, k)] + east * w[at(R.T, k)]
-            w[at(R.Y, k)] += moved + (sh * w[at(R.A, k)] + ch * w[at(R.B, k)])
-        after = sd * w.YU + cd * w.YV + sh * w[at(R.Y, R.A)] + ch * w[at(R.Y, R.B)]
-        w.YY += before + (after + east * w.YT) + q * w[Q0 + R.Y]
+            moved = sd * P[R.U, k] + cd * P[R.V, k] + east * P[R.T, k]
+            P[R.Y, k] += moved + (sh * P[R.A, k] + ch * P[R.B, k])
+        after = sd * w.YU + cd * w.YV + sh * w.YA + ch * w.YB
+        w.YY += before + (after + east * w.YT) + q * w.Q_Y
     for l in range(LANES):
         for i in (R.T, R.U, R.V):  # yaw by its rate, vx by ax, vy by ay
-            old = w[at(i, RATES[i])]
+            old = P[i, RATES[i]]
             for k in range(8):
                 if k != i:
-                    w[at(i, k)] += d * w[at(RATES[i], k)]
-            w[at(i, i)] += d * (old + w[at(i, RATES[i])]) + q * w[Q0 + i]
+                    P[i, k] += d * P[RATES[i], k]
+            P[i, i] += d * (old + P[i, RATES[i]]) + q * Q[i]
         for i in (R.A, R.B, R.W):
-            w[at(i, i)] += q * w[Q0 + i]
+            P[i, i] += q * Q[i]
 
 
 RATES = {R.T: R.W, R.U: R.A, R.V: R.B}
@@ -89,20 +89,20 @@ def _correct(w, l, off, r, use, *, state):
 
     ``off``: nu; ``r``: R; ``use``: 0 if the measurement is rejected, else 1.
     """
-    one = use / (w[at(state, state)] + r)
+    one = use / (P[state, state] + r)
     nu = one * off
     for k in range(8):
-        w[k] += w[at(k, state)] * nu
+        w[k] += P[k, state] * nu
     w.T = _wrap(w.T)
     for i in range(8):
         if i != state:
-            gain = one * w[at(i, state)]
+            gain = one * P[i, state]
             for k in range(i + 1):
                 if k != state:
-                    w[at(i, k)] = w[at(i, k)] - gain * w[at(k, state)]
+                    P[i, k] = P[i, k] - gain * P[k, state]
     left = one * r if use > 0.0 else 1.0
     for k in range(8):
-        w[at(k, state)] = w[at(k, state)] * left
+        P[k, state] = P[k, state] * left
 
 
 def _update(w, z, *, state, noise, gate, correct):
@@ -112,7 +112,7 @@ def _update(w, z, *, state, noise, gate, correct):
         if state == R.T:
             off = _wrap(off)
         if gate:
-            use = 1.0 if off * off < w[gate] * (w[at(state, state)] + r) else 0.0
+            use = 1.0 if off * off < w[gate] * (P[state, state] + r) else 0.0
         correct(w, l, off, r, use)
 
 

@@ -29,17 +29,17 @@ def phi_place(model):
 
 def _note_move(w, dt, *, places, moves, phi):
     for l in range(LANES):
-        w[MOVE] = dt
+        MOVE[0] = dt
         for i in places:  # A is the identity in a step of length 0
-            w[MOVE + 1 + i] = w[moves[i]] if dt > 0.0 else 0.0
+            MOVE[1 + i] = w[moves[i]] if dt > 0.0 else 0.0
         if phi:
-            w[MOVE + phi] = 1.0  # at a fix, `move_fix_error` replaces it
+            MOVE[phi] = 1.0  # at a fix, `move_fix_error` replaces it
 
 
 def _note_prior(w, *, state):
     for l in range(LANES):
         for row in state:
-            w[PRIOR + row] = w[row]
+            PRIOR[row] = w[row]
 
 
 def note_move(name):

@@ -13,7 +13,7 @@ import math
 from sigmaswarm.drives.odometer import WHEEL_AGE, WHEEL_NOISE, WHEEL_SPEED
 from sigmaswarm.drives.timeline import AX, AY, AZ, DT, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GX, GY, GZ, Q_SCALE
 from sigmaswarm.filters.compiled.lanes import FAR, TINY, angle_of, kernel, sinc_cos, sincos
-from sigmaswarm.filters.compiled.layout import C1, C2, FP, LANES, Q0, R, at
+from sigmaswarm.filters.compiled.layout import C1, C2, FP, LANES, P, Q, R, at
 from sigmaswarm.filters.tilted import GRAVITY, N
 
 MOVED = (R.X, R.Y, R.U, R.V, R.T, R.I, R.J)
@@ -107,7 +107,7 @@ def propagate(w, u, *, columns, coefficients, transition):
         for l in range(LANES):
             f = tuple(w[row] for row in coefficients)
             for j in group:
-                e = transition(f, dt, tuple(w[at(k, j)] for k in range(N)))
+                e = transition(f, dt, tuple(P[k, j] for k in range(N)))
                 (
                     w[fp(R.X, j)], w[fp(R.Y, j)], w[fp(R.U, j)], w[fp(R.V, j)], w[fp(R.T, j)],
                     _, _, _, w[fp(R.I, j)], w[fp(R.J, j)], _, _,
@@ -121,18 +121,18 @@ def propagate(w, u, *, columns, coefficients, transition):
                 )
                 # Each pair in MOVED is computed once, in the column of the state that is later in MOVED.
                 if i == R.X:
-                    w[at(i, R.X)] = x
+                    P[i, R.X] = x
                 if i in (R.X, R.Y):
-                    w[at(i, R.Y)] = y
+                    P[i, R.Y] = y
                 if i in (R.X, R.Y, R.U):
-                    w[at(i, R.U)] = vx
+                    P[i, R.U] = vx
                 if i in (R.X, R.Y, R.U, R.V):
-                    w[at(i, R.V)] = vy
+                    P[i, R.V] = vy
                 if i not in (R.I, R.J):
-                    w[at(i, R.T)] = up
+                    P[i, R.T] = up
                 if i != R.J:
-                    w[at(i, R.I)] = east
-                w[at(i, R.J)] = north
+                    P[i, R.I] = east
+                P[i, R.J] = north
 
 
 def predict_tilted12(w, u, *, propagate, linearize, add_curvature):
@@ -147,7 +147,7 @@ def predict_tilted12(w, u, *, propagate, linearize, add_curvature):
     q_scale = u[Q_SCALE]
     for l in range(LANES):
         for i in range(N):
-            w[at(i, i)] += q_scale * w[Q0 + i]
+            P[i, i] += q_scale * Q[i]
 
 
 @kernel
@@ -202,11 +202,11 @@ def measure_fix_tilted(w, z, lever, *, n):
     for l in range(LANES):
         tau, je, jn, up = w.LATENCY, w.JEAST, w.JNORTH, w.LEVER_UP
         for i in range(n):
-            w[C1 + i] = w[at(i, R.X)] - tau * w[at(i, R.U)] + je * w[at(i, R.T)] + up * w[at(i, R.J)]
-            w[C2 + i] = w[at(i, R.Y)] - tau * w[at(i, R.V)] + jn * w[at(i, R.T)] - up * w[at(i, R.I)]
-        w.S11 = w[C1 + R.X] - tau * w[C1 + R.U] + je * w[C1 + R.T] + up * w[C1 + R.J]
-        w.S12 = w[C1 + R.Y] - tau * w[C1 + R.V] + jn * w[C1 + R.T] - up * w[C1 + R.I]
-        w.S22 = w[C2 + R.Y] - tau * w[C2 + R.V] + jn * w[C2 + R.T] - up * w[C2 + R.I]
+            C1[i] = P[i, R.X] - tau * P[i, R.U] + je * P[i, R.T] + up * P[i, R.J]
+            C2[i] = P[i, R.Y] - tau * P[i, R.V] + jn * P[i, R.T] - up * P[i, R.I]
+        w.S11 = w.C1_X - tau * w.C1_U + je * w.C1_T + up * w.C1_J
+        w.S12 = w.C1_Y - tau * w.C1_V + jn * w.C1_T - up * w.C1_I
+        w.S22 = w.C2_Y - tau * w.C2_V + jn * w.C2_T - up * w.C2_I
 
 
 def measure_heading_tilted(w, *, n):
@@ -221,8 +221,8 @@ def measure_heading_tilted(w, *, n):
         hi, hj = -climb * east, -climb * north
         w.N1 = angle_of(north, east)
         for i in range(n):
-            w[C1 + i] = w[at(i, R.T)] + hi * w[at(i, R.I)] + hj * w[at(i, R.J)]
-        w.S11 = w[C1 + R.T] + hi * w[C1 + R.I] + hj * w[C1 + R.J]
+            C1[i] = P[i, R.T] + hi * P[i, R.I] + hj * P[i, R.J]
+        w.S11 = w.C1_T + hi * w.C1_I + hj * w.C1_J
 
 
 def measure_along_tilted(w, u, wheels, *, n, lateral, bias):
@@ -255,13 +255,13 @@ def measure_along_tilted(w, u, wheels, *, n, lateral, bias):
             w.N1 = w.ODOMETER_SCALE * speed + arm * gained - (e0 * vx + e1 * vy + e2 * vz)
             hi, hj = hi + arm * GRAVITY * e1, hj - arm * GRAVITY * e0
         for i in range(n):
-            w[C1 + i] = (
-                d0 * w[at(i, R.U)] + d1 * w[at(i, R.V)] + arm * w[at(i, bias)]
-                + hi * w[at(i, R.I)] + hj * w[at(i, R.J)] + ht * w[at(i, R.T)]
+            C1[i] = (
+                d0 * P[i, R.U] + d1 * P[i, R.V] + arm * P[i, bias]
+                + hi * P[i, R.I] + hj * P[i, R.J] + ht * P[i, R.T]
             )  # fmt: skip
         w.S11 = (
-            d0 * w[C1 + R.U] + d1 * w[C1 + R.V] + arm * w[C1 + bias]
-            + hi * w[C1 + R.I] + hj * w[C1 + R.J] + ht * w[C1 + R.T] + noise
+            d0 * w.C1_U + d1 * w.C1_V + arm * C1[bias]
+            + hi * w.C1_I + hj * w.C1_J + ht * w.C1_T + noise
         )  # fmt: skip
 
 

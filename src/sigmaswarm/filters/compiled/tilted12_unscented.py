@@ -30,16 +30,13 @@ import numpy as np
 from sigmaswarm.drives.odometer import WHEEL_AGE, WHEEL_NOISE, WHEEL_SPEED
 from sigmaswarm.drives.timeline import AX, AY, AZ, DT, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GZ
 from sigmaswarm.filters.compiled.lanes import FAR, TINY, angle_of, kernel, sinc_cos, sincos, spread_of
-from sigmaswarm.filters.compiled.layout import BEND, C1, C2, EXTRA, LANES, PIVOT, ROOT, SHIFT, SLOPE, R, at
+from sigmaswarm.filters.compiled.layout import BEND, C1, C2, EXTRA, LANES, PIVOT, ROOT, SHIFT, SLOPE, P, R
 from sigmaswarm.filters.compiled.tilted12 import fold
-from sigmaswarm.filters.compiled.transition import OUTPUTS
 from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.tilted import GRAVITY, MEASURED_FIRST, STEP_FIRST, N
 
 ADDED, POSITION = (R.U, R.V, R.I, R.J, R.T), (R.X, R.Y)
 """States with a nonlinear step, in the order of the step's outputs; and the states that integrate the first two."""
-WIDTH = 6
-"""Numbers per state in the rows ROOT. SLOPE and BEND have `OUTPUTS` per column."""
 
 
 def _root(w, *, order, columns):
@@ -47,17 +44,17 @@ def _root(w, *, order, columns):
     for l in range(LANES):
         for j in range(columns):
             for i in range(j, len(order)):
-                rest = w[at(order[i], order[j])]
+                rest = P[order[i], order[j]]
                 for k in range(j):
-                    rest -= w[ROOT + WIDTH * i + k] * w[ROOT + WIDTH * j + k]
+                    rest -= ROOT[i, k] * ROOT[j, k]
                 if i == j:
                     pivot = math.sqrt(rest)
                     one = 1.0 / pivot
-                    w[ROOT + WIDTH * j + j], w[PIVOT + j] = pivot, one
+                    ROOT[j, j], PIVOT[j] = pivot, one
                 else:
-                    w[ROOT + WIDTH * i + j] = one * rest
+                    ROOT[i, j] = one * rest
             for i in range(j):
-                w[ROOT + WIDTH * i + j] = 0.0
+                ROOT[i, j] = 0.0
 
 
 def _linearize(w, *, columns):
@@ -68,18 +65,18 @@ def _linearize(w, *, columns):
         for k in range(len(columns)):
             shift = 0.0
             for j in range(columns[k] - 1, -1, -1):
-                slope = w[SLOPE + OUTPUTS * j + k]
+                slope = SLOPE[j, k]
                 for i in range(j + 1, columns[k]):
-                    slope -= w[ROOT + WIDTH * i + j] * w[SLOPE + OUTPUTS * i + k]
-                w[SLOPE + OUTPUTS * j + k] = w[PIVOT + j] * slope
-                shift += w[BEND + OUTPUTS * j + k]
-            w[SHIFT + k] = shift
+                    slope -= ROOT[i, j] * SLOPE[i, k]
+                SLOPE[j, k] = PIVOT[j] * slope
+                shift += BEND[j, k]
+            SHIFT[k] = shift
         for i in range(len(columns)):
             for k in range(i, len(columns)):
                 extra = 0.0
                 for j in range(min(columns[i], columns[k])):
-                    extra += w[BEND + OUTPUTS * j + i] * w[BEND + OUTPUTS * j + k]
-                w[EXTRA + OUTPUTS * i + k] = gamma2 * extra + spread * w[SHIFT + i] * w[SHIFT + k]
+                    extra += BEND[j, i] * BEND[j, k]
+                EXTRA[i, k] = gamma2 * extra + spread * SHIFT[i] * SHIFT[k]
 
 
 # ---- Vectors, as tuples of numbers ----
@@ -113,7 +110,7 @@ def _less(a, b):
 @kernel
 def _first_of(w, l, j):
     """Return the vector in column j of the root: gyro bias in a step, rotation in a measurement."""
-    return w[ROOT + WIDTH + j], w[ROOT + WIDTH * 2 + j], w[ROOT + j]
+    return ROOT[1, j], ROOT[2, j], ROOT[0, j]
 
 
 # ---- Prediction ----
@@ -122,7 +119,7 @@ def _first_of(w, l, j):
 @kernel
 def _turn_of(w, l, j):
     """Return the rotation vector in column j of the root of a step."""
-    return w[ROOT + WIDTH * 4 + j], w[ROOT + WIDTH * 5 + j], w[ROOT + WIDTH * 3 + j]
+    return ROOT[4, j], ROOT[5, j], ROOT[3, j]
 
 
 @kernel
@@ -209,24 +206,24 @@ def _point(w, l, sign, quarter, per_dt, *, j, sinc_cos, rotation_vector):
     error = _scaled(step, _turn_of(w, l, j))
     east, north, up = _less(rotation_vector(q0, q, error), error)
     # With the rotation M of the quaternion (m0, m): (M - 1) a = 2 m x (m x a + m0 a)
-    force = _turned_level(step * w[ROOT + WIDTH * 6 + j], step * w[ROOT + WIDTH * 7 + j], w, l)
+    force = _turned_level(step * ROOT[6, j], step * ROOT[7, j], w, l)
     a = _less((w.EAST, w.NORTH, w.UPWARD), force)
     a0, a1, _ = cross(m, _added(cross(m, a), _scaled(m0, a)))
     return 2.0 * a0, 2.0 * a1, east, north, up
 
 
 @kernel
-def _store_near(w, l, place, a, b, one, two):
+def _store_near(w, l, j, k, a, b, one, two):
     """Store slope and curvature of an output, from its values at the two points."""
-    w[SLOPE + place], w[BEND + place] = one * (a - b), two * (a + b)
+    SLOPE[j, k], BEND[j, k] = one * (a - b), two * (a + b)
 
 
 @kernel
-def _store_far(w, l, place, a, b, one, two):
+def _store_far(w, l, j, k, a, b, one, two):
     """Store slope and curvature of an output, only in lanes with a large angle."""
     far = w.POINT_FAR > 0.0
-    w[SLOPE + place] = one * (a - b) if far else w[SLOPE + place]
-    w[BEND + place] = two * (a + b) if far else w[BEND + place]
+    SLOPE[j, k] = one * (a - b) if far else SLOPE[j, k]
+    BEND[j, k] = two * (a + b) if far else BEND[j, k]
 
 
 def _draw(w, u, *, j, point, sinc_cos, store):
@@ -243,11 +240,11 @@ def _draw(w, u, *, j, point, sinc_cos, store):
         b0, b1, b2, b3, b4 = point(w, l, -1.0, quarter, per_dt)
         one = 0.5 / gamma
         two = one / gamma
-        store(w, l, OUTPUTS * j, a0, b0, one, two)
-        store(w, l, OUTPUTS * j + 1, a1, b1, one, two)
-        store(w, l, OUTPUTS * j + 2, a2, b2, one, two)
-        store(w, l, OUTPUTS * j + 3, a3, b3, one, two)
-        store(w, l, OUTPUTS * j + 4, a4, b4, one, two)
+        store(w, l, j, 0, a0, b0, one, two)
+        store(w, l, j, 1, a1, b1, one, two)
+        store(w, l, j, 2, a2, b2, one, two)
+        store(w, l, j, 3, a3, b3, one, two)
+        store(w, l, j, 4, a4, b4, one, two)
 
 
 def _column(number, far):
@@ -274,12 +271,12 @@ def _turn_acceleration(w):
             quarter, k, quarter_sin2 = spread_of(w.QUARTER_GAMMA, _square(turn))
             q = 0.5 * quarter_sin2 / (quarter * quarter)
             c = cross(turn, a)
-            d = cross(turn, _turned_level(-w[ROOT + WIDTH * 6 + j], -w[ROOT + WIDTH * 7 + j], w, l))
+            d = cross(turn, _turned_level(-ROOT[6, j], -ROOT[7, j], w, l))
             (c0, c1, _), (d0, d1, _), (e0, e1, _), (f0, f1, _) = c, d, cross(turn, c), cross(turn, d)
-            w[SLOPE + OUTPUTS * j] = k * c0 + gamma2 * q * f0
-            w[SLOPE + OUTPUTS * j + 1] = k * c1 + gamma2 * q * f1
-            w[BEND + OUTPUTS * j] = q * e0 + k * d0
-            w[BEND + OUTPUTS * j + 1] = q * e1 + k * d1
+            SLOPE[j, 0] = k * c0 + gamma2 * q * f0
+            SLOPE[j, 1] = k * c1 + gamma2 * q * f1
+            BEND[j, 0] = q * e0 + k * d0
+            BEND[j, 1] = q * e1 + k * d1
 
 
 @kernel
@@ -307,11 +304,11 @@ def linearize(w, u):
     _turn_acceleration(w)
     _linearize_step(w)
     for l in range(LANES):
-        w.X += h * w[SHIFT]
-        w.Y += h * w[SHIFT + 1]
-        w.U += w[SHIFT]
-        w.V += w[SHIFT + 1]
-        w.I, w.J, w.T = w[SHIFT + 2], w[SHIFT + 3], w[SHIFT + 4]
+        w.X += h * SHIFT[0]
+        w.Y += h * SHIFT[1]
+        w.U += SHIFT[0]
+        w.V += SHIFT[1]
+        w.I, w.J, w.T = SHIFT[2], SHIFT[3], SHIFT[4]
     fold(w)
 
 
@@ -322,14 +319,14 @@ def add_curvature(w, u):
     for l in range(LANES):
         for i in range(len(ADDED)):
             for j in range(i, len(ADDED)):
-                w[at(ADDED[i], ADDED[j])] += w[EXTRA + OUTPUTS * i + j]
+                P[ADDED[i], ADDED[j]] += EXTRA[i, j]
         for i in range(2):
             for j in range(i, len(ADDED)):
-                w[at(POSITION[i], ADDED[j])] += h * w[EXTRA + OUTPUTS * i + j]
-        w[at(R.Y, R.U)] += h * w[EXTRA + 1]
-        w[at(R.X, R.X)] += h * h * w[EXTRA]
-        w[at(R.X, R.Y)] += h * h * w[EXTRA + 1]
-        w[at(R.Y, R.Y)] += h * h * w[EXTRA + OUTPUTS + 1]
+                P[POSITION[i], ADDED[j]] += h * EXTRA[i, j]
+        w.YU += h * EXTRA[0, 1]
+        w.XX += h * h * EXTRA[0, 0]
+        w.XY += h * h * EXTRA[0, 1]
+        w.YY += h * h * EXTRA[1, 1]
 
 
 # ---- Measurements ----
@@ -379,28 +376,28 @@ def measure_fix_unscented(w, z, lever):
             quarter, k, quarter_sin2 = spread_of(w.QUARTER_GAMMA, _square(turn))
             q = 0.5 * quarter_sin2 / (quarter * quarter)
             (c0, c1, _), (d0, d1, _) = c, cross(turn, c)
-            w[SLOPE + OUTPUTS * j], w[SLOPE + OUTPUTS * j + 1] = k * c0, k * c1
-            w[BEND + OUTPUTS * j], w[BEND + OUTPUTS * j + 1] = q * d0, q * d1
+            SLOPE[j, 0], SLOPE[j, 1] = k * c0, k * c1
+            BEND[j, 0], BEND[j, 1] = q * d0, q * d1
     _linearize_fix(w)
     for l in range(LANES):
         tau = w.LATENCY
-        w.N1 -= w[SHIFT]
-        w.N2 -= w[SHIFT + 1]
-        w.GEE, w.GEN, w.GNN = w[EXTRA], w[EXTRA + 1], w[EXTRA + OUTPUTS + 1]
+        w.N1 -= SHIFT[0]
+        w.N2 -= SHIFT[1]
+        w.GEE, w.GEN, w.GNN = EXTRA[0, 0], EXTRA[0, 1], EXTRA[1, 1]
         for i in range(N):
-            east, north = w[at(i, R.X)] - tau * w[at(i, R.U)], w[at(i, R.Y)] - tau * w[at(i, R.V)]
+            east, north = P[i, R.X] - tau * P[i, R.U], P[i, R.Y] - tau * P[i, R.V]
             for k in range(3):
-                p = w[at(i, MEASURED_FIRST[k])]
-                east += w[SLOPE + OUTPUTS * k] * p
-                north += w[SLOPE + OUTPUTS * k + 1] * p
-            w[C1 + i], w[C2 + i] = east, north
-        s11 = w[C1 + R.X] - tau * w[C1 + R.U] + w.GEE
-        s12 = w[C1 + R.Y] - tau * w[C1 + R.V] + w.GEN
-        s22 = w[C2 + R.Y] - tau * w[C2 + R.V] + w.GNN
+                p = P[i, MEASURED_FIRST[k]]
+                east += SLOPE[k, 0] * p
+                north += SLOPE[k, 1] * p
+            C1[i], C2[i] = east, north
+        s11 = w.C1_X - tau * w.C1_U + w.GEE
+        s12 = w.C1_Y - tau * w.C1_V + w.GEN
+        s22 = w.C2_Y - tau * w.C2_V + w.GNN
         for k in range(3):
-            s11 += w[SLOPE + OUTPUTS * k] * w[C1 + MEASURED_FIRST[k]]
-            s12 += w[SLOPE + OUTPUTS * k + 1] * w[C1 + MEASURED_FIRST[k]]
-            s22 += w[SLOPE + OUTPUTS * k + 1] * w[C2 + MEASURED_FIRST[k]]
+            s11 += SLOPE[k, 0] * C1[MEASURED_FIRST[k]]
+            s12 += SLOPE[k, 1] * C1[MEASURED_FIRST[k]]
+            s22 += SLOPE[k, 1] * C2[MEASURED_FIRST[k]]
         w.S11, w.S12, w.S22 = s11, s12, s22
 
 
@@ -423,16 +420,16 @@ def measure_heading_unscented(w):
                 f0, f1 = t0 + i * (g * o0), t1 + i * (g * o1)  # change of the axis
                 turned = angle_of(e0 * f1 - e1 * f0, e0 * (e0 + f0) + e1 * (e1 + f1))
                 odd, even = odd + i * turned, even + turned
-            w[SLOPE + OUTPUTS * j] = odd * 0.5 / gamma
-            w[BEND + OUTPUTS * j] = even * 0.5 / (gamma * gamma)
+            SLOPE[j, 0] = odd * 0.5 / gamma
+            BEND[j, 0] = even * 0.5 / (gamma * gamma)
         w.N1 = angle_of(e1, e0)
     _linearize_along(w)
     for l in range(LANES):
-        h0, h1, h2 = w[SLOPE], w[SLOPE + OUTPUTS], w[SLOPE + OUTPUTS * 2]
-        w.N1 += w[SHIFT]
+        h0, h1, h2 = SLOPE[0, 0], SLOPE[1, 0], SLOPE[2, 0]
+        w.N1 += SHIFT[0]
         for i in range(N):
-            w[C1 + i] = h0 * w[at(i, R.T)] + h1 * w[at(i, R.I)] + h2 * w[at(i, R.J)]
-        w.S11 = w[EXTRA] + h0 * w[C1 + R.T] + h1 * w[C1 + R.I] + h2 * w[C1 + R.J]
+            C1[i] = h0 * P[i, R.T] + h1 * P[i, R.I] + h2 * P[i, R.J]
+        w.S11 = EXTRA[0, 0] + h0 * w.C1_T + h1 * w.C1_I + h2 * w.C1_J
 
 
 def _measure_along(w, u, wheels, *, lateral, bias, axis):
@@ -461,7 +458,7 @@ def _measure_along(w, u, wheels, *, lateral, bias, axis):
             q = 0.5 * gamma * gamma * quarter_sin2 / (quarter * quarter)
             g, oe, oc = gamma * k, cross(turn, e), cross(turn, c)
             te, tc = _scaled(q, cross(turn, oe)), _scaled(q, cross(turn, oc))
-            u1, v1 = gamma * w[ROOT + WIDTH * 3 + j], gamma * w[ROOT + WIDTH * 4 + j]
+            u1, v1 = gamma * ROOT[3, j], gamma * ROOT[4, j]
             odd, even = 0.0, 0.0
             for i in (1, -1):
                 f0, f1, f2 = _added(te, _scaled(i, _scaled(g, oe)))  # changes of the axes
@@ -474,22 +471,22 @@ def _measure_along(w, u, wheels, *, lateral, bias, axis):
                 if lateral == 0:
                     rest += arm * GRAVITY * f2
                 odd, even = odd + i * rest, even + rest
-            w[SLOPE + OUTPUTS * j] = odd * 0.5 / gamma
-            w[BEND + OUTPUTS * j] = even * 0.5 / (gamma * gamma)
+            SLOPE[j, 0] = odd * 0.5 / gamma
+            BEND[j, 0] = even * 0.5 / (gamma * gamma)
         w.EAST, w.NORTH, w.ALONG, w.E = d0, d1, arm, noise
     _linearize_along(w)
     for l in range(LANES):
         d0, d1, arm = w.EAST, w.NORTH, w.ALONG
-        h0, h1, h2 = w[SLOPE], w[SLOPE + OUTPUTS], w[SLOPE + OUTPUTS * 2]
-        w.N1 -= w[SHIFT]
+        h0, h1, h2 = SLOPE[0, 0], SLOPE[1, 0], SLOPE[2, 0]
+        w.N1 -= SHIFT[0]
         for i in range(N):
-            w[C1 + i] = (
-                d0 * w[at(i, R.U)] + d1 * w[at(i, R.V)] + arm * w[at(i, bias)]
-                + h0 * w[at(i, R.T)] + h1 * w[at(i, R.I)] + h2 * w[at(i, R.J)]
+            C1[i] = (
+                d0 * P[i, R.U] + d1 * P[i, R.V] + arm * P[i, bias]
+                + h0 * P[i, R.T] + h1 * P[i, R.I] + h2 * P[i, R.J]
             )  # fmt: skip
         w.S11 = (
-            d0 * w[C1 + R.U] + d1 * w[C1 + R.V] + arm * w[C1 + bias] + w[EXTRA] + w.E
-            + h0 * w[C1 + R.T] + h1 * w[C1 + R.I] + h2 * w[C1 + R.J]
+            d0 * w.C1_U + d1 * w.C1_V + arm * C1[bias] + EXTRA[0, 0] + w.E
+            + h0 * w.C1_T + h1 * w.C1_I + h2 * w.C1_J
         )  # fmt: skip
 
 

@@ -10,16 +10,14 @@ from sigmaswarm.filters.compiled.layout import SLOPE, R
 from sigmaswarm.filters.fix_error import UNSCENTED
 from sigmaswarm.filters.tilted import GRAVITY
 
-OUTPUTS = 5
-"""Number of rows SLOPE per column: of vx and vy, and of the rotation about east, north and up."""
 COEFFICIENTS = {
     "planar5": (R.JEAST, R.JNORTH),
     "planar8": (R.JEAST, R.JNORTH, R.COS, R.SIN),
     "tilted12": (R.EAST, R.NORTH, R.D11, R.D12, R.D13, R.D21, R.D22, R.D23, R.D31, R.D32, R.D33),
     UNSCENTED: (
         *(R.D11, R.D12, R.D21, R.D22),
-        *(SLOPE + OUTPUTS * column + output for output in (0, 1) for column in range(6)),
-        *(SLOPE + OUTPUTS * column + output for output in (2, 3, 4) for column in range(3)),
+        *(SLOPE + 5 * column + output for output in (0, 1) for column in range(6)),
+        *(SLOPE + 5 * column + output for output in (2, 3, 4) for column in range(3)),
     ),
 }
 

@@ -1,10 +1,10 @@
 """Unroll loops over states, and inline kernels into each other.
 
-In functions with a lane ``l``, ``w.XX`` and ``w[row]`` denote the lane's elements of rows: ``w[R.XX, l]`` and ``w[row,
-l]``. Loops over lanes become vector instructions, so their bodies must not contain branches (see `vectors`). Therefore,
-`unrolled` unrolls the loops over the n states of a model, writes out ``tuple(... for ...)``, and replaces names of rows
-by numbers. It also inlines kernels, since Numba does this slowly. The names that a function uses must be defined before
-its code is generated.
+In functions with a lane ``l``, ``w.XX``, ``w[row]``, ``P[i, j]``, ``C1[i]`` and ``ROOT[i, j]`` denote elements of rows.
+Loops over lanes become vector instructions, so their bodies must not contain branches (see `vectors`).
+Therefore, `unrolled` unrolls the loops over the n states of a model, writes out ``tuple(... for ...)``, and replaces
+names of rows by numbers. It also inlines kernels, since Numba does this slowly. The names that a function uses must be
+defined before its code is generated.
 """
 
 import ast
@@ -16,9 +16,10 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
-from sigmaswarm.filters.compiled.layout import R
+from sigmaswarm.filters.compiled.layout import COLUMNS, R, at
 
 STATE_LOOPS = ("i", "j", "k", "row", "group")  # loop variables that are unrolled
+VECTORS = ("C1", "C2", "MOVE", "PIVOT", "PRIOR", "Q", "SHIFT")
 NUMBERS = ("at", "fp", "axis_of")  # functions whose calls are replaced by their values
 
 
@@ -46,6 +47,13 @@ class _Elements(ast.NodeTransformer):
                 row = ast.Constant(getattr(R, name))
             case ast.Subscript(ast.Name("w"), index) if not isinstance(index, ast.Tuple):
                 row = index
+            case ast.Subscript(ast.Name("P"), ast.Tuple(indices)):
+                row = ast.Call(ast.Name("at", ast.Load()), indices, [])
+            case ast.Subscript(ast.Name(block), ast.Tuple([i, j])) if block in COLUMNS:
+                place = ast.BinOp(ast.BinOp(ast.Constant(COLUMNS[block]), ast.Mult(), i), ast.Add(), j)
+                row = ast.BinOp(ast.Name(block, ast.Load()), ast.Add(), place)
+            case ast.Subscript(ast.Name(block), index) if block in VECTORS:
+                row = ast.BinOp(ast.Name(block, ast.Load()), ast.Add(), index)
             case _:
                 return node
         index = ast.Tuple([row, ast.Name("l", ast.Load())], ast.Load())
@@ -57,7 +65,7 @@ def written_out(function: Callable[..., Any], /, **known: Any) -> ParsedFunction
     """Return a function's syntax tree, with its keyword-only parameters bound to ``known``; see `unrolled`."""
     if not known and (there := getattr(function, "written", None)) is not None:
         return there
-    names = function.__globals__ | known
+    names = function.__globals__ | known | {"at": at}
     tree = parsed(textwrap.dedent(inspect.getsource(function)))
     ast.increment_lineno(tree, function.__code__.co_firstlineno - 1)
     definition = tree.body[0]

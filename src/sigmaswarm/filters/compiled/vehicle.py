@@ -10,7 +10,7 @@ import numpy as np
 from sigmaswarm.drives.odometer import WHEEL_AGE, WHEEL_NOISE, WHEEL_SPEED
 from sigmaswarm.drives.timeline import AX, FIX_THETA, FIX_VAR_THETA, FIX_VX, FIX_VY, GX, GY, GZ
 from sigmaswarm.filters.compiled.lanes import sincos, spread_of
-from sigmaswarm.filters.compiled.layout import C1, C2, LANES, R, at
+from sigmaswarm.filters.compiled.layout import C1, C2, LANES, P, R
 from sigmaswarm.filters.compiled.tilted12 import fold
 from sigmaswarm.filters.schedule import HEADING_GATE, SLIP_GATE
 
@@ -23,10 +23,10 @@ def update_scalar(w, *, n):
         w.SIN_COS_VALID, w.SIN_COS_VALID_ALL = 0.0, 0.0
         g = 1.0 / w.S11
         for j in range(n):
-            gain = g * w[C1 + j]
+            gain = g * C1[j]
             w[j] += gain * w.N1
             for i in range(j + 1):
-                w[at(i, j)] -= gain * w[C1 + i]
+                P[i, j] -= gain * C1[i]
 
 
 def update_pair(w, *, n, tilted):
@@ -35,12 +35,12 @@ def update_pair(w, *, n, tilted):
         g11, g12, g22 = w.G11, w.G12, w.G22
         w.SIN_COS_VALID, w.SIN_COS_VALID_ALL = 0.0, 0.0
         for j in range(n):
-            gain_1, gain_2 = w[C1 + j] * g11 + w[C2 + j] * g12, w[C1 + j] * g12 + w[C2 + j] * g22
+            gain_1, gain_2 = C1[j] * g11 + C2[j] * g12, C1[j] * g12 + C2[j] * g22
             w[j] += gain_1 * w.N1 + gain_2 * w.N2
             for i in range(j + 1):
-                w[at(i, j)] -= gain_1 * w[C1 + i] + gain_2 * w[C2 + i]
+                P[i, j] -= gain_1 * C1[i] + gain_2 * C2[i]
         for i in range(n):
-            w.OK = w.OK if w[at(i, i)] > 0.0 else 0.0
+            w.OK = w.OK if P[i, i] > 0.0 else 0.0
     if tilted:
         fold(w)
 
@@ -69,9 +69,9 @@ def update_standstill(w, u, *, n, gyro_biases, tilted):
         shown = u[axis_of(row)]
         for l in range(LANES):
             w.N1 = shown - w[row]
-            w.S11 = w[at(row, row)] + w.R_RATE
+            w.S11 = P[row, row] + w.R_RATE
             for i in range(n):
-                w[C1 + i] = w[at(i, row)]
+                C1[i] = P[i, row]
         update_scalar(w)
     if tilted:
         fold(w)
@@ -88,13 +88,13 @@ def take_velocity(w, zu, zv, *, n):
         det = s11 * s22 - s12 * s12
         w.G11, w.G12, w.G22 = s22 / det, -s12 / det, s11 / det
         for i in range(n):
-            w[C1 + i], w[C2 + i] = w[at(i, R.U)], w[at(i, R.V)]
+            C1[i], C2[i] = P[i, R.U], P[i, R.V]
     update_pair(w)
     for l in range(LANES):
         r, g11, g12, g22 = w.R1, w.G11, w.G12, w.G22
         for i in range(n):
-            w[at(i, R.U)] = r * (w[C1 + i] * g11 + w[C2 + i] * g12)
-            w[at(i, R.V)] = r * (w[C1 + i] * g12 + w[C2 + i] * g22)
+            P[i, R.U] = r * (C1[i] * g11 + C2[i] * g12)
+            P[i, R.V] = r * (C1[i] * g12 + C2[i] * g22)
 
 
 def measure_along_planar(w, u, wheels, *, n, bias, lateral):
@@ -140,14 +140,14 @@ def measure_along_planar(w, u, wheels, *, n, bias, lateral):
             w.N1 += w.ODOMETER_SCALE * speed
         for i in range(n):
             if lateral:
-                w[C1 + i] = c * w[at(i, R.V)] - s * w[at(i, R.U)] - turn * w[at(i, R.T)]
+                C1[i] = c * P[i, R.V] - s * P[i, R.U] - turn * P[i, R.T]
             else:
-                w[C1 + i] = c * w[at(i, R.U)] + s * w[at(i, R.V)] - turn * w[at(i, R.T)]
+                C1[i] = c * P[i, R.U] + s * P[i, R.V] - turn * P[i, R.T]
         if bias >= 0:  # the IMU's reading has a bias
             w.N1 -= arm * w[bias]
-            variance += 2.0 * arm * w[C1 + bias] + arm * arm * w[at(bias, bias)]
+            variance += 2.0 * arm * C1[bias] + arm * arm * P[bias, bias]
             for i in range(n):
-                w[C1 + i] += arm * w[at(i, bias)]
+                C1[i] += arm * P[i, bias]
         if lateral:
             w.S11 = variance + w.R_LATERAL
         else:
@@ -188,7 +188,7 @@ def measure_heading_planar(w, *, n):
     for l in range(LANES):
         w.N1, w.S11 = w.T, w.TT
         for i in range(n):
-            w[C1 + i] = w[at(i, R.T)]
+            C1[i] = P[i, R.T]
 
 
 def update_heading(w, u, z, *, tilted, measure_heading):
