@@ -9,7 +9,7 @@ from sigmaswarm.filters.models import THETA
 
 def tilt_indices(n: int) -> tuple[int, ...]:
     """Return the indices of roll and pitch in a state of n numbers; empty for planar models."""
-    return tilted.ATTITUDE[:2] if n == tilted.N else ()
+    return (tilted.ROLL, tilted.PITCH) if n == tilted.N else ()
 
 
 def quaternions(mean: Array) -> Array:

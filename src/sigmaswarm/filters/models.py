@@ -142,15 +142,20 @@ def gyro_bias(state: Array) -> Array:
 
 @dataclass(frozen=True)
 class Tilts:
-    """Functions that textbook filters of a model with roll and pitch use: see `textbook.manifold`."""
+    """Functions that textbook filters of a model with roll and pitch use: see `textbook.manifold`.
 
-    plus: Callable[[Array, Array], Array]  # state, error -> state
-    minus: Callable[[Array, Array], Array]  # state, state -> error
-    nearest: Callable[
-        [Array, Array], Array
-    ]  # error, error -> equivalent of the first that is nearest to the second
-    transition: Callable[[Array, float, Array], Array]  # F of the error, (n, n), from a state, dt and imu
-    as_angles: Callable[[Array, Array], Array]  # covariance of the states (..., n, n) from that of the error
+    - ``plus(state, error)``: state.
+    - ``minus(state, other)``: error such that plus(other, error) is the state.
+    - ``nearest(error, near)``: of all errors equivalent to ``error``, the nearest to ``near``.
+    - ``transition(state, dt, imu)``: F of the error, (n, n).
+    - ``as_angles(state, covariance)``: covariance of the states, (..., n, n), from that of the error.
+    """
+
+    plus: Callable[[Array, Array], Array]
+    minus: Callable[[Array, Array], Array]
+    nearest: Callable[[Array, Array], Array]
+    transition: Callable[[Array, float, Array], Array]
+    as_angles: Callable[[Array, Array], Array]
 
 
 VARIANCE = (1e-5, 10.0)  # bounds of all variances in the paper; Q is per nominal IMU step

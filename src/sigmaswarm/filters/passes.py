@@ -25,12 +25,11 @@ class Targets:
     """Times at which estimates are compared with a known position and heading.
 
     ``noise`` (m, 4) contains the weights of the squared errors of position and heading, and the variances of x and y,
-    m2, which the NEES adds to P; its shape is (0, 4) if the reference is exact.
+    m2, which the NEES adds to P; its shape is (0, 4) if the reference is exact. ``weight`` (m,) is that of the later
+    estimate in the interpolation between the estimates around the time.
     """
 
-    weight: (
-        Array  # (m,), weight of the later estimate in the interpolation between the estimates around the time
-    )
+    weight: Array
     x: Array  # (m,), in meters
     y: Array  # (m,), in meters
     theta: Array  # (m,), rad

@@ -29,8 +29,8 @@ from sigmaswarm.geodesy import Array, wrap_angle
 
 THETA, ACCEL_X, ACCEL_Y, GYRO, ROLL, PITCH, GYRO_X, GYRO_Y, N = range(4, 13)
 # Indices of the error about east, north and up; also of roll, pitch and theta
-ATTITUDE = (ROLL, PITCH, THETA)
-ACCEL_BIAS, GYRO_BIAS = (ACCEL_X, ACCEL_Y), (GYRO_X, GYRO_Y, GYRO)  # axes: forward, left; forward, left, up
+ATTITUDE = [ROLL, PITCH, THETA]
+ACCEL_BIAS, GYRO_BIAS = [ACCEL_X, ACCEL_Y], [GYRO_X, GYRO_Y, GYRO]  # axes: forward, left; forward, left, up
 STEP_FIRST, MEASURED_FIRST = (7, 10, 11, 4, 8, 9), (4, 8, 9)
 """States whose columns come first in the square root of P, for the sigma points of a step and of a measurement. If
 these states are fixed, process and measurements are linear in all others."""
@@ -53,7 +53,7 @@ def rotation(state: Array) -> Array:
 def with_rotation(state: Array, r: Array) -> Array:
     """Return the state with the attitude R; theta in (-pi, pi]."""
     new = state.copy()
-    new[[*ATTITUDE]] = (
+    new[ATTITUDE] = (
         np.arctan2(r[2, 1], r[2, 2]),
         np.arctan2(-r[2, 0], np.hypot(r[0, 0], r[1, 0])),
         np.arctan2(r[1, 0], r[0, 0]),
@@ -63,7 +63,7 @@ def with_rotation(state: Array, r: Array) -> Array:
 
 def quaternion_of(states: Array) -> Array:
     """Return the attitude of states (..., 12) as quaternions (..., 4), the scalar first."""
-    roll, pitch, theta = np.moveaxis(states[..., [*ATTITUDE]] / 2, -1, 0)
+    roll, pitch, theta = np.moveaxis(states[..., ATTITUDE] / 2, -1, 0)
     cr, cp, ct, sr, sp, st = (*map(np.cos, (roll, pitch, theta)), *map(np.sin, (roll, pitch, theta)))
     parts = (
         ct * cp * cr + st * sp * sr,
@@ -110,32 +110,32 @@ def turn_of(r: Array) -> Array:
 
 def plus(state: Array, error: Array) -> Array:
     """Inject an error (12,) into a state (12,)."""
-    return with_rotation(state + error, turn(error[[*ATTITUDE]]) @ rotation(state))
+    return with_rotation(state + error, turn(error[ATTITUDE]) @ rotation(state))
 
 
 def minus(state: Array, other: Array) -> Array:
     """Return the error (12,) that changes ``other`` into the state."""
     error = state - other
-    error[[*ATTITUDE]] = turn_of(rotation(state) @ rotation(other).T)
+    error[ATTITUDE] = turn_of(rotation(state) @ rotation(other).T)
     return error
 
 
 def nearest(error: Array, near: Array) -> Array:
     """Add whole turns to the rotation vector of an error (12,), to get the one nearest to that of ``near``."""
-    vector, other = error[[*ATTITUDE]], near[[*ATTITUDE]]
+    vector, other = error[ATTITUDE], near[ATTITUDE]
     angle = np.sqrt(vector @ vector)
     if not angle > 0:
         return error
     turns = np.round((vector @ other / angle - angle) / (2 * np.pi))
     new = error.copy()
-    new[[*ATTITUDE]] = vector * (1 + 2 * np.pi * turns / angle)
+    new[ATTITUDE] = vector * (1 + 2 * np.pi * turns / angle)
     return new
 
 
 def _middle(state: Array, dt: float, imu: Array) -> tuple[Array, Array, Array]:
     """Return R (3, 3) at the middle of a step, the rotation (3, 3) from middle to end, and the acceleration (3,)."""
-    force = imu[:3] - [*state[[*ACCEL_BIAS]], 0.0]
-    half = turn((imu[3:] - state[[*GYRO_BIAS]]) * dt / 2)
+    force = imu[:3] - [*state[ACCEL_BIAS], 0.0]
+    half = turn((imu[3:] - state[GYRO_BIAS]) * dt / 2)
     r = rotation(state) @ half
     return r, half, r @ force
 
@@ -153,8 +153,8 @@ def transition(state: Array, dt: float, imu: Array) -> Array:
     """Return F, (12, 12): the transition of a small error over a step."""
     r, _, a = _middle(state, dt, imu)
     of_error = np.zeros((2, N))  # derivatives of the acceleration's error, e x a - R b
-    of_error[:, [*ATTITUDE]] = [[0.0, GRAVITY, -a[1]], [-GRAVITY, 0.0, a[0]]]
-    of_error[:, [*ACCEL_BIAS]] = -r[:2, :2]
+    of_error[:, ATTITUDE] = [[0.0, GRAVITY, -a[1]], [-GRAVITY, 0.0, a[0]]]
+    of_error[:, ACCEL_BIAS] = -r[:2, :2]
     f = np.eye(N)
     f[2:4] += dt * of_error
     f[:2] += dt**2 / 2 * of_error
@@ -178,7 +178,7 @@ class Antenna:
         east, north, up = rotation(state) @ self.lever
         h = np.zeros((2, N))
         h[:, :2], h[:, 2:4] = np.eye(2), -self.latency * np.eye(2)
-        h[:, [*ATTITUDE]] = [[0.0, up, -north], [-up, 0.0, east]]
+        h[:, ATTITUDE] = [[0.0, up, -north], [-up, 0.0, east]]
         return h
 
 
@@ -223,7 +223,7 @@ class Wheels:
     def jacobian(self, state: Array) -> Array:
         forward, _, up = rotation(state).T
         h = _jacobian_along(state, forward, up)
-        h[0, [*ATTITUDE]] += self.delay * GRAVITY * np.array([forward[1], -forward[0], 0.0])
+        h[0, ATTITUDE] += self.delay * GRAVITY * np.array([forward[1], -forward[0], 0.0])
         h[0, ACCEL_BIAS[0]] = self.delay
         return h
 
@@ -241,7 +241,7 @@ class Heading:
         """Return H, (1, 12): the change of yaw by a small rotation of the forward axis."""
         east, north, up = rotation(state)[:, 0]
         h, level2 = np.zeros((1, N)), east**2 + north**2
-        h[0, [*ATTITUDE]] = -east * up / level2, -north * up / level2, 1.0
+        h[0, ATTITUDE] = -east * up / level2, -north * up / level2, 1.0
         return h
 
 
@@ -256,7 +256,7 @@ def _jacobian_along(state: Array, axis: Array, up: Array) -> Array:
     v, climb = _along_the_road(state, up), axis[2] / up[2]
     h = np.zeros((1, N))
     h[0, 2:4] = axis[:2] - climb * up[:2]
-    h[0, [*ATTITUDE]] = np.cross(axis, v) - climb * np.cross(up, v)
+    h[0, ATTITUDE] = np.cross(axis, v) - climb * np.cross(up, v)
     return h
 
 

@@ -140,4 +140,4 @@ def _axis_noise(axis: str, values: list[Array], interval: float, remarks: list[s
     tau, deviation = allan_deviation(values, interval)
     trend = trend_of(longest, interval, fitted)
     remarks += [*on_step(axis, longest), *on_trend(axis, trend)]
-    return AxisNoise(axis, fitted.white, fitted.instability, fitted.walk, fitted.time, trend, tau, deviation)
+    return AxisNoise(axis, *fitted, trend, tau, deviation)

@@ -1,7 +1,7 @@
 """Remarks on a log: noise terms that it does not determine, and signs of faults."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -25,71 +25,62 @@ TREND = 4.0  # smallest reported ratio of a trend to its standard deviation unde
 MIN_STEP_RATIO = 0.5  # smallest reported ratio of the quantization step to the standard deviation
 
 
-def on_stretches(stretches: Stretches, lengths: list[float]) -> list[str]:
+def on_stretches(stretches: Stretches, lengths: list[float]) -> Iterator[str]:
     total, longest = sum(lengths), max(lengths)
-    remarks: list[str] = []
     if stretches.gaps:
-        remarks.append(
-            f"{count_of(stretches.gaps, 'gap')} in the log; each part between gaps is a separate stretch"
-        )
+        yield f"{count_of(stretches.gaps, 'gap')} in the log; each part between gaps is a separate stretch"
     if stretches.share < MIN_STATIC_SHARE:
-        remarks.append(
+        yield (
             f"the sensor moves or is disturbed in {100 * (1 - stretches.share):.0f}% of the log; only "
             f"{count_of(len(lengths), 'standstill')}, {total:.0f} s in all, are used; an engine's vibration counts as "
-            f"noise"
+            "noise"
         )
     if longest < MIN_DURATION:
-        remarks.append(
+        yield (
             f"the longest stretch at rest lasts {longest:.0f} s, long enough for the white noise but too short for "
             "bias instability and rate random walk; use the upper ends of their intervals, or log an hour at rest"
         )
-    return remarks
 
 
-def on_gravity(imu: Imu, part: slice) -> list[str]:
+def on_gravity(imu: Imu, part: slice) -> Iterator[str]:
     if imu.az is None:
-        return []
+        return
     force = math.hypot(*(float(np.mean(column[part])) for column in (imu.ax, imu.ay, imu.az)))
-    if abs(force / GRAVITY - 1) < MAX_GRAVITY_ERROR:
-        return []
-    return [
-        f"the accelerometer measures {force:.3g} m/s2 at rest instead of {GRAVITY:.3g}: the unit looks wrong "
-        '(if the value is about 1, the unit is g); convert it with --map "ax=acc_x*9.80665"'
-    ]
+    if not abs(force / GRAVITY - 1) < MAX_GRAVITY_ERROR:
+        yield (
+            f"the accelerometer measures {force:.3g} m/s2 at rest instead of {GRAVITY:.3g}: the unit looks wrong "
+            '(if the value is about 1, the unit is g); convert it with --map "ax=acc_x*9.80665"'
+        )
 
 
-def on_gyro(axes: Sequence[AxisNoise]) -> list[str]:
-    rough = [a.axis for a in axes if a.axis[0] == "g" and a.white.value > MAX_GYRO_NOISE]
-    if not rough:
-        return []
-    return [
-        f"the noise of {', '.join(rough)} is as large as that of a gyro in deg/s: the unit looks wrong; convert it "
-        'with --map "gz=radians(gyro_z)"'
-    ]
+def on_gyro(axes: Sequence[AxisNoise]) -> Iterator[str]:
+    if rough := [a.axis for a in axes if a.axis[0] == "g" and a.white.value > MAX_GYRO_NOISE]:
+        yield (
+            f"the noise of {', '.join(rough)} is as large as that of a gyro in deg/s: the unit looks wrong; convert "
+            'it with --map "gz=radians(gyro_z)"'
+        )
 
 
-def on_step(axis: str, values: Array) -> list[str]:
+def on_step(axis: str, values: Array) -> Iterator[str]:
     step, deviation = step_of(values), float(np.std(values))
-    if step <= MIN_STEP_RATIO * deviation:
-        return []
-    return [
-        f"{axis} is quantized in steps of {step:.3g}, {step / deviation:.1f} times its standard deviation: the white "
-        "noise includes quantization noise"
-    ]
+    if step > MIN_STEP_RATIO * deviation:
+        yield (
+            f"{axis} is quantized in steps of {step:.3g}, {step / deviation:.1f} times its standard deviation: the "
+            "white noise includes quantization noise"
+        )
 
 
-def on_trend(axis: str, trend: float) -> list[str]:
+def on_trend(axis: str, trend: float) -> Iterator[str]:
     """Remark on an axis with a trend, unit/s."""
     scale, unit = (DEG_PER_HOUR, "deg/h") if axis[0] == "g" else (MGAL, "mGal")
-    if not trend:
-        return []
-    return [
-        f"{axis} drifts by {scale * trend * HOUR:.3g} {unit} per hour, more than its noise explains, as during "
-        "warm-up: start the log half an hour after switching the sensor on"
-    ]
+    if trend:
+        yield (
+            f"{axis} drifts by {scale * trend * HOUR:.3g} {unit} per hour, more than its noise explains, as during "
+            "warm-up: start the log half an hour after switching the sensor on"
+        )
 
 
-def on_misfit(axes: Sequence[AxisNoise], duration: float) -> list[str]:
+def on_misfit(axes: Sequence[AxisNoise], duration: float) -> Iterator[str]:
     """Remark on axes whose Allan deviation differs from that of the model; ``duration``: longest time at rest, s."""
     misfits: list[str] = []
     for a in axes:
@@ -98,12 +89,12 @@ def on_misfit(axes: Sequence[AxisNoise], duration: float) -> list[str]:
         worst = int(np.argmax(np.abs(np.log(ratio))))
         if not 1 / MISFIT < ratio[worst] < MISFIT:
             misfits.append(f"{a.axis} {ratio[worst]:.2g} times the model's at tau = {a.tau[worst]:.2g} s")
-    if not misfits:
-        return []
-    return [
-        f"the model does not fit the Allan deviation ({', '.join(misfits)}). Vibration, or a filter in the sensor, "
-        "can be the cause. The model then describes only the slow noise, the part that a navigation filter integrates"
-    ]
+    if misfits:
+        yield (
+            f"the model does not fit the Allan deviation ({', '.join(misfits)}). Vibration, or a filter in the sensor, "
+            "can be the cause. The model then describes only the slow noise, the part that a navigation filter "
+            "integrates"
+        )
 
 
 def trend_of(values: Array, interval: float, noise: NoiseFit) -> float:

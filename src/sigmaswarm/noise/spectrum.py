@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import prev_fast_len, rfft
@@ -59,8 +60,7 @@ class Interval:
     high: float
 
 
-@dataclass(frozen=True)
-class NoiseFit:
+class NoiseFit(NamedTuple):
     """Fitted N, B, K and T (s); T is inf if the log does not show that it is finite."""
 
     white: Interval

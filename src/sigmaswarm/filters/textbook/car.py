@@ -29,11 +29,7 @@ from sigmaswarm.filters.schedule import (
 from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
 from sigmaswarm.filters.textbook.adaptive import FuzzyNoise, SageHusa, StrongTracking, StudentT
 from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter, Measurement, Prediction
-from sigmaswarm.filters.textbook.manifold import (
-    ErrorStateKalmanFilter,
-    Manifold,
-    ManifoldUnscentedKalmanFilter,
-)
+from sigmaswarm.filters.textbook.manifold import ErrorStateKalmanFilter, ManifoldUnscentedKalmanFilter
 from sigmaswarm.filters.tilted import MEASURED_FIRST, STEP_FIRST
 from sigmaswarm.geodesy import wrap_angle
 
@@ -202,11 +198,10 @@ def _filter(
     """Return a filter: unscented with ``points``, else extended; on a manifold if the model has ``tilts``."""
     f, tilts = model.process, model.tilts
     if tilts:
-        manifold = Manifold(tilts.plus, tilts.minus, tilts.nearest)
         if points:
             measured = replace(points, first=MEASURED_FIRST if points.first else ())
-            return ManifoldUnscentedKalmanFilter(f, h, mean, covariance, manifold, points, measured=measured)
-        return ErrorStateKalmanFilter(f, tilts.transition, h, mean, covariance, manifold)
+            return ManifoldUnscentedKalmanFilter(f, h, mean, covariance, tilts, points, measured=measured)
+        return ErrorStateKalmanFilter(f, h, mean, covariance, tilts)
     if points:
         redraw = redraw_sigma_points
         return UnscentedKalmanFilter(

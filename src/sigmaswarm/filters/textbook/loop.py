@@ -43,53 +43,41 @@ def run_steps(
     stepper: Stepper, records: Sequence[int], *, n_rows: int, covariances: bool = True
 ) -> Trajectory:
     """Compute the steps up to a failure; ``records``: row of the trajectory (``n_rows``) after each step, or -1."""
-    n, failed = len(stepper.filter.mean), -1
-    trajectory = Trajectory.empty(n_rows, n, covariances=covariances)
+    trajectory = Trajectory.empty(n_rows, len(stepper.filter.mean), covariances=covariances)
     for i, row in enumerate(records):
-        try:
-            with np.errstate(all="ignore"):  # the result is checked
-                stepper.step(i)
-        except FAILURES:
-            failed = i
-        mean, covariance = stepper.filter.mean, stepper.filter.covariance
-        if failed >= 0 or not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
+        if _fails(stepper, i):
             return Trajectory(trajectory.mean, trajectory.covariance, i)
         if row >= 0:
-            trajectory.mean[row] = mean
+            trajectory.mean[row] = stepper.filter.mean
             if covariances:
-                trajectory.covariance[row] = covariance
+                trajectory.covariance[row] = stepper.filter.covariance
     return trajectory
 
 
-@dataclass(frozen=True, eq=False)
-class SmoothedStates:
-    """Smoothed states of a filter at the start and after each of the k steps before a failure."""
-
-    mean: Array  # (k + 1, n)
-    covariance: Array  # (k + 1, n, n)
-    failed: int  # step in which the filter failed, or -1
+def _fails(stepper: Stepper, i: int) -> bool:
+    try:
+        with np.errstate(all="ignore"):  # the result is checked
+            stepper.step(i)
+    except FAILURES:
+        return True
+    return not (np.isfinite(stepper.filter.mean).all() and np.isfinite(stepper.filter.covariance).all())
 
 
 def smooth_steps(
     stepper: Stepper, n_steps: int, *, plus: Retraction = add, minus: Retraction = sub
-) -> SmoothedStates:
-    """Run the filter until the last step or a failure, and smooth the states; ``plus``, ``minus``: see `Manifold`."""
+) -> Trajectory:
+    """Return smoothed states at the start and after each step before a failure; ``plus``, ``minus``: see `Tilts`."""
     filter, failed = stepper.filter, -1
     filtered, predictions = [(filter.mean, filter.covariance)], list[Prediction]()
     for i in range(n_steps):
         mean, covariance = filtered[-1]
         filter.prediction = Prediction(mean, covariance, covariance)  # kept by a step of length zero
-        try:
-            with np.errstate(all="ignore"):  # the result is checked
-                stepper.step(i)
-        except FAILURES:
-            failed = i
-        if failed >= 0 or not (np.isfinite(filter.mean).all() and np.isfinite(filter.covariance).all()):
+        if _fails(stepper, i):
             failed = i
             break
         filtered.append((filter.mean, filter.covariance))
         predictions.append(filter.prediction)
-    return SmoothedStates(*rauch_tung_striebel(filtered, predictions, plus, minus), failed)
+    return Trajectory(*rauch_tung_striebel(filtered, predictions, plus, minus), failed)
 
 
 def rauch_tung_striebel(
