@@ -460,6 +460,15 @@ def test_nothing_that_is_read_is_overwritten(sigmaswarm: Command, here: Path, tu
     assert {file.name: file.read_bytes() for file in drive.iterdir()} == before
 
 
+def test_the_refusal_names_every_file_that_overwrite_replaces(sigmaswarm: Command, here: Path):
+    drive = library.write_drive(library.simulate("urban", duration=30.0, imu_rate=50.0), here / "log")
+    options = ("import", drive, "--out", "copy", "--save-recipe", "car.toml")
+    assert sigmaswarm(*options).code == 0
+    assert "add --overwrite (which also replaces car.toml), or" in sigmaswarm(*options).err
+    Path("car.toml").unlink()
+    assert "add --overwrite, or" in sigmaswarm(*options).err
+
+
 def test_several_files_in_place_of_one_are_explained(sigmaswarm: Command, here: Path):
     """A shell's pattern gives several files; Cyclopts calls them unused tokens."""
     for command, takes in (

@@ -16,12 +16,14 @@ import polars as pl
 import pytest
 
 from importing.logs import imported
+from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
 from sigmaswarm.importing.choices import assign
 from sigmaswarm.importing.convert import Request
 from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.recipe import Recipe
+from sigmaswarm.importing.row_times import _gaps_of, gaps_by_distance
 from support import some
 
 N, HZ, EVERY = 800, 20, 4
@@ -916,6 +918,24 @@ def test_a_counter_of_rows_does_not_hide_the_gap_that_another_counter_shows(tmp_
     )
 
 
+@pytest.mark.parametrize(("every", "clock"), [(7, False), (15, True)])
+def test_a_column_with_irregular_steps_is_no_clock(every: int, clock: bool):
+    """One step in seven is four times as long, or one in fifteen."""
+    values = np.cumsum(np.where(np.arange(300) % every == 0, 4.0, 1.0))
+    assert (_gaps_of(values, np.arange(300) / 100) is not None) == clock
+
+
+@pytest.mark.parametrize(("step", "named"), [(3.6, False), (6.0, True)])
+def test_a_step_within_the_noise_of_the_fixes_is_no_gap(step: float, named: bool):
+    """Fixes 1 m apart with noise of 0.3 m: steps up to 2.5 m + 6 x 0.3 m are noise."""
+    rng = np.random.default_rng(0)
+    noise = 0.3 * rng.standard_normal((2, 100))
+    noise[:, 40:60] = 0.0  # only the step between fixes 49 and 50 differs there
+    x = np.cumsum(np.where(np.arange(100) == 50, step, 1.0)) + noise[0]
+    still = Imu(np.arange(100.0), *np.zeros((3, 100)))
+    assert bool(gaps_by_distance(Drive("log", still, Gps(np.arange(100.0), x, noise[1])))) == named
+
+
 def test_rows_without_a_fix_are_no_missing_fixes(tmp_path: Path):
     time = T[::EVERY]
     lost = (time >= 20) & (time < 26)
@@ -1008,12 +1028,14 @@ BOARDS: dict[str, tuple[Columns, Columns]] = {
 TICKS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "t": lambda t: t,
     "TOW [0.001 s]": lambda t: np.round(1e3 * t),
+    "stamp [10us]": lambda t: np.round(1e5 * t),
     "esp_timer": lambda t: np.round(1e6 * t + 4.28e9) % 2**32,
 }
 
 
 @pytest.mark.parametrize(
-    ("layout", "clock"), [("FIT", "t"), ("Septentrio", "TOW [0.001 s]"), ("hundredths", "esp_timer")]
+    ("layout", "clock"),
+    [("FIT", "t"), ("Septentrio", "TOW [0.001 s]"), ("hundredths", "esp_timer"), ("FIT", "stamp [10us]")],
 )
 def test_units_and_clocks_of_receivers_and_boards(tmp_path: Path, layout: str, clock: str):
     imu, fixes = BOARDS[layout]
@@ -1023,6 +1045,22 @@ def test_units_and_clocks_of_receivers_and_boards(tmp_path: Path, layout: str, c
         head = {"cnt": np.arange(len(time)), clock: TICKS[clock](time)}
         pl.DataFrame(head | also | columns).write_csv(tmp_path / f"{table}.csv")
     require_right(tmp_path)
+
+
+def test_calibrated_columns_are_read_instead_of_raw_ones(tmp_path: Path):
+    raw = {f"{n}_raw": np.round(1000 * v) for n, v in IMU.items()}
+    write(tmp_path, raw | {f"{n}_cal": v for n, v in IMU.items()})
+    require_right(tmp_path)
+
+
+def test_stamps_of_batches_belong_to_their_last_samples(tmp_path: Path):
+    """A program reads ten samples at once, after intervals that vary by milliseconds."""
+    last = np.arange(N) // 10 * 10 + 9
+    late = np.random.default_rng(0).uniform(0.0, 0.02, N)
+    write(tmp_path, clock=lambda t: np.round(last / HZ + late[last], 3), gps_clock=lambda t: t)
+    found = imported(tmp_path)
+    assert "and are spread evenly, with the stamp at the last of them" in " / ".join(found.notes)
+    np.testing.assert_allclose(found.drive.imu.time, T + 0.01, atol=0.0101)
 
 
 def test_a_counter_of_rows_is_not_proposed_as_a_time(tmp_path: Path):

@@ -211,7 +211,9 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
     ]
     if any(out.resolve() in (place, place.parent) for place in read) and out.exists():
         raise InputError(f"{out}: contains a log that this command reads; choose another folder")
-    require_replaceable(out.resolve(), options.overwrite, "add --overwrite, or choose another folder")
+    recipe = options.save_recipe
+    also = f" (which also replaces {recipe})" if recipe and recipe.is_file() else ""
+    require_replaceable(out.resolve(), options.overwrite, f"add --overwrite{also}, or choose another folder")
     require_free(options.save_recipe, overwrite=options.overwrite)
     with progress_bar("importing") as show, warnings.catch_warnings():
         warnings.simplefilter("ignore", DriveWarning)  # the diagnosis contains the same checks in more detail
@@ -290,7 +292,8 @@ def _report(imported: "ImportResult", out: Path, diagnosis: "Diagnosis") -> Iter
 def _show(request: "Request", options: ImportOptions) -> None:
     from sigmaswarm.importing.inspection import inspect_request
 
-    inspection = inspect_request(request)
+    with progress_bar("checking") as show:
+        inspection = inspect_request(request, lambda share: show(share, 1.0))
     if options.save_recipe:
         require_free(options.save_recipe, overwrite=options.overwrite)
         inspection.recipe.save(options.save_recipe)

@@ -22,7 +22,7 @@ from sigmaswarm.importing.guess import Z_DOWN
 from sigmaswarm.importing.proposal import Proposal, check_proposal, propose_columns
 from sigmaswarm.importing.quantities import in_units
 from sigmaswarm.importing.recipe import Recipe
-from sigmaswarm.importing.source import ROLES, Fault, Log, Role
+from sigmaswarm.importing.source import ROLES, Fault, ImportProgress, Log, Role
 from sigmaswarm.importing.times import column_numbers, time_of
 from sigmaswarm.importing.unnamed import columns_by_values
 
@@ -85,8 +85,11 @@ class Inspection:
 Beginnings = Mapping[Path, Mapping[str, pl.DataFrame]]
 
 
-def inspect_request(request: Request) -> Inspection:
-    """Read the beginning of each log; faults become notes, and nothing is written."""
+def inspect_request(request: Request, progress: ImportProgress = lambda done: None) -> Inspection:
+    """Read the beginning of each log; faults become notes, and nothing is written.
+
+    A proposal is checked on the whole log; ``progress`` then receives the fraction that has been read, 0 to 1.
+    """
     with opened(request) as (logs, guesses):
         try:
             recipe = complete_recipe(request, guesses)
@@ -119,7 +122,7 @@ def inspect_request(request: Request) -> Inspection:
         notes += (*convert.notes_of(logs, guesses, recipe), *assumed)
     evidence = ""
     if proposal:
-        proposal, evidence, works = check_proposal(proposal, partial(_imported, request))
+        proposal, evidence, works = check_proposal(proposal, partial(_imported, request, progress))
     unread = _unread(tables, recipe, proposal)
     options, settings = (proposal.options, proposal.settings) if proposal else ("", {})
     faults = tuple(fault for guess in guesses.values() for fault in guess.faults)
@@ -159,10 +162,10 @@ def _unread(
     return unread
 
 
-def _imported(request: Request, proposal: Proposal) -> Drive:
+def _imported(request: Request, progress: ImportProgress, proposal: Proposal) -> Drive:
     choice = replace(request.choice, tables={**proposal.tables, **request.choice.tables})
     changed = replace(request, maps=[*proposal.maps, *request.maps], choice=choice)
-    return convert.import_drive(changed, "proposal", raw=True).drive
+    return convert.import_drive(changed, "proposal", progress, raw=True).drive
 
 
 def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal | None:

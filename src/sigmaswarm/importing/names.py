@@ -166,7 +166,7 @@ def _stated(plain: str, unit: Unit | None) -> str | None:
 
 def meaning_of_plain(plain: str) -> str | None:
     """Find the column of a drive that a name means, also with the prefix of a logger or the ".data" of a message."""
-    bare = re.sub(r"_(?:data|value)$", "", plain)
+    bare = re.sub(r"_(?:data|value|cal(?:ib(?:rated)?)?)$", "", plain)
     for name in dict.fromkeys((plain, bare, _PREFIXES.sub("", bare, count=1))):
         for what, pattern in NAMES:
             if re.fullmatch(pattern, name):

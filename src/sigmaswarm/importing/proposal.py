@@ -16,6 +16,7 @@ from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.doctor.findings import Diagnosis
 from sigmaswarm.doctor.repairs import ACTIONS
 from sigmaswarm.drives.drive import Drive, Imu
+from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.table_files import MAX_VALUE
 from sigmaswarm.errors import InputError, SigmaswarmError
 from sigmaswarm.importing.names import plain_words, read_name, unit_of
@@ -59,6 +60,7 @@ EXCHANGE_TOLERANCE = 0.2
 CONTRADICTIONS = {"gyro-unit", "gyro-tilt", "accelerometer-unit", "accelerometer-up", "gravity-size"}
 UNKNOWN_UNITS = {"gyro-unit", "accelerometer-unit"}
 IMU = ("ax", "ay", "az", "gx", "gy", "gz")
+CHECKED_TIME = 900.0  # s, the longest part of a drive that is checked
 
 
 @dataclass(frozen=True)
@@ -161,13 +163,17 @@ def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tup
 
     ``make`` makes the drive. A proposal with unknown units counts as one that cannot be imported.
     """
+
+    def made(proposal: Proposal) -> Drive:
+        return _busiest_part(make(proposal))
+
     try:
-        drive = _plausible(make(proposal))
+        drive = _plausible(made(proposal))
         if (scaled := _with_shown_unit(proposal, drive)) != proposal:
-            proposal, drive = scaled, make(scaled)
+            proposal, drive = scaled, made(scaled)
         first = diagnose(drive)
         corrected = _corrected(proposal, drive, first)
-        last = diagnose(make(corrected)) if corrected != proposal else first
+        last = diagnose(made(corrected)) if corrected != proposal else first
     except SigmaswarmError as error:
         return (
             proposal,
@@ -189,6 +195,17 @@ def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tup
     blind = f", but this log does not show all of them ({', '.join(unseen)})" if unseen else ""
     also = f"; the doctor also warns of {', '.join(warned)}" if warned else ""
     return corrected, f"{basis}: signs, axes and units agree{blind}{also}", True
+
+
+def _busiest_part(drive: Drive) -> Drive:
+    """Return the part of at most `CHECKED_TIME` with the longest path along the fixes, smoothed over ten fixes."""
+    position, time = drive.gps.x + 1j * drive.gps.y, drive.gps.time
+    if drive.duration <= CHECKED_TIME or len(time) < 20:
+        return drive
+    path = np.append(0.0, np.cumsum(np.abs(np.diff(position[::10]))))
+    ends = np.interp(time[::10] + CHECKED_TIME, time[::10], path)
+    start = max(float(time[::10][np.argmax(ends - path)]), float(drive.imu.time[0]))
+    return clip(drive, start, start + CHECKED_TIME)
 
 
 def _with_shown_unit(proposal: Proposal, drive: Drive) -> Proposal:

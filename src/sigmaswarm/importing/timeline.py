@@ -36,6 +36,9 @@ MIN_TIME_ERROR, MAX_JUMPS = 10.0, 100
 MAX_SECONDS = 5  # with more recordings of about one second, the fractions of the seconds are presumably wrong
 MIN_STEP_BACK, STEPS = 0.2, 2  # smallest step back of a clock between recordings: s, and median steps
 MAX_REPEATED_SHARE = 0.02  # if a larger fraction of rows repeats the previous time, rows share stamps
+MIN_STEP_VARIATION = (
+    0.005  # median deviation of the steps of stamps, relative to a step, that rounding does not cause
+)
 MAX_UNEVEN_SHARE = 0.1  # largest fraction of stamps with an unusual number of rows, or with an unusual step
 
 
@@ -149,7 +152,11 @@ def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> 
 
 
 def spread_stamps(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]:
-    """Spread rows that share a stamp evenly up to the next stamp; refuse stamps with varying numbers of rows."""
+    """Spread rows that share a stamp evenly; refuse stamps with varying numbers of rows.
+
+    Coarse stamps are rounded down, so the rows extend to the next stamp. Stamps with varying steps are those of batches
+    that a sensor collected before, so the rows extend back to the previous stamp.
+    """
     new = np.flatnonzero(np.diff(time, prepend=time[0] - 1) != 0)
     repeated = 1 - len(new) / len(time)
     if len(time) > 2 and len(new) < 2:
@@ -177,14 +184,17 @@ def spread_stamps(time: Nanoseconds, role: Role, where: str) -> tuple[Nanosecond
     group = np.repeat(np.arange(len(new)), counts)
     place = np.arange(len(time)) - new[group]
     size = counts.astype(np.float64)
-    length = np.append(steps, step).astype(np.float64)
-    length[np.append(irregular, False)] = step
+    length = np.where(irregular, step, steps)
+    batches = float(np.median(np.abs(steps - step))) > MIN_STEP_VARIATION * step
+    length = np.append(step, length) if batches else np.append(length, step)
     if counts[0] < usual:  # the recording begins with a part of a stamp's rows
         place[group == 0] += round(usual) - counts[0]
         size[0] = usual
     size[-1] = max(size[-1], usual)
+    place = place - (size[group] - 1 if batches else 0.0)
     fine = time + np.round(place / size[group] * length[group]).astype(np.int64)
-    return fine, f"{usual:g} rows share a stamp of {step / SECOND:g} s and are spread evenly"
+    until = ", with the stamp at the last of them" * batches
+    return fine, f"{usual:g} rows share a stamp of {step / SECOND:g} s and are spread evenly{until}"
 
 
 def sorted_times(

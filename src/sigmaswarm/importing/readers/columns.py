@@ -305,18 +305,19 @@ def _grouped(frame: pl.LazyFrame, columns: Sequence[str], shown_as: Path) -> dic
 
 
 def _separated(file: Path, dialect: Dialect, columns: Sequence[str] | None, **options: Any) -> pl.LazyFrame:
-    return pl.scan_csv(
-        **one_file(file),
-        separator=dialect.separator,
-        has_header=False,
-        new_columns=columns,
-        skip_lines=dialect.skip,
-        decimal_comma=bool(dialect.comma_columns) and dialect.separator != ",",
-        encoding=cast("Any", dialect.encoding),
-        infer_schema_length=None,
-        comment_prefix="#",
+    """Scan cells; the types are determined once, since polars would determine them again at each reading."""
+    settings: dict[str, Any] = {
+        "separator": dialect.separator,
+        "has_header": False,
+        "skip_lines": dialect.skip,
+        "decimal_comma": bool(dialect.comma_columns) and dialect.separator != ",",
+        "encoding": dialect.encoding,
+        "comment_prefix": "#",
         **options,
-    )
+    }
+    cells = pl.scan_csv(**one_file(file), **settings, new_columns=columns, infer_schema_length=None)
+    types = cells.collect_schema()
+    return pl.scan_csv(**one_file(file), **settings, schema=types, missing_columns="insert")
 
 
 def text_lines(file: Path, skip: int, encoding: str = "utf8-lossy", **options: Any) -> pl.LazyFrame:
