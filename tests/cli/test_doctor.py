@@ -61,6 +61,20 @@ def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
     assert "\nthen: sigmaswarm split mended/urban-clear-00 --out parts\n" in mended.out
 
 
+def test_a_rejected_repair_ends_in_no_circle(sigmaswarm, sick: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("sigmaswarm.scoring.verified_repair._rejected", lambda *_: {"gyro-sign"})
+    ended = sigmaswarm("doctor", sick, "--fix", "mended")
+    assert ended.code == 0 and "every repair was rejected" in ended.out
+    assert "\nthen: sigmaswarm split mended/urban-clear-00 --out parts\n" in ended.out
+    ended = sigmaswarm("doctor", "mended/urban-clear-00")
+    assert ended.code == 0 and "[gyro-sign] imu.csv, gz" in ended.out
+    assert "Rejected repair: change the sign of gz" in ended.out
+    remedies: list[tuple[str, Path | None]] = []
+    with pytest.warns(SigmaswarmWarning, match="the doctor warns of gyro-sign"):
+        read_datasets(["mended/urban-clear-00"], remedies=remedies)
+    assert not remedies
+
+
 def test_a_held_out_part_is_evaluated_and_never_tuned_on(sigmaswarm, good, here: Path):
     write_drive(good, here / "log")
     assert sigmaswarm("split", "log", "--out", "parts", "--train-fraction", "0.5").code == 0

@@ -79,6 +79,13 @@ def test_at_a_moment_of_the_drive_s_own_clock():
         split_time(DRIVE, at=103.0)
 
 
+@pytest.mark.filterwarnings("ignore:.*can't be used as a drive")
+def test_fixes_outside_the_imu_are_in_neither_part():
+    imu = DRIVE.imu.select((DRIVE.imu.time >= 2.0) & (DRIVE.imu.time < 15.0))
+    train, test = split_time(replace(DRIVE, imu=imu))
+    assert 2.0 <= train.gps.time[0] < train.gps.time[-1] < test.gps.time[0] < test.gps.time[-1] < 15.0
+
+
 def test_clips_that_meet_share_nothing():
     t = DRIVE.imu.time[1000]
     before, after = clip(DRIVE, end=t), clip(DRIVE, start=t)

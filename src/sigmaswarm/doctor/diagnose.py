@@ -77,12 +77,21 @@ def _diagnosed(drive: Drive) -> Diagnosis:
         return Diagnosis(drive.name, tuple(finding_of(wrong, "serious", ends, 0.999) for wrong in spoiled))
     evidence = gather(drive)
     found = [finding for check in CHECKS for finding in check(evidence)]
-    # A repair that made predictions worse is not proposed again.
     withheld = drive.metadata.get("withheld", ())
-    found = [replace(finding, repair=None) if finding.code in withheld else finding for finding in found]
+    found = [_contradicted(finding) if finding.code in withheld else finding for finding in found]
     found.sort(key=lambda finding: SEVERITIES.index(finding.severity))
     whole = name_of_whole(drive)
     return Diagnosis(drive.name, tuple(_of_part(found, whole)), evidence.clock.visible, whole)
+
+
+def _contradicted(finding: Finding) -> Finding:
+    """Return a finding whose repair made forecasts worse: it is at most a warning, and is not repaired again."""
+    remedy = (
+        "no action is needed if the log is known to be correct: the repair was rejected, since it makes a filter's "
+        f"forecasts of the fixes worse. Rejected repair: {finding.remedy}"
+    )
+    severity = "warning" if finding.severity == "serious" else finding.severity
+    return replace(finding, severity=severity, remedy=remedy, repair=None)
 
 
 def _of_part(found: Sequence[Finding], whole: str) -> Iterator[Finding]:

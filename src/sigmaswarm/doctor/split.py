@@ -23,7 +23,7 @@ def split_time(
     Parameters
     ----------
     drive : Drive
-        The drive, which is not changed.
+        The drive, which is not changed. Rows before and after the IMU's samples are in neither part.
     train_fraction : float
         Fraction of the drive's duration that is the first part, in (0, 1).
     at : float or (float, float), optional
@@ -56,9 +56,10 @@ def split_time(
             f"at = {end:.12g}, {start:.12g} s: the first time is after the second; swap the times"
         )
     names = ("before", "after") if len(times) == 2 else ("train", "test")
+    inside = clip(drive, float(drive.imu.time[0]), float(np.nextafter(drive.imu.time[-1], np.inf)))
     parts = (
-        clip(drive, end=end, name=f"{drive.name}-{names[0]}"),
-        clip(drive, start=start, name=f"{drive.name}-{names[1]}"),
+        clip(inside, end=end, name=f"{drive.name}-{names[0]}"),
+        clip(inside, start=start, name=f"{drive.name}-{names[1]}"),
     )
     sha256 = fingerprint(drive)
     found = diagnose(drive).findings if not shortage_of(drive.imu, drive.gps) else ()

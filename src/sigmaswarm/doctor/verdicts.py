@@ -58,16 +58,15 @@ class Yaw:
 def yaw_of(fit: YawFit | None, imu: Imu) -> Yaw:
     """Find column, sign and unit of the gyro by the course; the result is gz in rad/s if the course shows none.
 
-    A factor other than that of a unit needs a column that clearly follows the course, and level axes, since a tilt
-    reduces the rate.
+    A factor other than that of a unit needs a column that clearly follows the course, a gain that hardly depends on the
+    delay, and level axes, since a tilt reduces the rate.
     """
     size = abs(fit.gain) / max(fit.std, 1e-12) if fit else 0.0
     if fit is None or size < 6 or (fit.share < MIN_EXPLAINED and size < MIN_GAIN_SIGMAS):
         return Yaw()
-    fitting = [
-        f for f in (1.0, -1.0, DEGREE, -DEGREE) if 1 / FACTOR_TOLERANCE < fit.gain / f < FACTOR_TOLERANCE
-    ]
+    fitting = _units_of(fit.gain)
     follows = size > (1 if fit.share > SUFFICIENT_SHARE else MIN_FOLLOWING_RATIO) * MIN_GAIN_SIGMAS
+    follows = follows and fit.separates_delay and not _units_of(fit.undelayed)
     if not fitting and follows and fit.course_change > MIN_TURN and _is_level(imu):
         power = math.copysign(
             2.0 ** round(math.log2(abs(fit.gain))), fit.gain
@@ -77,6 +76,11 @@ def yaw_of(fit: YawFit | None, imu: Imu) -> Yaw:
     if not fitting or not (clear or (fit.column, fitting[0]) == ("gz", 1.0)):
         return Yaw()
     return Yaw(fit.column, fitting[0], known=True)
+
+
+def _units_of(gain: float) -> list[float]:
+    """Return the unit and sign, as a factor to rad/s, that explain a gain; empty if none does."""
+    return [f for f in (1.0, -1.0, DEGREE, -DEGREE) if 1 / FACTOR_TOLERANCE < gain / f < FACTOR_TOLERANCE]
 
 
 def _is_level(imu: Imu) -> bool:

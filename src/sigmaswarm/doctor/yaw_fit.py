@@ -18,6 +18,9 @@ MIN_LEAD = 0.3  # smallest lead of another column over gz in the explained fract
 # antenna's course changes earlier, by the time in which the car drives this distance.
 ANTENNA_DISTANCE = (0.8, 0.8)
 MIN_DELAY_STD = 0.1  # s, smallest standard deviation of the delay as a prior
+# Relative change of the gain, if the delay is ignored, above which the fit does not separate gain and delay. In a slow
+# turn after a standstill, gains of correct gyros were 1.3 to 1.7 with delays of 0.7 to 1.1 s, and 1.04 to 1.15 without.
+MAX_DELAY_EFFECT = 0.1
 DELAYS = np.arange(-2.5, 2.51, 0.1)  # s, delays of the fixes to try
 
 
@@ -32,6 +35,11 @@ class YawFit:
     delay: float  # s, delay of the fixes
     delay_std: float  # s
     course_change: float  # rad, RMS change of the course within windows
+    undelayed: float  # gain of a fit without a delay
+
+    @property
+    def separates_delay(self) -> bool:
+        return abs(self.undelayed - self.gain) < MAX_DELAY_EFFECT * abs(self.gain)
 
     @property
     def delay_prior(self) -> tuple[float, float]:
@@ -117,4 +125,5 @@ def fit_column(
         delay + ANTENNA_DISTANCE[0] * slowness,
         float(np.hypot(delay_std, ANTENNA_DISTANCE[1] * slowness)),
         float(np.sqrt(np.mean(np.abs(flat.residual) ** 2))),
+        float(at(0.0).solution[0]),
     )

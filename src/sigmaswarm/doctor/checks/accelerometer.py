@@ -60,8 +60,8 @@ def _axes(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
     if mount.unit != 1:
         size = mount.unit * mount.scale[0][0]
         what = f"the accelerations are in g: the car accelerates {size:.1f} times as much as ax indicates"
-        repair = Repair("accelerometer", (GRAVITY, 0.0, 0.0, GRAVITY, GRAVITY))
-        remedy = f"multiply ax, ay, az by {GRAVITY}"
+        repair = Repair("accelerometer", (GRAVITY, 0.0, 0.0, GRAVITY, _unit_of_up(evidence)))
+        remedy = f"multiply ax, ay{', az' * (_unit_of_up(evidence) != 1)} by {GRAVITY}"
         yield Finding("accelerometer-unit", "serious", what, f"{WHERE}, az", span, confidence, remedy, repair)
 
 
@@ -148,7 +148,7 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
     imu, mount, span = evidence.drive.imu, evidence.mount, evidence.span
     if imu.az is None:
         return
-    up, unit = float(np.median(imu.az)), mount.unit if mount else 1.0
+    up, unit = float(np.median(imu.az)), _unit_of_up(evidence)
     wrong = gravity_up(imu, unit)
     if wrong is None:
         yield from _magnitude(evidence, unit)
@@ -178,6 +178,12 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
         yield Finding(
             "accelerometer-up", "warning", what, "imu.csv, az", span, 0.99, f"multiply az by {factor}", repair
         )
+
+
+def _unit_of_up(evidence: Evidence) -> float:
+    """Return the unit of az, m/s2: that of ax and ay, unless az shows gravity in m/s2."""
+    az, unit = evidence.drive.imu.az, evidence.mount.unit if evidence.mount else 1.0
+    return 1.0 if az is not None and abs(float(np.median(az))) > GRAVITY / 2 else unit
 
 
 def _force(imu: Imu, unit: float) -> Array:
