@@ -18,7 +18,7 @@ from sigmaswarm import (
     write_drive,
 )
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
-from sigmaswarm.drives.fingerprint import fingerprint
+from sigmaswarm.drives.fingerprint import drive_record, fingerprint
 from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.tables import NO_HEADING
 from sigmaswarm.geodesy import wrap_angle
@@ -64,6 +64,11 @@ def test_a_slow_robot_starts_within_its_deviation(speed: float, noise: float) ->
 def test_a_biased_gyro_does_not_bend_a_long_window() -> None:
     error, std = heading_error(robot(0.3, 0.02, 1, bias=0.02))  # 69 deg in the minute that it takes
     assert error < np.radians(10.0) and std < np.radians(5.0)
+
+
+def test_the_record_of_a_drive_states_that_it_is_slow():
+    assert drive_record(robot(1.0, length=60.0))["slow"]
+    assert "slow" not in drive_record(robot(5.0, length=60.0))
 
 
 @pytest.mark.parametrize("noise", [0.1, 1.0, 2.0])

@@ -35,7 +35,7 @@ def recorded(nis: float, next_one: float) -> Consistency:
         (2.0, 0.0, "about 0.5 m RMS, estimated from the filter's covariance, since there is no truth. The fixes"),
         (2.0, 0.4, "0.5 m RMS or more, estimated from the filter's covariance"),
         (3.0, 0.0, "more than the 0.5 m RMS that the filter estimates. The fixes, with their own errors,"),
-        (1.7, 0.0, "0.5 m RMS or somewhat less, estimated from the filter's covariance"),
+        (1.7, 0.0, "about 0.5 m RMS, estimated from the filter's covariance"),
         (1.7, 0.4, "unknown, since there is no truth. It may be as large as the error of a fix, 1.4 m RMS"),
         (0.2, 0.0, "unknown, since there is no truth. It may be as large as the error of a fix, 1.4 m RMS"),
     ],
@@ -44,6 +44,17 @@ def test_how_far_off_without_truth_is_the_filters_word_held_against_the_fixes(
     nis: float, next_one: float, said: str
 ):
     assert describe_position(recorded(nis, next_one)).startswith(said)
+
+
+@pytest.mark.parametrize("nis", [1.7, 2.0])
+def test_correlated_fix_errors_lead_to_a_range(nis: float):
+    """A filter of 0.35 m was off by 1.26 m, since predictions do not show errors that all fixes have in common."""
+    said = describe_position(recorded(nis, 0.0), 1.4)
+    assert said.startswith(
+        "between 0.5 and 2 m RMS, since there is no truth. The lower value is from the filter's"
+    )
+    assert describe_position(recorded(nis, 0.0), 0.2).startswith("about 0.5 m RMS")
+    assert "an error that all fixes have in common" in describe_position(recorded(nis, 0.0))
 
 
 def test_a_log_that_shows_nothing_of_the_error_gets_no_figure():

@@ -207,7 +207,7 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
             *sentences,
         )
         return
-    shown = tuple(dict.fromkeys((*sentences[:MAX_REMARKS], *view.missing_drifts())))
+    shown = tuple(dict.fromkeys((*sentences[:MAX_REMARKS], *view.missing_scores())))
     hidden = [f"{len(sentences) - len(shown)} more remarks"] if len(sentences) > len(shown) else []
     *others, last = [*(["the scores of each drive"] if several else []), "the consistency", *hidden]
     print_lines(*shown, f"--verbose also shows {' and '.join(filter(None, [', '.join(others), last]))}")

@@ -22,7 +22,7 @@ from sigmaswarm.cli.common import (
 )
 from sigmaswarm.cli.findings import Remedy
 from sigmaswarm.cli.options import FIELDS, AsRecorded, Cluster, Json, Overwrite, Places, Seed, TrustLog
-from sigmaswarm.cli.remarks import name_training_files
+from sigmaswarm.cli.remarks import name_training_files, warn_of_unusable
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.files import free_path
 
@@ -123,17 +123,20 @@ def evaluate(
     written = save_evaluation(result, out, tuning, learned and learned.save) if out else []
     if options.json:
         print_json(result.to_dict())
+        warn_of_unusable(tuning, record)
         return
     training_drives = [drive.name for drive in record.data]
-    more = name_training_files(record.result.warnings, training_drives, drives) if record.result else ()
+    remarks = [one for one in (record.result.warnings if record.result else ()) if one not in record.unusable]
+    more = name_training_files(remarks, training_drives, drives)
     print_evaluation(result, verbose=options.verbose, more=more)
     if written:
         names = ", ".join(path.name for path in written) if options.verbose else f"{len(written)} files"
         print_lines(f"wrote {names} to {out}")
+    unusable = warn_of_unusable(tuning, record)
     if result.is_worse_than_untuned:
         steps: Iterable[str] = (WORSE_STEP,)
     else:
-        steps = () if learned or record.unusable else _export(tuning, tuned, drives)
+        steps = () if learned or unusable else _export(tuning, tuned, drives)
     print_lines(*_next_steps(out, remedies, steps))
 
 

@@ -1,7 +1,6 @@
 """`sigmaswarm export`."""
 
 import math
-import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,8 +19,8 @@ from sigmaswarm.cli.common import (
     require_tuning,
 )
 from sigmaswarm.cli.options import FIELDS, Json, Overwrite
+from sigmaswarm.cli.remarks import warn_of_unusable
 from sigmaswarm.exports.names import AnyTarget, next_command
-from sigmaswarm.wording import TO_DO
 
 if TYPE_CHECKING:
     from sigmaswarm.exports.check import ExportCheck
@@ -113,12 +112,9 @@ def export(
         print_lines(
             *(f"wrote {path}" for path in written), *(_describe(check, options.lanes) for check in checked)
         )
-        print_lines(
-            *_mounting_notes(to, record, replay=drive is not None),
-            f"next: {next_command(to, out, texts) or _with_replay(tuning, options)}",
-        )
-    for warning in record.unusable:  # printed last, so that the user sees it
-        warnings.warn(f"{tuning}: {warning.removeprefix(TO_DO)}", sigmaswarm.SigmaswarmWarning, stacklevel=1)
+        print_lines(*_mounting_notes(to, record, replay=drive is not None), *_start_note(to, record))
+    if not warn_of_unusable(tuning, record) and not options.json:
+        print_lines(f"next: {next_command(to, out, texts) or _with_replay(tuning, options)}")
 
 
 def _check_options(options: ExportOptions, *, ros: bool) -> None:
@@ -145,6 +141,14 @@ def _mounting_notes(target: AnyTarget, record: "TuningRecord", *, replay: bool) 
         yield (
             "note: the training drives have different mountings, so the export contains no rotation; rotate raw "
             "samples to x forward, y left, z up before the filter, or tune on drives with one mounting"
+        )
+
+
+def _start_note(target: AnyTarget, record: "TuningRecord") -> Iterator[str]:
+    if target == "c99" and record.data and all(drive.slow for drive in record.data):
+        yield (
+            "note: the training drives never travel 20 m within 6 s (12 km/h). For such drives the alignment in C "
+            "finds no start: compute the initial state in your program, and pass it to ins_gps_init() (README.md)"
         )
 
 

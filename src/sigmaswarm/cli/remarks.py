@@ -1,14 +1,17 @@
-"""Add the paths of the drives' files to the remarks on a tuning."""
+"""Remarks on a tuning: paths of the drives' files, and the warning not to use a filter."""
 
+import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
 
-from sigmaswarm.wording import printable
+from sigmaswarm.errors import SigmaswarmWarning
+from sigmaswarm.wording import TO_DO, printable
 
 if TYPE_CHECKING:
     from sigmaswarm.drives.reader import Location
+    from sigmaswarm.tuning.record import TuningRecord
 
 _DESCRIPTION = "drive.toml"
 
@@ -38,6 +41,13 @@ def name_files(remark: str, folders: Sequence[Path]) -> str:
         again = f"split{' and repair' if 'repaired' in about else ''} this drive again"
     remark = remark.replace(TUNE_AGAIN, f"{again} and {TUNE_AGAIN}")
     return remark.replace(AT_THE_TOP, AT_THE_TOP.replace(_DESCRIPTION, file + others))
+
+
+def warn_of_unusable(tuning: Path, record: "TuningRecord") -> bool:
+    """Warn if a filter should not be used; return True if so, and then propose no use of it."""
+    for remark in record.unusable:
+        warnings.warn(f"{tuning}: {remark.removeprefix(TO_DO)}", SigmaswarmWarning, stacklevel=2)
+    return bool(record.unusable)
 
 
 def local_folders(places: "Sequence[Location]") -> list[Path]:

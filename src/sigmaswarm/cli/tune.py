@@ -13,13 +13,14 @@ import sigmaswarm
 from sigmaswarm.cli.common import (
     MAX_REMARKS,
     cluster_at,
+    print_lines,
     print_result,
     read_datasets,
     require_result_folder,
 )
 from sigmaswarm.cli.findings import Remedy
 from sigmaswarm.cli.options import FIELDS, MORE, Cluster, Json, Places, TrustLog, Workers, options_of
-from sigmaswarm.cli.remarks import local_folders, name_files
+from sigmaswarm.cli.remarks import local_folders, name_files, warn_of_unusable
 from sigmaswarm.cli.terminal import tuning_progress
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import free_path
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from sigmaswarm import Drive, Tuning
     from sigmaswarm.datasets.dataset import Dataset
     from sigmaswarm.scoring.tracks import FirstTrack
+    from sigmaswarm.tuning.record import TuningRecord
 
 SHORT_HELP = ("objective", "model", "use", "particles", "generations", "trials", "seed")
 
@@ -123,6 +125,7 @@ def tune(
         groups = read_datasets(drives, options.validation or [], cluster=client, remedies=remedies, gaps=True)
         tuning, track, before, after = _tune(groups, drives[0], out, options, config)
     from sigmaswarm.reports.tuning import save_tuning_figures  # imported late, since matplotlib takes memory
+    from sigmaswarm.tuning.record import TuningRecord
 
     if remedies:
         command, repaired = remedies[0]
@@ -133,8 +136,15 @@ def tune(
         ]
     pictures = save_tuning_figures(tuning, track.picture, out)
     files = f"filter:   {out / 'tuning.toml'}", f"pictures: {', '.join(map(str, pictures))}"
-    lines = [*before, *_costs(tuning), *_remarks(tuning, track, drives), *files, *after]
+    record = TuningRecord.read(out)
+    lines = [*before, *_costs(tuning), *_remarks(tuning, record, track, drives), *files]
     print_result(options.json, tuning.to_dict(), *lines)  # printed last, so that an error is a single line
+    if warn_of_unusable(out, record) and not remedies:
+        after = [
+            "next:     sigmaswarm doctor DRIVE    (check the training drives, then tune as stated above)"
+        ]
+    if not options.json:
+        print_lines(*after)
 
 
 def _tune(
@@ -173,16 +183,19 @@ def _tune(
     return tuning, track, [f"model:    {chosen}"] if chosen else [], lines
 
 
-def _remarks(tuning: "Tuning[Any]", track: "FirstTrack", given: Places) -> Iterable[str]:
+def _remarks(
+    tuning: "Tuning[Any]", record: "TuningRecord", track: "FirstTrack", given: Places
+) -> Iterable[str]:
     from sigmaswarm.scoring.remarks import describe_first_track
 
     folders = local_folders(given)
     if position := describe_first_track(track):
         yield f"{position}."
-    for remark in tuning.remarks[:MAX_REMARKS]:
+    remarks = [remark for remark in tuning.remarks if remark not in record.unusable]
+    for remark in remarks[:MAX_REMARKS]:
         remark = name_files(remark, folders)
         yield remark if remark.startswith(TO_DO) else f"note: {remark}"
-    if (hidden := len(tuning.remarks) - MAX_REMARKS) > 0:
+    if (hidden := len(remarks) - MAX_REMARKS) > 0:
         yield f"note: {count_of(hidden, 'more remark')} in tuning.toml"
 
 

@@ -104,6 +104,14 @@ def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | Sta
     return slow or alignments.failure_reason()
 
 
+def is_slow(drive: Drive) -> bool:
+    """Return True if the fixes rarely move `MIN_TRAVEL` within `MAX_DURATION`, so no usual start is possible."""
+    usable = np.isfinite(drive.gps.x + drive.gps.y)
+    time, position = drive.gps.time[usable], (drive.gps.x + 1j * drive.gps.y)[usable]
+    first = np.searchsorted(time, time - MAX_DURATION)
+    return bool(len(time)) and float(np.mean(np.abs(position - position[first]) >= MIN_TRAVEL)) < 0.01
+
+
 def _slow_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | None:
     """Return the earliest alignment of a slow vehicle; at each tried fix the shortest window comes first."""
     windows = [Alignments(drive, usable, longest) for longest in SLOW_DURATIONS]

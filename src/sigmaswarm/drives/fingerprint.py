@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat
 
+from sigmaswarm.drives.alignment import is_slow
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.mounting import AXES_KEY, KEY, axes_of
 
@@ -26,6 +27,7 @@ class DriveRecord(BaseModel):
     has_truth: bool | None = None
     imu_mounting_deg: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
     imu_axes: dict[str, str] = Field(default_factory=dict)
+    slow: bool = False  # True if the vehicle never travels far enough for the usual alignment
     sha256: str = ""
     receiver_std_m: float | None = None  # standard deviation of the fixes per axis, stated or from noise
     # Of an evaluated drive: fraction of the scored time with known truth; start of filters and scores, s after the
@@ -45,6 +47,7 @@ def drive_record(drive: Drive) -> dict[str, Any]:
         "has_truth": drive.truth is not None,
         **({KEY: [*drive.mounting]} if drive.mounting else {}),
         **({AXES_KEY: axes} if (axes := axes_of(drive.metadata)) else {}),
+        **({"slow": True} if is_slow(drive) else {}),
         "sha256": fingerprint(drive),
     }
 

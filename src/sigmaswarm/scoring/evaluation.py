@@ -12,7 +12,7 @@ import polars as pl
 from sigmaswarm import notebook
 from sigmaswarm.datasets.dataset import Drives, make_datasets
 from sigmaswarm.doctor.diagnose import finding_sentences
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import DriveRecord, drive_record, rounded
 from sigmaswarm.drives.gaps import share_known
 from sigmaswarm.drives.overlap import Landmarks, known_overlap, landmarks
@@ -41,7 +41,7 @@ from sigmaswarm.scoring.methods import (
     SMOOTHED,
     method_names,
 )
-from sigmaswarm.scoring.radius import TRACKING, RadiusRecord, lasting_variance, radius_record
+from sigmaswarm.scoring.radius import TRACKING, RadiusRecord, stated_radius
 from sigmaswarm.scoring.records import (
     AGAINST_FILE,
     EVALUATION_FILE,
@@ -391,7 +391,7 @@ def _evaluated(
     consistency = None
     if passed.innovations is not None and not tuned.failed:
         consistency = consistency_of(passed.innovations, tuned.mean_nees, tracker.own_sigma["tuned"])
-    radii = {m: _radius(drive, parameters, d.stated) for m, d in outages.items()}
+    radii = {m: stated_radius(drive, parameters, d.stated) for m, d in outages.items()}
     result = replace(
         passed,
         scores={
@@ -415,14 +415,6 @@ def _evaluated(
         radius={**passed.radius, **{measure: one for measure, one in radii.items() if one}},
     )
     return drive.name, result, marks
-
-
-def _radius(
-    drive: Drive, parameters: FilterParameters, stated: tuple[Array, Array, Array | None]
-) -> RadiusRecord | None:
-    time, variance, error = stated
-    lasting = lasting_variance(drive, parameters, time, variance)
-    return radius_record(variance, lasting, None if drive.truth is None else error)
 
 
 def _tracked(
@@ -452,7 +444,7 @@ def _tracked(
         scores[method] = tracker.scores[method]
         if method != FIXES:  # the filter of the fixes alone is never reset
             restarts[method] = tuple(run.restarts)
-    radius = _radius(ready.drive, filters["tuned"], tracker.stated)
+    radius = stated_radius(ready.drive, filters["tuned"], tracker.stated)
     tracker.stated = NOTHING_STATED  # frees three arrays of the length of truth
     innovations, radii = recorded["tuned"].innovations, {TRACKING: radius} if radius else {}
     return DriveResult(scores, innovations=innovations, restarts=restarts, radius=radii), further

@@ -65,6 +65,15 @@ def lasting_variance(drive: Drive, parameters: FilterParameters, time: Array, va
     return np.maximum((1.0 - white) * stated - modeled, 0.0)
 
 
+def stated_radius(
+    drive: Drive, parameters: FilterParameters, stated: tuple[Array, Array, Array | None]
+) -> RadiusRecord | None:
+    """Return the radii of a filter from times (s), variances (m2) and errors (m): see `Tracker.stated`."""
+    time, variance, error = stated
+    lasting = lasting_variance(drive, parameters, time, variance)
+    return radius_record(variance, lasting, None if drive.truth is None else error)
+
+
 def radius_record(variance: Array, lasting: Array, error: Array | None) -> RadiusRecord | None:
     """Summarize variances of the filter and of correlated errors (m2), and position errors (m).
 

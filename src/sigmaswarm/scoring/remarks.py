@@ -9,6 +9,7 @@ from sigmaswarm.filters.divergence import describe_restarts
 from sigmaswarm.scoring.consistency import MAX_CORRELATION, Consistency
 from sigmaswarm.scoring.measures import DRIFTS, POSITION_MEASURES, Measure
 from sigmaswarm.scoring.methods import BASELINE, FIXES, METHODS, in_sentence
+from sigmaswarm.scoring.radius import TRACKING, RadiusRecord
 from sigmaswarm.scoring.records import ScoresRecord
 from sigmaswarm.scoring.tracks import FirstTrack
 from sigmaswarm.wording import count_of
@@ -17,6 +18,10 @@ COMPLETE_SHARE = 0.99  # fraction of the time with truth above which gaps are no
 MIN_INFORMATIVE_NIS = 1.0  # mean NIS below which predicted fixes do not measure the position error
 # Ratio to the tuned filter's error below which a method without tuning is reported as better
 MAX_ERROR_RATIO = 0.9
+
+# Ratio of the error with correlated fix errors to the filter's estimate above which a range is stated
+MAX_LASTING_RATIO = 1.5
+COMMON_ERROR = "The estimate does not contain an error that all fixes have in common"
 
 # Properties of sensors, and their ratios to those of the training drives that show other sensors
 SENSORS = ("IMU", "Hz", 1.5), ("standard deviation of the fixes", "m", 2.5)
@@ -134,7 +139,7 @@ def estimate_position_errors(scores: ScoresRecord, data: Sequence[DriveRecord]) 
     """Estimate the position error on each of the first three drives without truth."""
     blind = [one.name for one in data if one.has_truth is False]
     known = [(name, c) for name in blind if (c := scores.consistency.get(name)) and c.own_sigma]
-    return tuple(_without_truth(name, c) for name, c in known[:3])
+    return tuple(_without_truth(name, c, scores.radius.get(name, {}).get(TRACKING)) for name, c in known[:3])
 
 
 def describe_first_track(track: FirstTrack) -> str:
@@ -149,18 +154,19 @@ def describe_first_track(track: FirstTrack) -> str:
         )
     if track.consistency is None or not track.consistency.own_sigma:
         return ""
-    return _without_truth(name, track.consistency)
+    return _without_truth(name, track.consistency, track.radius)
 
 
-def _without_truth(drive: str, consistency: Consistency) -> str:
-    return f"Position error on {drive}: {describe_position(consistency)}"
+def _without_truth(drive: str, consistency: Consistency, radius: RadiusRecord | None) -> str:
+    return f"Position error on {drive}: {describe_position(consistency, radius.lasting_m if radius else 0.0)}"
 
 
-def describe_position(consistency: Consistency) -> str:
+def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
     """Return sentences that estimate a filter's position error on a drive without truth.
 
     The estimate is the RMS of the filter's position standard deviations. If the innovations are far smaller than
-    expected, the error may be as large as the error of a fix.
+    expected, the error may be as large as the error of a fix. Innovations do not show errors that consecutive fixes
+    have in common; ``lasting`` is their RMS (m per axis), which the covariance lacks.
     """
     own, missed = consistency.own_sigma or 0.0, consistency.missed or 0.0
     expected = consistency.expected or 0.0
@@ -182,13 +188,17 @@ def describe_position(consistency: Consistency) -> str:
         return (
             f"more than the {size} that the filter estimates. {included}, which is more than expected ({nis})"
         )
+    largest = (own**2 + 2 * lasting**2) ** 0.5
+    if largest > MAX_LASTING_RATIO * own:
+        return (
+            f"between {own:.2g} and {largest:.2g} m RMS, since there is no truth. The lower value is from the filter's "
+            f"covariance. The upper value includes correlated fix errors of {lasting:.2g} m per axis, whose size the "
+            "log does not show"
+        )
     if consistency.mean_nis < low:
-        return f"{size} or somewhat less, {source}. {included}, which is less than expected ({nis})"
+        return f"about {size}, {source}. {included}, which is less than expected ({nis}). {COMMON_ERROR}"
     if alike:
         return (
             f"{size} or more, {source}. {included}, as expected, but consecutive innovations are correlated"
         )
-    return (
-        f"about {size}, {source}. {included}, as expected. The estimate does not contain an error that all fixes have "
-        "in common"
-    )
+    return f"about {size}, {source}. {included}, as expected. {COMMON_ERROR}"

@@ -27,6 +27,7 @@ from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
 from sigmaswarm.scoring.drifts import Run
 from sigmaswarm.scoring.methods import BASELINE
+from sigmaswarm.scoring.radius import RadiusRecord, stated_radius
 from sigmaswarm.scoring.score import PieceErrors, Score, distance_from, score_raw_gps
 from sigmaswarm.scoring.thinning import CloseUp, Columns, ThinnedSeries
 
@@ -203,6 +204,7 @@ class FirstTrack:
     picture: Picture
     position_rmse: Mapping[str, float]
     consistency: Consistency | None
+    radius: RadiusRecord | None = None
 
 
 def first_track(drive: Drive, parameters: FilterParameters, *, as_recorded: bool) -> FirstTrack:
@@ -212,10 +214,11 @@ def first_track(drive: Drive, parameters: FilterParameters, *, as_recorded: bool
     recorded = {series: tracker.record(series, whole_pass(ready), p) for series, p in filters.items()}
     rmse = {series: score.position_rmse for series, score in tracker.scores.items()}
     rmse["raw_gps"] = score_raw_gps(drive, ready.initial).position_rmse
-    consistency = None
+    consistency = radius = None
     if recorded["tuned"].failure is None:
         consistency = consistency_of(recorded["tuned"].innovations, own_sigma=tracker.own_sigma["tuned"])
-    return FirstTrack(tracker.picture(drive.name), rmse, consistency)
+        radius = stated_radius(drive, parameters, tracker.stated)
+    return FirstTrack(tracker.picture(drive.name), rmse, consistency, radius)
 
 
 def sharpest_turn(ready: PreparedDrive) -> Array:

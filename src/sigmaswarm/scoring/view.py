@@ -26,6 +26,7 @@ from sigmaswarm.scoring.remarks import (
     worse_than_raw,
     worse_than_untuned,
 )
+from sigmaswarm.scoring.score import MIN_HEADING_SPEED
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH
 from sigmaswarm.tables import Cell, Column, Table
 
@@ -262,22 +263,27 @@ class EvaluationView:
         return tuple(_sentence(message) for messages in self.setup.findings.values() for message in messages)
 
     def sentences(self, added: Iterable[str] = ()) -> tuple[str, ...]:
-        """Return all sentences, the most important first; ``added`` follows the warnings."""
+        """Return all sentences, the most important first; ``added`` follows the verdicts."""
         positions = map(_sentence, estimate_position_errors(self.scores, self.setup.data))
-        first = (self.result(), *positions, *self.warnings(), *added)
-        second = (*self.verdicts().values(), *self.radii(), *self.coverage())
-        third = (*self.missing_drifts(), *self.drifts(), *self.explanations())
-        return tuple(dict.fromkeys((*first, *second, *third)))
+        first = (self.result(), *positions, *self.warnings(), *self.verdicts().values(), *added, *self.radii())
+        second = (*self.coverage(), *self.missing_scores(), *self.drifts(), *self.explanations())
+        return tuple(dict.fromkeys((*first, *second)))
 
-    def missing_drifts(self) -> tuple[str, ...]:
-        """Return a sentence for each outage drift that some drives lack, since no such outage fits."""
+    def missing_scores(self) -> tuple[str, ...]:
+        """Return a sentence for each outage drift, and for the heading error, that some drives lack."""
+        slow = f"never exceeds {MIN_HEADING_SPEED:g} m/s according to the truth"
+        reasons = dict.fromkeys(DRIFTS, "can't contain such an outage") | {"heading_rmse_deg": slow}
+        blind = {drive.name for drive in self.setup.data if drive.has_truth is False}
         sentences: list[str] = []
-        for m in (m for m in self.measures if m in DRIFTS):
-            scores = self.scores.drives.items()
-            short = [drive for drive, of in scores if all(v.get(m) is None for v in of.values())]
-            if short:
-                which = short[0] if len(short) == 1 else f"{len(short)} drives"
-                sentences.append(f"No {self.measures[m].title}: {which} can't contain such an outage.")
+        for m, reason in reasons.items():
+            lacking = [
+                drive
+                for drive, of in self.scores.drives.items()
+                if m in self.measures and all(values.get(m) is None for values in of.values())
+            ]
+            if lacking := [drive for drive in lacking if m in DRIFTS or drive not in blind]:
+                drives = lacking[0] if len(lacking) == 1 else f"{len(lacking)} drives"
+                sentences.append(f"No {self.measures[m].title}: {drives} {reason}.")
         return tuple(sentences)
 
     def drifts(self) -> tuple[str, ...]:
