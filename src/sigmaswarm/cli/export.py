@@ -112,7 +112,7 @@ def export(
         print_lines(
             *(f"wrote {path}" for path in written), *(_describe(check, options.lanes) for check in checked)
         )
-        print_lines(*_mounting_notes(to, record, replay=drive is not None), *_start_note(to, record))
+        print_lines(*_notes(to, record, replay=drive is not None))
     if not warn_of_unusable(tuning, record) and not options.json:
         print_lines(f"next: {next_command(to, out, texts) or _with_replay(tuning, options)}")
 
@@ -129,7 +129,7 @@ def _check_options(options: ExportOptions, *, ros: bool) -> None:
         )
 
 
-def _mounting_notes(target: AnyTarget, record: "TuningRecord", *, replay: bool) -> Iterator[str]:
+def _notes(target: AnyTarget, record: "TuningRecord", *, replay: bool) -> Iterator[str]:
     if record.mounting and target == "c99":
         angles = ", ".join(f"{angle:.4g}" for angle in record.mounting)
         yield (
@@ -143,8 +143,6 @@ def _mounting_notes(target: AnyTarget, record: "TuningRecord", *, replay: bool) 
             "samples to x forward, y left, z up before the filter, or tune on drives with one mounting"
         )
 
-
-def _start_note(target: AnyTarget, record: "TuningRecord") -> Iterator[str]:
     if target == "c99" and record.data and all(drive.slow for drive in record.data):
         yield (
             "note: the training drives never travel 20 m within 6 s (12 km/h). For such drives the alignment in C "

@@ -144,10 +144,7 @@ class ImportOptions:
 def import_(
     source: Annotated[
         Path,
-        Parameter(
-            name="SOURCE",
-            help="The log with the IMU and perhaps other sensors: a file or a folder.",
-        ),
+        Parameter(name="SOURCE", help="The log with the IMU and perhaps other sensors: a file or a folder."),
     ],
     /,
     *,

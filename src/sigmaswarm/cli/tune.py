@@ -165,10 +165,7 @@ def _tune(
     config = {"model": start.model, **config} if start else config
     chosen = "" if options.paper else default_filter_options(config, everywhere)[1]
     run = {"out": out, "resume": options.resume, "paper": options.paper, "start": start}
-    with (
-        ThreadPoolExecutor(options.workers or cores()) as pool,
-        tuning_progress("tuning") as progress,
-    ):
+    with ThreadPoolExecutor(options.workers or cores()) as pool, tuning_progress("tuning") as progress:
         tuning = sigmaswarm.tune(
             read, validation=held_back, executor=pool, progress=progress, **run, **config
         )

@@ -78,11 +78,7 @@ def gyro_drift(time: Array, course: Course, rate: Array, delay: float) -> float:
 
 
 def fit_acceleration(
-    drive: Drive,
-    course: Course,
-    rate: Array,
-    tried: Array = DELAYS,
-    known: tuple[float, float] | None = None,
+    drive: Drive, course: Course, rate: Array, tried: Array = DELAYS, known: tuple[float, float] | None = None
 ) -> AccelerationFit | None:
     """Fit the path; return None if no window is usable.
 

@@ -27,9 +27,8 @@ from sigmaswarm.geodesy import rotation_of
 MAX_ROUNDS = 16  # a round leaves up to 0.7 of the error; after six, up to a degree remains in a few logs
 # rad, largest total standard deviation of the confidences "sure" and "likely"
 SURE_STD, LIKELY_STD = math.radians(3.0), math.radians(8.0)
-MIN_EXPLAINED = (
-    0.5  # smallest fraction of the variance of the course's changes that the leveled gyro explains
-)
+# Smallest fraction of the variance of the course's changes that the leveled gyro explains
+MIN_EXPLAINED = 0.5
 MIN_RIVAL_LEAD = 25.0  # smallest lead in chi-square over any mounting that is rotated by 90 degrees or more
 # rad, smallest standard deviations of the axis of turning (springs) and of gravity (roads, biases)
 TILT_FLOOR = math.radians(1.0), math.radians(1.0)

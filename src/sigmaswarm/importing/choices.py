@@ -11,6 +11,7 @@ from sigmaswarm.importing.inspection import Inspection
 from sigmaswarm.importing.recipe import COLUMNS
 from sigmaswarm.importing.source import ROLES
 from sigmaswarm.importing.times import quoted_column
+from sigmaswarm.importing.units import factor_of
 
 # Expressions that convert a column to the unit of a drive, by quantity and unit of the column
 UNITS: dict[str, dict[str, str]] = {
@@ -19,8 +20,8 @@ UNITS: dict[str, dict[str, str]] = {
     "rate": {"rad/s": "{}", "deg/s": "radians({})", "-rad/s": "-{}", "-deg/s": "-radians({})"},
     "degrees": {"deg": "{}", "rad": "degrees({})", "1e-7 deg": "{}*1e-7", "ddmm.mm": "ddmm({})"},
     "length": {"m": "{}", "mm": "{}*1e-3", "cm": "{}*1e-2", "ft": "{}*0.3048", "km": "{}*1e3"},
-    "speed": {"m/s": "{}", "km/h": "{}/3.6", "mm/s": "{}*1e-3", "cm/s": "{}*1e-2", "knots": "{}*0.514444444444",
-              "mph": "{}*0.44704"},
+    "speed": {"m/s": "{}", "km/h": "{}/3.6", "mm/s": "{}*1e-3", "cm/s": "{}*1e-2", "mph": "{}*0.44704",
+              "knots": f"{{}}*{factor_of('knots')!r}"},
     "angle": {"rad from east": "{}", "deg from north": "radians(90-{})", "deg from east": "radians({})",
               "rad from north": "pi/2-{}"},
     "deviation": {"rad": "{}", "deg": "radians({})"},

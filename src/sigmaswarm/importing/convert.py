@@ -168,9 +168,7 @@ def _read(
         gathered = _gather_all(request, logs, recipe, progress)
         metadata = {key: value for guess in guesses.values() for key, value in guess.metadata.items()}
         notes, assumed = notes_of(logs, guesses, recipe), assumed_mounting(guesses, recipe)
-        notes += [
-            note for path, log in logs.items() for note in gaps_by_clock(_parts(request, recipe, path), log)
-        ]
+        notes += gaps_by_clock(gathered)
         mapped = {entry.partition("=")[0].strip().removeprefix("imu.") for entry in request.maps}
         guessed = {name: text for name, text in unitless.items() if name not in mapped}
         return recipe, gathered, notes, assumed, metadata, guessed
@@ -282,11 +280,7 @@ def assumed_mounting(guesses: Guesses, recipe: Recipe) -> tuple[str, ...]:
 
 
 def missing_sensor(
-    recipe: Recipe,
-    request: Request,
-    logs: Mapping[Path, Log],
-    guesses: Guesses,
-    roles: Sequence[Role],
+    recipe: Recipe, request: Request, logs: Mapping[Path, Log], guesses: Guesses, roles: Sequence[Role]
 ) -> str:
     """Describe a missing sensor, with the remedy; return "" if IMU and fixes have tables."""
     wanted: tuple[tuple[Role, str, str], ...] = (

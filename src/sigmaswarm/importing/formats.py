@@ -75,10 +75,7 @@ _MAGIC = {
 
 @contextmanager
 def open_log(
-    path: Path,
-    form: str | None = None,
-    limits: Limits | None = None,
-    definitions: Sequence[Path] = (),
+    path: Path, form: str | None = None, limits: Limits | None = None, definitions: Sequence[Path] = ()
 ) -> Generator[Log]:
     """Open a log in a named or detected format.
 

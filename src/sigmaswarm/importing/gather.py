@@ -17,18 +17,17 @@ from sigmaswarm.importing.expressions import (
     time_expression,
 )
 from sigmaswarm.importing.guess import SAMPLE_ROWS
+from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.quantities import MAX_DAMAGED_SHARE, NO_NUMBER, NO_VALUE, PLACEHOLDERS
 from sigmaswarm.importing.source import FILES, ImportProgress, Limits, Log, Part, Role
 from sigmaswarm.importing.times import rising_time, time_of, wrong_unit
 from sigmaswarm.wording import list_names, printable, quoted
 
 ROW = "row"  # column of row numbers, from 0, in tables without a column of this name
-MAX_TIMELESS_ROWS = (
-    10  # largest number of rows without a time that are taken for lines of a header or a footer
-)
-MIN_PLACEHOLDER_DISTANCE = (
-    10  # of a placeholder from the median of the other values, in units of their 1% to 99% range
-)
+# Largest number of rows without a time that are taken for lines of a header or a footer
+MAX_TIMELESS_ROWS = 10
+# Of a placeholder from the median of the other values, in units of their 1% to 99% range
+MIN_PLACEHOLDER_DISTANCE = 10
 
 
 def with_row_numbers(frame: pl.DataFrame, first: int = 0) -> pl.DataFrame:
@@ -52,9 +51,14 @@ class PartColumns:
     placeholders: dict[str, tuple[float, int]] = field(default_factory=dict[str, tuple[float, int]])
     period: int = 0  # ns, period of a clock that wraps; 0 for other clocks, and before `unwrap`
     set_back: int = 0  # ns, sum of the steps back of the clock before the chosen recording
+    counted: bool = False  # True if the time is computed from row numbers alone
+    # Names and cells of the columns that may then be clocks
+    clocks: tuple[str, ...] = ()
+    others: list[pl.DataFrame] = field(default_factory=list[pl.DataFrame])
 
     def add(self, frame: pl.DataFrame, log: Log) -> None:
         frame = frame.with_columns(pl.col(pl.String).str.strip_chars())
+        self.others += [frame.select(self.clocks)] if self.clocks else []
         frame = with_row_numbers(frame, self.seen)
         self._require_numbers(frame, log)
         self.seen += len(frame)
@@ -219,8 +223,10 @@ def gather(log: Log, parts: Sequence[Part], progress: ImportProgress, limits: Li
         columns = log.tables[part.table].columns
         texts = {name: compile_expression(text, (*columns, ROW)) for name, text in part.columns.items()}
         used = {c for expression in texts.values() for c in expression.columns}
-        wanted.setdefault(part.table, set()).update(used & {*columns})
-        gathered.append(PartColumns(part, texts))
+        counted = texts["t"].columns == frozenset((ROW,)) and ROW not in columns
+        clocks = tuple(c for c in columns if counted and read_name(c).meaning in (None, "t"))
+        wanted.setdefault(part.table, set()).update({*clocks, *used} & {*columns})
+        gathered.append(PartColumns(part, texts, counted=counted, clocks=clocks))
     for table, rows, done in log.batches(wanted):
         for columns in gathered:
             if columns.part.table == table:

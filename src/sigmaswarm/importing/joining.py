@@ -26,9 +26,8 @@ POSITIONS = ("lat", "lon", "x", "y")
 # Smallest bend at a corner of an interpolated path, in median bends; smallest number of corners, and the smallest
 # share of corners at a constant interval
 MIN_CORNER, MIN_CORNERS, MIN_REGULAR_SHARE = 8.0, 20, 0.9
-MAX_ROUNDING = (
-    2.5  # steps of the last digit; a second difference of rounded values has an error of at most two
-)
+# Steps of the last digit; a second difference of rounded values has an error of at most two
+MAX_ROUNDING = 2.5
 COLUMN_PAIRS = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"), ("heading", "std_heading"))
 
 

@@ -32,9 +32,8 @@ MAX_DAMAGED_SHARE = 0.02
 MAX_QUARTILE_RATIO = 1.5
 MAX_ACCELERATION = 100.0  # m/s2, largest acceleration of a car on a smooth road
 MAX_RATE = 250.0  # deg/s, largest angular rate of a car
-MAX_ALTITUDE = (
-    9000.0  # m; a larger number is in another unit, and as m it would stretch the track by 0.14% or more
-)
+# m; a larger number is in another unit, and as m it would stretch the track by 0.14% or more
+MAX_ALTITUDE = 9000.0
 RADIUS, EDGE = 6_378_137.0, 2.01e7  # m, radius of Web Mercator's sphere; edge of its map
 # Scales of common sensors per g; mg, cg, ug, mm/s2, cm/s2, ft/s2
 PER_G = (16384, 8192, 4096, 4000, 2048, 1024, 256, 1000, 100, 1e6, 9806.65, 980.665, 9.80665 / 0.3048)

@@ -50,9 +50,8 @@ class Recipe:
     gps_offset_s: float = 0.0  # added to the times
     truth_offset_s: float = 0.0  # added to the times
     odometer_offset_s: float = 0.0  # added to the times
-    declination_deg: float | None = (
-        None  # from true to magnetic north, east positive; None: the course determines it
-    )
+    # From true to magnetic north, east positive; None: the course determines it
+    declination_deg: float | None = None
     origin: tuple[float, float, float] | None = None  # deg, deg, m, of the local frame
     gps_lever_arm_m: tuple[float, float, float] | None = None  # forward, left, up from IMU to antenna
     # Rate, Hz, and standard deviation of the white noise, m per axis, of fixes made from the truth

@@ -1,18 +1,14 @@
 """Check times that are computed from row numbers: rows that a logger lost shift all later times."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import polars as pl
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.sensors import white_noise
-from sigmaswarm.errors import InputError
-from sigmaswarm.importing.expressions import compile_expression
-from sigmaswarm.importing.gather import ROW
-from sigmaswarm.importing.names import read_name
-from sigmaswarm.importing.source import Log, Part, Role
+from sigmaswarm.importing.gather import ROW, PartColumns
+from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.times import column_numbers, quoted_column
 from sigmaswarm.wording import count_of, printable
 
@@ -24,36 +20,18 @@ MIN_LOST = 0.3  # s, smallest total length of gaps that is reported
 NEIGHBORS, MIN_RATIO, MAX_TURN = 5, 2.5, 0.3
 
 
-def rows_as_clock(part: Part, log: Log) -> bool:
-    """Return True if the time of a part is computed from the row numbers of its table alone."""
-    columns = log.tables[part.table].columns if part.table in log.tables else ()
-    try:
-        used = compile_expression(part.columns.get("t", ""), (*columns, ROW)).columns
-    except InputError:
-        return False
-    return used == frozenset((ROW,)) and ROW not in columns
-
-
-def gaps_by_clock(parts: Sequence[tuple[Role, Part]], log: Log) -> list[str]:
-    """Report rows that are missing according to another column of the table with row numbers as times."""
+def gaps_by_clock(gathered: Mapping[Role, Sequence[PartColumns]]) -> list[str]:
+    """Report rows that are missing according to another column of a table with row numbers as times."""
     notes: list[str] = []
-    for role, part in parts:
-        if part.table not in log.tables and len(log.tables) == 1:
-            part = replace(part, table=next(iter(log.tables)))
-        if not rows_as_clock(part, log):
-            continue
-        table, text = part.table, part.columns["t"]
-        wanted = {table: [c for c in log.tables[table].columns if read_name(c).meaning in (None, "t")]}
-        read = [frame for name, frame, _ in log.batches(wanted) if name == table] if wanted[table] else []
-        frame = pl.concat(read, how="vertical_relaxed") if read else pl.DataFrame()
-        rows = pl.DataFrame({ROW: np.arange(len(frame))})
-        time = (
-            rows.select(compile_expression(text, (ROW,)).polars.alias("t"))["t"].cast(pl.Float64).to_numpy()
-        )
+    for role, columns in ((role, one) for role, parts in gathered.items() for one in parts if one.counted):
+        table, text = columns.part.table, columns.part.columns["t"]
+        frame = pl.concat(columns.others, how="vertical_relaxed") if columns.others else pl.DataFrame()
+        time = pl.DataFrame({ROW: np.arange(columns.seen)}).select(columns.expressions["t"].polars.alias("t"))
+        times = time["t"].cast(pl.Float64).to_numpy()
         where, note = f"{role}: {printable(table)}", "times from row numbers do not show gaps of the logger"
         for column in frame.columns:
             clock = column_numbers(frame[column])
-            if len(clock) < len(frame) or (found := _gaps_of(clock.to_numpy(), time)) is None:
+            if len(clock) < len(frame) or (found := _gaps_of(clock.to_numpy(), times)) is None:
                 continue
             (unit, lost, row), name, note = found, quoted_column(column), ""
             if lost > MIN_LOST:

@@ -10,6 +10,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import Origin, enu_to_geodetic, geodetic_to_enu
 from sigmaswarm.importing.positions import MAX_DISTANCE, Values
 from sigmaswarm.importing.source import Part, Role
+from sigmaswarm.importing.units import factor_of
 
 # Smallest fraction of the fixes' variance that a rotated truth must explain; smallest angle, rad, and smallest relative
 # difference of scale that are reported
@@ -20,16 +21,7 @@ LAGS, MIN_VARIANCE_RATIO = np.arange(-20.0, 20.1, 0.5), 4.0
 ANGLE_TOLERANCE = 0.02  # rad, angle within which axes count as exactly exchanged or reversed
 STEP = 0.01  # s, resolution of a reported delay
 # m per unit of length
-LENGTHS = {
-    "mm": 1e-3,
-    "cm": 0.01,
-    "dm": 0.1,
-    "ft": 0.3048,
-    "yd": 0.9144,
-    "km": 1e3,
-    "mi": 1609.344,
-    "nmi": 1852.0,
-}
+LENGTHS = {unit: factor_of(unit) for unit in ("mm", "cm", "dm", "ft", "yd", "km", "mi", "nmi")}
 MAX_DELAY = 2.5  # s, largest delay of a receiver
 MIN_FIXES = 10
 

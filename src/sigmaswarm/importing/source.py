@@ -29,9 +29,8 @@ Batch = tuple[str, pl.DataFrame, float]
 class Limits:
     rows: int = 10_000_000  # of a table; 10 million are 28 hours at 100 Hz
     columns: int = 100_000  # of all tables of a log
-    unpacked_mb: int = (
-        500  # MB that are unpacked at once: a chunk, a MATLAB variable, or the required files of a zip
-    )
+    # MB that are unpacked at once: a chunk, a MATLAB variable, or the required files of a zip
+    unpacked_mb: int = 500
 
     def check_rows(self, count: int, path: Path, table: str) -> None:
         if count > self.rows:

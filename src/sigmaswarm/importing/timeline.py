@@ -36,9 +36,8 @@ MIN_TIME_ERROR, MAX_JUMPS = 10.0, 100
 MAX_SECONDS = 5  # with more recordings of about one second, the fractions of the seconds are presumably wrong
 MIN_STEP_BACK, STEPS = 0.2, 2  # smallest step back of a clock between recordings: s, and median steps
 MAX_REPEATED_SHARE = 0.02  # if a larger fraction of rows repeats the previous time, rows share stamps
-MIN_STEP_VARIATION = (
-    0.005  # median deviation of the steps of stamps, relative to a step, that rounding does not cause
-)
+# Median deviation of the steps of stamps, relative to a step, that rounding does not cause
+MIN_STEP_VARIATION = 0.005
 MAX_UNEVEN_SHARE = 0.1  # largest fraction of stamps with an unusual number of rows, or with an unusual step
 
 
@@ -54,7 +53,7 @@ def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
     fine = (hour * 3600 + minute * 60 + second) * SECOND + time % SECOND
     new, steps = np.diff(whole // 100) != 0, np.diff(fine)
     limit = max(2 * SECOND, 2 * float(np.median(np.abs(steps))))
-    if (minute >= 60).any() or (second >= 60).any() or not new.any() or np.abs(steps[new]).max() > limit:
+    if (minute >= 60).any() or (second >= 60).any() or not new.any() or np.median(np.abs(steps[new])) > limit:
         return time, ""
     return fine, "the times are hours, minutes and seconds (hhmmss) and are converted"
 

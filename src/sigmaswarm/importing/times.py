@@ -26,7 +26,7 @@ from sigmaswarm.importing.names import (
     read_names,
 )
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.units import PARTS_OF_SECONDS, SECONDS, in_si
+from sigmaswarm.importing.units import PARTS_OF_SECONDS, SECONDS, in_si, scaled
 from sigmaswarm.wording import printable, quoted
 
 # Largest plausible sample interval, s
@@ -53,9 +53,8 @@ DATE_FORMATS = (
     *("%Y-%m-%d_%H-%M-%S%.f", "%Y-%m-%d %H-%M-%S%.f", "%Y%m%d %H%M%S%.f", "%Y%m%d %H:%M:%S%.f"),
     *("%H:%M:%S%.f", "%H:%M:%S:%3f", "%I:%M:%S%.f %p", "%M:%S%.f"),
 )
-MIN_FITTING_SHARE = (
-    0.99  # smallest fraction of dates that must fit a format; the others are presumably damaged
-)
+# Smallest fraction of dates that must fit a format; the others are presumably damaged
+MIN_FITTING_SHARE = 0.99
 COUNTER_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 CALENDAR = ("year", "month", "day", "hour", "minute", "second")
 # Last words of the names of the six columns of a date
@@ -153,10 +152,6 @@ def step_of(values: pl.Series) -> float:
     return median_of(forward) * (shared if shared < 0.9 else 1.0)
 
 
-def _scaled(text: str, unit: str) -> str:
-    return text if unit == "s" else f"{text}*{UNITS[unit]:.0e}".replace("e-0", "e-")
-
-
 def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> TimeExpression | None:
     """Find the stamp in a message's header; it takes precedence over the receive time."""
     stamp = next((n for n in names if n.is_one(STAMP)), None)
@@ -182,7 +177,7 @@ def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[TimeExpressio
         if dates.null_count() > 0.1 * len(dates) or most > 1:
             continue
         text = f"utc({', '.join(map(quoted_column, columns))}, '{form}')"
-        text += "".join(f" + {quoted_column(n.column)}*{scale:.0e}".replace("e-0", "e-") for n, scale in rest)
+        text += "".join(f" + {scaled(quoted_column(n.column), scale)}" for n, scale in rest)
         note = "the time is computed from the columns of year, month, day, hour, minute and second"
         return TimeExpression(text, note), [*found.values(), *(n for n, _ in rest)]
     return None, ()
@@ -202,9 +197,7 @@ def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> TimeExpress
         fits = (whole == whole.round()).all() and part.is_between(0, 1 / scale - 0.5).all()
         falls = rest.words[-1] != "ms" or (part.diff() < 0).any()  # otherwise ms may count from the start
         if len(whole) and len(part) and fits and falls:
-            text = f"{quoted_column(first.column)} + {quoted_column(rest.column)}*{scale:.0e}".replace(
-                "e-0", "e-"
-            )
+            text = f"{quoted_column(first.column)} + {scaled(quoted_column(rest.column), scale)}"
             return TimeExpression(text, f"the time is the sum of {first.column} and {rest.column}")
     return None
 
@@ -240,7 +233,7 @@ def _week(names: Sequence[Name], frame: pl.DataFrame) -> TimeExpression | None:
     else:
         largest = float(column_numbers(frame[tow.column]).max() or 0)  # pyright: ignore[reportArgumentType]
         unit = next((u for u, scale in COUNTER_UNITS.items() if largest * scale <= 604_800), "ns")
-        seconds = _scaled(quoted_column(tow.column), unit)
+        seconds = scaled(quoted_column(tow.column), COUNTER_UNITS[unit])
     return TimeExpression(
         f"gps_time({quoted_column(week.column)}, {seconds})", "GPS week and time of week are converted to UTC"
     )
@@ -410,7 +403,8 @@ def _of_numbers(values: pl.Series, text: str, role: Role) -> TimeExpression:
         )
     if role == "imu" and not dated and unit != "s" and step * COUNTER_UNITS[unit] > SLOWEST_IMU:
         rates = ", ".join(
-            f'"{_scaled(text, u)}" for {1 / (step * COUNTER_UNITS[u]):.4g} Hz' for u in ("ms", "us")
+            f'"{scaled(text, COUNTER_UNITS[u])}" for {1 / (step * COUNTER_UNITS[u]):.4g} Hz'
+            for u in ("ms", "us")
         )
         message = f"column {quoted(column)}: steps of {step:g} have no likely unit"
         return TimeExpression(
@@ -418,7 +412,7 @@ def _of_numbers(values: pl.Series, text: str, role: Role) -> TimeExpression:
             fault=f'{message}; specify the unit with --time: {rates}, or "{text}*1e-4" for ticks of 0.1 ms',
         )
     return TimeExpression(
-        _scaled(text, unit), "" if unit == "s" else f"the times in {column} are read as {unit}"
+        scaled(text, UNITS[unit]), "" if unit == "s" else f"the times in {column} are read as {unit}"
     )
 
 

@@ -136,9 +136,13 @@ def parse_unit(text: str) -> Unit | None:
     return Unit(text, dimension, factor if dimension else 0.0)
 
 
+def factor_of(text: str) -> float:
+    """Return the factor of a known unit to SI units."""
+    unit = parse_unit(text)
+    return unit.factor if unit else 1.0
+
+
 def in_si(unit: Unit, text: str) -> str:
-    if math.isclose(unit.factor, 1.0):
-        return text
     if unit.dimension in ("rate", "angle") and math.isclose(unit.factor, _DEGREE, rel_tol=1e-12):
         return f"radians({text})"
     if unit.dimension in ("rate", "angle"):
@@ -147,7 +151,14 @@ def in_si(unit: Unit, text: str) -> str:
             return f"radians({of_degree.format(text)})"
     if unit.dimension == "acceleration" and math.isclose(unit.factor, G):
         return f"{text}*9.80665"
-    return _times(text, unit.factor) or f"{text}*{unit.factor!r}"
+    return scaled(text, unit.factor)
+
+
+def scaled(text: str, factor: float) -> str:
+    """Write an expression times a factor."""
+    if math.isclose(factor, 1.0):
+        return text
+    return _times(text, factor) or f"{text}*{factor!r}"
 
 
 def _times(text: str, factor: float) -> str:

@@ -10,10 +10,9 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.importing.positions import MAX_SPEED, MIN_SPEED, Say, Values
 from sigmaswarm.importing.source import Part
+from sigmaswarm.importing.units import factor_of, scaled
 
-# Units of speed: the name, the number per m/s, and the conversion in an expression
-UNITS = (("mm/s", 1e3, "*1e-3"), ("cm/s", 100.0, "*1e-2"), ("km/h", 3.6, "/3.6"), ("ft/s", 3.28084, "*0.3048"),
-         ("mph", 2.23694, "*0.44704"), ("knots", 1.94384, "*0.514444444444"))  # fmt: skip
+UNITS = ("mm/s", "cm/s", "km/h", "ft/s", "mph", "knots")
 # Ratio of the recorded speed to that of the positions above which the speed is wrong; largest ratio of this ratio's 90%
 # quantile to its 10% quantile, since a wrong unit changes the speed by a constant factor
 MAX_SPEED_RATIO, MAX_RATIO_SPREAD = 1.5, 2.0
@@ -77,13 +76,13 @@ def _ratio(
 
 def _remedy(ratio: float, texts: dict[str, str], role: str) -> str:
     """Propose the unit whose factor is nearest to a ratio, if they differ by less than 10%."""
-    unit = min(UNITS, key=lambda u: abs(np.log(ratio / u[1])))
+    unit = min(UNITS, key=lambda u: abs(np.log(ratio * factor_of(u))))
     speeds = {name: text for name, text in texts.items() if name != "course"}
-    if abs(np.log(ratio / unit[1])) > 0.1 or not speeds:
+    if abs(np.log(ratio * factor_of(unit))) > 0.1 or not speeds:
         return ""
     plain = {n: t if re.fullmatch(r"\w+|`[^`]+`", t) else f"({t})" for n, t in speeds.items()}
-    maps = " ".join(f'"{role}.{name}={text}{unit[2]}"' for name, text in plain.items())
-    return f"; if it is in {unit[0]}, write --map {maps}"
+    maps = " ".join(f'"{role}.{name}={scaled(text, factor_of(unit))}"' for name, text in plain.items())
+    return f"; if it is in {unit}, write --map {maps}"
 
 
 def _stretches(

@@ -35,9 +35,8 @@ OUTLIER_SIGMAS = 3.0  # standard deviations; larger changes are outliers
 
 # s; on eleven drives with correct scales, the estimated scale of the roll rate was 0.96 to 2.1 and 0.54 to 1.24
 SCALE_LAGS = (1.0, 2.0)
-MAX_LOG_SCALE = (
-    0.8  # logarithm of an estimated scale; on flat roads, the lean of the body gives scales above 10
-)
+# Logarithm of an estimated scale; on flat roads, the lean of the body gives scales above 10
+MAX_LOG_SCALE = 0.8
 MAX_SCALE_ERROR, MIN_SCALE_LEAD = (
     0.25,
     0.1,

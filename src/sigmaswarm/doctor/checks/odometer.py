@@ -46,12 +46,7 @@ def check_odometer(evidence: Evidence) -> Iterator[Finding]:
         return
     for code, confidence, fault, find in (
         ("stuck", 0.95, "the reading is constant while the fixes move at another speed", _stuck),
-        (
-            "slip",
-            0.9,
-            "the wheel speed jumps without acceleration, so the wheels spin or lock",
-            _slips,
-        ),
+        ("slip", 0.9, "the wheel speed jumps without acceleration, so the wheels spin or lock", _slips),
     ):
         if spans := find(odometer, course, evidence):
             named = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in spans[:3]) + (

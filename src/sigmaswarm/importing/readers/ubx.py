@@ -62,8 +62,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         return log_of_rows(path, "NAV-PVT", columns, lambda: _rows(path, pyubx2, remarks), guess, remarks)
     if NAV_POSLLH in kinds:
         guess = Guess(
-            {"gps": (Part("NAV-POSLLH", POSLLH),)},
-            (f"NAV-POSLLH: GPS time is converted to UTC; {accuracy}",),
+            {"gps": (Part("NAV-POSLLH", POSLLH),)}, (f"NAV-POSLLH: GPS time is converted to UTC; {accuracy}",)
         )
         return log_of_rows(
             path, "NAV-POSLLH", COLUMNS_6, lambda: _rows_6(path, pyubx2, remarks), guess, remarks
