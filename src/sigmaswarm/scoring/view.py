@@ -265,7 +265,14 @@ class EvaluationView:
     def sentences(self, added: Iterable[str] = ()) -> tuple[str, ...]:
         """Return all sentences, the most important first; ``added`` follows the verdicts."""
         positions = map(_sentence, estimate_position_errors(self.scores, self.setup.data))
-        first = (self.result(), *positions, *self.warnings(), *self.verdicts().values(), *added, *self.radii())
+        first = (
+            self.result(),
+            *positions,
+            *self.warnings(),
+            *self.verdicts().values(),
+            *added,
+            *self.radii(),
+        )
         second = (*self.coverage(), *self.missing_scores(), *self.drifts(), *self.explanations())
         return tuple(dict.fromkeys((*first, *second)))
 
