@@ -10,10 +10,11 @@ from scipy.spatial.transform import Rotation
 
 import sigmaswarm
 from sigmaswarm import Drive
-from sigmaswarm.doctor.checks.mounting import find_movement
+from sigmaswarm.doctor.checks.mounting import find_movement, find_turn
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.fixes import course_of
 from sigmaswarm.doctor.mounting import Mounting, angle_of, mounting_of, rotate_imu
+from sigmaswarm.doctor.repairs import AXIS_ACTIONS
 from sigmaswarm.doctor.repairs import repair as repaired
 from sigmaswarm.doctor.travel_direction import direction_of_travel
 from sigmaswarm.drives.drive import Gps, Imu
@@ -234,11 +235,17 @@ def test_a_recording_is_found_within_3_degrees(name: str):
     assert np.degrees(error) < 3
 
 
-@pytest.mark.parametrize("angle", quickly([(25.0,), (40.0,), (60.0,)], lambda angle: angle == 25.0))
-def test_an_imu_that_was_moved_within_a_log_is_reported_with_its_time(angle: float):
+@pytest.mark.parametrize(
+    ("axis", "angle"),
+    quickly(
+        [("y", 25.0), ("y", 40.0), ("y", 60.0), ("z", 90.0), ("z", -60.0)],
+        lambda axis, angle: angle in (25.0, 90.0),
+    ),
+)
+def test_an_imu_that_was_moved_within_a_log_is_reported_with_its_time(axis: str, angle: float):
     drive = drive_of("icm-20602", "flat")
     late = drive.imu.time > 80
-    other = rotate_imu(drive.imu, Rotation.from_euler("y", angle, degrees=True).as_matrix())
+    other = rotate_imu(drive.imu, Rotation.from_euler(axis, angle, degrees=True).as_matrix())
     columns = {
         n: np.where(late, getattr(other, n), getattr(drive.imu, n))
         for n in ("ax", "ay", "az", "gx", "gy", "gz")
@@ -248,7 +255,8 @@ def test_an_imu_that_was_moved_within_a_log_is_reported_with_its_time(angle: flo
     }
     assert found["mounting-changed"].span[0] == pytest.approx(80, abs=6)
     assert "split" in found["mounting-changed"].remedy
-    assert find_movement(drive) is None
+    assert not any(f.repair and f.repair.action in AXIS_ACTIONS for f in found.values())
+    assert find_movement(drive) is None and find_turn(gather(drive)) is None
 
 
 def handled(drive: Drive, begin: float, end: float, axis: str) -> Drive:

@@ -201,11 +201,8 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
     print_lines(replace(table, caption=title).to_rich(grouped=True))
     if verbose:
         caption = "Consistency of the tuned filter (NIS and NEES should be 2)"
-        print_lines(
-            replace(view.consistency_table(), caption=caption).to_rich(),
-            view.radius_table().to_rich(),
-            *sentences,
-        )
+        tables = replace(view.consistency_table(), caption=caption), view.radius_table()
+        print_lines(*(one.to_rich() for one in tables), *sentences)
         return
     shown = tuple(dict.fromkeys((*sentences[:MAX_REMARKS], *view.missing_scores())))
     hidden = [f"{len(sentences) - len(shown)} more remarks"] if len(sentences) > len(shown) else []

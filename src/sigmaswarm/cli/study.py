@@ -90,14 +90,8 @@ def study(*, out: Path, options: Annotated[StudyOptions, FIELDS] = StudyOptions(
     design = read_config(file, **(QUICK_STUDY if options.quick else {}) | config)
     counted = "generations and epochs, remaining" if design.rivals else "generations, remaining"
     with cluster_at(options.cluster) as client, progress_bar("study", counted) as show:
-        done = run_study(
-            design,
-            out,
-            resume=options.resume,
-            workers=options.workers,
-            cluster=client,
-            progress=lambda now: show(now.done, now.total),
-        )
+        settings: dict[str, Any] = {"resume": options.resume, "workers": options.workers, "cluster": client}
+        done = run_study(design, out, progress=lambda now: show(now.done, now.total), **settings)
     save_study(done, out)
     page = save_page(out)
     if options.json:

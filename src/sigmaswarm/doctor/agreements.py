@@ -101,18 +101,12 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
     if np.count_nonzero(moving) < MIN_FIXES:
         return
     yield _turning(drive, course, moving)
-    span = course.span
-    for key, title, values, expected in (
-        ("forward", "Forward: ax and the change of speed", imu.ax, np.gradient(speed, at)),
-        (
-            "sideways",
-            "Sideways: ay and speed times yaw rate",
-            imu.ay,
-            speed * smoothed(imu.time, imu.gz, at, span),
-        ),
+    gain, sideways = np.gradient(speed, at), speed * smoothed(imu.time, imu.gz, at, course.span)
+    for key, title, name, values, follows, expected in (
+        ("forward", "Forward: ax and the change of speed", "ax", imu.ax, "change of speed", gain),
+        ("sideways", "Sideways: ay and speed times yaw rate", "ay", imu.ay, "speed x gz", sideways),
     ):
-        name, follows = ("ax", "change of speed") if key == "forward" else ("ay", "speed x gz")
-        means = smoothed(imu.time, values, at, span)
+        means = smoothed(imu.time, values, at, course.span)
         measured, motion = {name: (at[moving], means[moving])}, {follows: (at[moving], expected[moving])}
         yield Agreement(key, title, "m/s²", measured, motion)
     own = {"receiver": (gps.time, gps.speed)} if gps.speed is not None else {}
@@ -138,10 +132,5 @@ def _turning(drive: Drive, course: Course, moving: Mask) -> Agreement:
     ends = np.flatnonzero(np.diff(piece)) + 1
     placed = np.insert(np.degrees(track - shifts[piece]), ends, np.nan)
     measured, expected = (at, np.degrees(turned)), (np.insert(at, ends, at[ends]), placed)
-    return Agreement(
-        "turning",
-        "Turning: the integral of gz, and the course",
-        "deg",
-        {"gz": measured},
-        {"course": expected},
-    )
+    title = "Turning: the integral of gz, and the course"
+    return Agreement("turning", title, "deg", {"gz": measured}, {"course": expected})

@@ -14,6 +14,7 @@ from sigmaswarm.doctor.checks.timing import check_clock, check_sampling
 from sigmaswarm.doctor.checks.velocity import check_velocity
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.findings import SEVERITIES, Diagnosis, Finding, finding_of
+from sigmaswarm.doctor.repairs import AXIS_ACTIONS
 from sigmaswarm.drives.checks import invalid_times, shortage_of
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
@@ -77,6 +78,8 @@ def _diagnosed(drive: Drive) -> Diagnosis:
         return Diagnosis(drive.name, tuple(finding_of(wrong, "serious", ends, 0.999) for wrong in spoiled))
     evidence = gather(drive)
     found = [finding for check in CHECKS for finding in check(evidence)]
+    if any(finding.code == "mounting-changed" for finding in found):  # the parts have different axes
+        found = [f for f in found if f.repair is None or f.repair.action not in AXIS_ACTIONS]
     withheld = drive.metadata.get("withheld", ())
     found = [_contradicted(finding) if finding.code in withheld else finding for finding in found]
     found.sort(key=lambda finding: SEVERITIES.index(finding.severity))

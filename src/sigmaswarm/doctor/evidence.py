@@ -147,12 +147,8 @@ def _mirrored(found: Evidence, drive: Drive) -> Evidence | None:
         return None
     new = _read(other)
     mount, upright = new.mount, np.diag(new.mounting.repair) if new.mounting else np.ones(3)
-    if (
-        not new.yaw.known
-        or new.yaw.factor < 0
-        or new.yaw.column != "gz"
-        or np.min(upright) < MIN_UPRIGHT_COSINE
-    ):
+    right = new.yaw.known and new.yaw.factor > 0 and new.yaw.column == "gz"
+    if not right or np.min(upright) < MIN_UPRIGHT_COSINE:
         return None
     if mount is None or not np.array_equal(mount.axes, np.eye(2)):
         return None

@@ -215,10 +215,8 @@ def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[P
     if len(columns) < 2 or columns["imu"][1] == columns["gps"][1]:
         return ""
     imu, gps = (seconds[role] / columns[role][1] for role in both)
-    if (
-        np.mean((gps >= imu[0]) & (gps <= imu[-1])) < 0.5
-        and np.mean((imu >= gps[0]) & (imu <= gps[-1])) < 0.5
-    ):
+    shares = [np.mean((one >= other[0]) & (one <= other[-1])) for one, other in ((gps, imu), (imu, gps))]
+    if max(shares) < 0.5:
         return ""
     options: list[str] = []
     for k in range(1, 7):

@@ -115,11 +115,8 @@ class PartColumns:
             times = frame.select(time_expression(self.part.columns["t"], frame)).to_series()
         except pl.exceptions.PolarsError:
             return None
-        return (
-            times.is_null()
-            if times.null_count() <= max(MAX_TIMELESS_ROWS, MAX_DAMAGED_SHARE * len(frame))
-            else None
-        )
+        few = times.null_count() <= max(MAX_TIMELESS_ROWS, MAX_DAMAGED_SHARE * len(frame))
+        return times.is_null() if few else None
 
     def _without_placeholders(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Set placeholders such as -999 to null if they are far from the other values, or equal in both coordinates."""

@@ -21,12 +21,9 @@ def describe_kinds(log: Log) -> str:
         numbers = [name for name in frame.columns if name not in times and len(column_numbers(frame[name]))]
         changing = [name for name in numbers if frame[name].n_unique() > MAX_KINDS]
         file = log.path.name if log.path.is_file() else table
-        if (
-            not kinds
-            or not times
-            or not changing
-            or not all(map(_is_harmless, (file, *kinds, times[0], changing[0])))
-        ):
+        if not (kinds and times and changing):
+            continue
+        if not all(map(_is_harmless, (file, *kinds, times[0], changing[0]))):
             continue
         read = f"import os,polars as pl;f=pl.read_csv({file!r},comment_prefix='#',glob=False)"
         if len(changing) == 1:

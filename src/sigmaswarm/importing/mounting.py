@@ -26,11 +26,8 @@ def find_mount(drive: Drive) -> tuple[Drive, str, str]:
             "mount auto: the track of the fixes is a mirror image; exchange x and y, or lat and lon, with --map"
         )
     if mounting is None or mounting.confidence == "no":
-        reason = (
-            mounting.reason
-            if mounting
-            else "required: ax, ay, az with gravity, gx, gy, gz, and a moving vehicle"
-        )
+        required = "required: ax, ay, az with gravity, gx, gy, gz, and a moving vehicle"
+        reason = mounting.reason if mounting else required
         raise InputError(
             f"mount auto: the log does not show the mounting ({reason}); specify the mounting, for example 0,10,90"
         )

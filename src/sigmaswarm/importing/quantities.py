@@ -90,19 +90,14 @@ def quantity(columns: Columns, what: str, role: Role) -> TimeExpression:
         return TimeExpression(
             "", note=f"{seen}; map the column: {example} if it is in mm, *1e-2 if it is in cm"
         )
-    if (
-        name.unit is None and what == "speed" and read_name(name.column).meaning is None
-    ):  # in another language
-        other = _maps(columns, role, ["speed"], "{}/3.6")
-        return TimeExpression(text, f"{text} is read as m/s; if it is in km/h, write {other}")
-    if name.unit is None and what == "y" and (note := _web_mercator(columns, role)):
-        return TimeExpression(text, note)
     if name.unit is None:
-        return (
-            _without_unit(columns, what, role)
-            if dimension in ("acceleration", "rate")
-            else TimeExpression(text)
-        )
+        if dimension in ("acceleration", "rate"):
+            return _without_unit(columns, what, role)
+        note = _web_mercator(columns, role) if what == "y" else ""
+        if what == "speed" and read_name(name.column).meaning is None:  # in another language
+            other = _maps(columns, role, ["speed"], "{}/3.6")
+            note = f"{text} is read as m/s; if it is in km/h, write {other}"
+        return TimeExpression(text, note)
     if name.unit.dimension == dimension:
         return TimeExpression(in_si(name.unit, text))
     if name.unit.text.strip().lower() in COUNTS and dimension in ("acceleration", "rate"):
@@ -117,11 +112,8 @@ def quantity(columns: Columns, what: str, role: Role) -> TimeExpression:
 
 def _web_mercator(columns: Columns, role: Role) -> str:
     """Describe x and y that may be Web Mercator, with the remedy; "" if their magnitude or a name contradicts it."""
-    size = (
-        median_of(columns.numbers("y").abs()),
-        median_of(columns.numbers("x").abs()) if "x" in columns else 0.0,
-    )
-    if not 1e5 < size[0] < EDGE or not 1e5 < size[1] < EDGE or "utm" in columns.names["y"].plain:
+    sizes = [median_of(columns.numbers(n).abs()) for n in "xy" if n in columns]
+    if len(sizes) < 2 or not 1e5 < min(sizes) <= max(sizes) < EDGE or "utm" in columns.names["y"].plain:
         return ""
     x, y = (f"{columns.text(n)}/{RADIUS:.0f}" for n in "xy")
     read = f"{columns.text('x')} and {columns.text('y')} are read as m east and north"
@@ -266,12 +258,9 @@ def _hemispheres(columns: Columns) -> dict[str, tuple[str, str]]:
         after = frame.columns[frame.columns.index(place) + 1 :]
         column = columns.names[name].column if named else (*after, place)[0]
         rows = frame.filter(pl.col(place).is_not_null())
-        if (
-            column == place
-            or frame.schema[column] != pl.String
-            or frame.schema[place].is_nested()
-            or not len(rows)
-        ):
+        if column == place or frame.schema[column] != pl.String:
+            continue
+        if frame.schema[place].is_nested() or not len(rows):
             continue
         cells = rows[column].fill_null("").unique(maintain_order=True).to_list()
         texts = [cell for cell in cells if re.fullmatch(f"(?i) *(?:[{name}]|{words}) *", cell)]
@@ -359,11 +348,8 @@ def _place_form(columns: Columns, role: Role) -> TimeExpression:
         exchanged = f'--map "{role}.lat={columns.text("lon")}" "{role}.lon={columns.text("lat")}"'
         fault = f"the latitude of about {low:.6g} exceeds 90: latitude and longitude are exchanged; write {exchanged}"
         return TimeExpression("", fault=fault)
-    if (
-        low <= 9000
-        and high <= 18060
-        and all((v % 100 >= 60).sum() <= MAX_DAMAGED_SHARE * len(v) for v in (lat, lon))
-    ):
+    minutes = all((v % 100 >= 60).sum() <= MAX_DAMAGED_SHARE * len(v) for v in (lat, lon))
+    if low <= 9000 and high <= 18060 and minutes:
         return TimeExpression("ddmm({})", "latitude and longitude are read as degrees and minutes, ddmm.mmmm")
     if low <= 9e8 and high <= 36e8 and (low > 90e6 or high > 180e6):
         other = f"; if they are milliarcseconds, write {_maps(columns, role, both, '{}/3.6e6')}"

@@ -96,11 +96,8 @@ def _maps(names: Iterable[str], unitless: Mapping[str, str], form: str) -> str:
 def _wrong_clock(ratio: float, columns: str, times: Mapping[Any, str]) -> str:
     """Describe times whose unit is wrong by a power of ten; "" for other ratios, or times with a date."""
     power = round(math.log10(ratio))
-    if (
-        abs(math.log(ratio / 10.0**power)) > FACTOR_TOLERANCE
-        or not all(times.values())
-        or "(" in "".join(times.values())
-    ):
+    plain = all(times.values()) and "(" not in "".join(times.values())
+    if not plain or abs(math.log(ratio / 10.0**power)) > FACTOR_TOLERANCE:
         return ""
     maps = " ".join(f'"{role}.t={text}*1e{power}"' for role, text in times.items())
     message = f"the course of the fixes turns {ratio:.3g} times as far as the integral of {columns}"

@@ -48,10 +48,8 @@ def require_same_axes(
     left = power - float((dots[mirrored] * np.conj(factor)).real)
     late = [_apart(fixes, seconds, truth, lag) for lag in LAGS]
     best = int(np.argmin(late))
-    if (
-        late[best] < min(unexplained / MIN_VARIANCE_RATIO, (1 - MIN_EXPLAINED) * power, left)
-        and abs(LAGS[best]) > MAX_DELAY
-    ):
+    limit = min(unexplained / MIN_VARIANCE_RATIO, (1 - MIN_EXPLAINED) * power, left)
+    if late[best] < limit and abs(LAGS[best]) > MAX_DELAY:
         near = LAGS[best] + np.arange(LAGS[0] - LAGS[1], LAGS[1] - LAGS[0] + STEP / 2, STEP)
         lag = round(float(min(near, key=lambda lag: _apart(fixes, seconds, truth, float(lag)))), 2)
         when = "later" if lag > 0 else "earlier"

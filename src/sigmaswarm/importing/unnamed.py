@@ -60,13 +60,11 @@ def _axes(values: dict[str, Array]) -> dict[str, str]:
     for gravity in GRAVITY:
         for k in range(len(names) - 2):
             size = np.sqrt(sum(values[n] ** 2 for n in names[k : k + 3]))
-            low, middle, high = (
-                np.nanquantile(size, (0.25, 0.5, 0.75)) if np.isfinite(size).any() else (0.0,) * 3
-            )
-            if (
-                abs(middle / gravity - 1) > TOLERANCE
-                or not MIN_SPREAD < high / low - 1 < MAX_QUARTILE_RATIO - 1
-            ):
+            if not np.isfinite(size).any():
+                continue
+            low, middle, high = np.nanquantile(size, (0.25, 0.5, 0.75))
+            fits = abs(middle / gravity - 1) <= TOLERANCE
+            if not fits or not MIN_SPREAD < high / low - 1 < MAX_QUARTILE_RATIO - 1:
                 continue
             near = [names[i : i + 3] for i in (k - 3, k + 3) if i >= 0]
             rates = min((b for b in near if len(b) == 3), key=lambda b: _median_ratio(values, b), default=[])

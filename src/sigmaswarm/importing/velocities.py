@@ -103,11 +103,8 @@ def _stretches(
     # 2.9 = 1.18 sqrt(6): median magnitude of x[i] - 2 x[i+1] + x[i+2] if x is white noise of variance 1 (Rayleigh)
     noise = float(np.median(np.hypot(np.diff(x, 2), np.diff(y, 2)))) / 2.9
     least = max(3.0, 10 * noise)
-    apart = int(
-        np.clip(
-            np.ceil(1.5 * least / max(float(np.quantile(step, 0.9)), 1e-3)), 4, len(rows) // MIN_STRETCHES
-        )
-    )
+    steps = np.ceil(1.5 * least / max(float(np.quantile(step, 0.9)), 1e-3))
+    apart = int(np.clip(steps, 4, len(rows) // MIN_STRETCHES))
     begin = np.arange(0, len(rows) - apart, apart)
     end = begin + apart
     chord = np.hypot(x[end] - x[begin], y[end] - y[begin])

@@ -94,11 +94,8 @@ def _size(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
     remedy = "check the sensor's range setting and low-pass filter"
     (forward, std), (left, other) = mount.scale
     alike = all(mount.known) and abs(forward - left) < 3 * math.hypot(std, other)
-    if (
-        alike
-        and imu.az is not None
-        and abs(_size_of(_force(imu, mount.unit)) - GRAVITY) < MAGNITUDE_LIMITS[1]
-    ):
+    size = GRAVITY if imu.az is None else _size_of(_force(imu, mount.unit))
+    if alike and imu.az is not None and abs(size - GRAVITY) < MAGNITUDE_LIMITS[1]:
         # the accelerometer measures gravity correctly
         remedy = (
             "check unit and projection of the positions; for example, Web Mercator (EPSG:3857) stretches them"

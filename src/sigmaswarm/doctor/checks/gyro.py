@@ -100,11 +100,8 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
             what = f"{what} ({seen})"
             yield Finding(code, "serious", what, where, span, confidence, remedy, Repair("gyro", repair))
     off = fit.gain / yaw.factor - 1
-    clear = (
-        fit.course_change > MIN_TURN
-        and fit.separates_delay
-        and abs(off) > max(MIN_GAIN_ERROR, 4 * fit.std / abs(yaw.factor))
-    )
+    clear = fit.course_change > MIN_TURN and fit.separates_delay
+    clear &= abs(off) > max(MIN_GAIN_ERROR, 4 * fit.std / abs(yaw.factor))
     if clear and abs(_whole_gain(evidence) - 1) > MIN_GAIN_ERROR / 2:
         repair, remedy = Repair("gyro", (2.0, 1 + off, 1.0)), f"multiply gz by {1 + off:.3g}"
         yield Finding("gyro-scale", "warning", turns(1 + off), where, span, confidence_of(4), remedy, repair)

@@ -82,10 +82,8 @@ def _stuck(odometer: Odometer, course: Course, _: Evidence) -> Spans:
     found: Spans = []
     for a, b in zip(begins[long], ends[long], strict=True):
         inside = seen[(course.time >= time[a]) & (course.time <= time[b])]
-        if (
-            len(inside) >= 3
-            and np.median(np.abs(inside - (speed[a] * factor if speed[a] > 0 else 0.0))) > MIN_STUCK_ERROR
-        ):
+        stuck = speed[a] * factor if speed[a] > 0 else 0.0
+        if len(inside) >= 3 and np.median(np.abs(inside - stuck)) > MIN_STUCK_ERROR:
             found.append((float(time[a]), float(time[b])))
     return found
 

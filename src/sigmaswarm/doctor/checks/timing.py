@@ -129,12 +129,8 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
         if apart > 1.1 * fix_usual or fix_missed < MIN_EXCESS * fix_usual:
             continue
         passed, std = _time_passed(gps, j)
-        code, severity, remedy, repair = (
-            "logger-pause",
-            "note",
-            "no action is needed; you can split the drive at this time",
-            None,
-        )
+        code, severity, repair = "logger-pause", "note", None
+        remedy = "no action is needed; you can split the drive at this time"
         if 0.5 * fix_missed < SIGMAS * std:
             what = "The logger paused, or its clock jumped; the car's speed does not distinguish the two"
         elif passed < fix_usual + 0.5 * fix_missed:
@@ -142,11 +138,8 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
                 f"The logger's clock jumped, since the car needs only {passed:.1f} s for the distance between the "
                 "fixes before and after"
             )
-            code, severity, remedy = (
-                "clock-jump",
-                "warning",
-                "subtract the jump from all later times in all files",
-            )
+            code, severity = "clock-jump", "warning"
+            remedy = "subtract the jump from all later times in all files"
             # A jump can be closed only if both sensors have the full jump, since lost samples can't be restored.
             if apart < 0.5 * fix_usual and passed < fix_usual + SIGMAS * std:
                 repair = Repair("close-jump", (float(imu[i]), missed))

@@ -126,13 +126,10 @@ def _joined(scans: Mapping[str, pl.LazyFrame], remarks: list[str]) -> dict[str, 
 def _span(rows: pl.LazyFrame) -> tuple[float, float]:
     """Return the first and the last time of a table, s; NaN if they cannot be read."""
     head = rows.head(SAMPLE_ROWS).collect()
-    text = time_of(head) or time_of(head, "gps")
-    ends = (
-        pl.concat([rows.head(1), rows.tail(1)]).select(time_expression(text, head)).collect()
-        if text
-        else None
-    )
-    first, last = ends.to_series().to_list() if ends is not None and len(ends) == 2 else (None, None)
+    if (text := time_of(head) or time_of(head, "gps")) is None:
+        return math.nan, math.nan
+    ends = pl.concat([rows.head(1), rows.tail(1)]).select(time_expression(text, head)).collect()
+    first, last = ends.to_series().to_list() if len(ends) == 2 else (None, None)
     return (math.nan, math.nan) if first is None or last is None else (first / SECOND, last / SECOND)
 
 

@@ -30,11 +30,8 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     named = cast("Mapping[str, Any]", content) if isinstance(content, dict) else {"": content}
     tables: dict[str, list[Row]] = {}
     for name, records in named.items():
-        rows = (
-            [dict(_flat(record)) for record in records if isinstance(record, dict)]
-            if isinstance(records, list)
-            else []
-        )
+        every = cast("list[Any]", records) if isinstance(records, list) else []
+        rows = [dict(_flat(record)) for record in every if isinstance(record, dict)]
         for kind, some in _by_kind(rows).items():
             tables.setdefault(".".join(filter(None, (name, kind))) or path.name, []).extend(some)
     if not any(tables.values()):
