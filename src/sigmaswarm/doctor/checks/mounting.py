@@ -59,7 +59,10 @@ def check_mirrored(evidence: Evidence) -> Iterator[Finding]:
 
 def check_mounting(evidence: Evidence) -> Iterator[Finding]:
     mounting, what = evidence.mounting, "the direction of gravity"
-    if (change := find_movement(evidence.drive)) is None and (change := find_turn(evidence)) is not None:
+    unit = evidence.mount.unit if evidence.mount else 1.0
+    if (change := find_movement(evidence.drive, unit)) is None and (
+        change := find_turn(evidence)
+    ) is not None:
         what = "the direction of the vehicle's acceleration in ax and ay"
     if change:
         time, angle = change
@@ -131,20 +134,21 @@ def find_turn(evidence: Evidence) -> tuple[float, float] | None:
     return (float(at[cut]), angle) if coherent and angle > MIN_TURNED else None
 
 
-def find_movement(drive: Drive) -> tuple[float, float] | None:
+def find_movement(drive: Drive, unit: float = 1.0) -> tuple[float, float] | None:
     """Find the time, s, at which the IMU was moved, and gravity's change of direction, rad; None if it was not moved.
 
     The directions of the specific force, averaged over 5 s, scatter least about one median before this time and one
-    after it.
+    after it. ``unit``: unit of ax and ay, m/s2; az with another unit shows no direction.
     """
     imu = drive.imu
     if imu.az is None:
         return None
     times, mean = _means(imu.time, (imu.ax, imu.ay, imu.az), 5.0)
-    direction = mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-9)
+    size = np.linalg.norm(mean, axis=1, keepdims=True)
+    direction = mean / np.maximum(size, 1e-9)
     least = 4  # windows on each side: 20 s
-    if len(direction) < 2 * least:
-        return None
+    if len(direction) < 2 * least or not 0.8 < unit * np.median(size) / GRAVITY < 1.2:
+        return None  # too short, or az has another unit
 
     def spread(cut: int) -> float:
         return sum(float(np.abs(v - np.median(v, axis=0)).sum()) for v in (direction[:cut], direction[cut:]))
