@@ -68,14 +68,12 @@ def split_time(
         if isinstance(result := find_start(part), StartFailure):
             message = f"{part.name} can't be used as a drive: {result.what}; split at another time, or {result.remedy}"
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
-    first, last = (
+    cuts = [
         {"drive": drive.name, "start_s": float(t[0]), "end_s": float(t[-1]), "sha256": sha256, **alone}
         for t in (part.imu.time for part in parts)
-    )
-    return (
-        replace(parts[0], metadata={**parts[0].metadata, CUT: first}),
-        replace(parts[1], metadata={**parts[1].metadata, CUT: last}),
-    )
+    ]
+    first, last = (replace(p, metadata={**p.metadata, CUT: c}) for p, c in zip(parts, cuts, strict=True))
+    return first, last
 
 
 split = split_time  # name of `split_time` in the short API

@@ -142,10 +142,8 @@ def planar_mounting(fit: AccelerationFit) -> PlanarMounting:
     best, axes, unit = min(readings, key=lambda reading: reading[0])
     if plain - best < MIN_LEAD:
         axes, unit = as_recorded, 1.0
-    if (
-        unit == 1
-        and not ((deviation(axes, unit) < MAX_ELEMENT_STD) & (axes != as_recorded).any(axis=1)).any()
-    ):
+    determined = deviation(axes, unit) < MAX_ELEMENT_STD
+    if unit == 1 and not (determined & (axes != as_recorded).any(axis=1)).any():
         axes = as_recorded  # an axis that the drive does not determine is not changed
     misfits = misfits_of(axes, unit, ANGLES)
     k = int(np.clip(np.argmin(misfits), 1, len(ANGLES) - 2))
