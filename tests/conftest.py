@@ -63,7 +63,7 @@ def pytest_collection_finish() -> None:
     if scenarios := sys.modules.get("sigmaswarm.simulation.scenarios"):
         scenarios._drive = lru_cache(64)(scenarios._drive)
     if doctor := sys.modules.get("sigmaswarm.doctor.diagnose"):
-        doctor.KEPT = 1000
+        doctor.CACHE_SIZE = 1000
     gc.collect()
     gc.freeze()
 

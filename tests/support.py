@@ -27,6 +27,13 @@ def some(cases: Iterable[Any], each: int = 2) -> list[Any]:
     ]
 
 
+def several(cases: Iterable[tuple[Any, ...]], each: int = 2) -> list[Any]:
+    """Cases of a parametrized test with several parameters; the quick tests run every second or ``each``-th."""
+    return [
+        pytest.param(*case, marks=() if k % each == 0 else pytest.mark.long) for k, case in enumerate(cases)
+    ]
+
+
 def require(module: str, reason: str) -> None:
     """Skip the tests of a file where a module is missing; unlike `pytest.importorskip` it is not imported."""
     if find_spec(module) is None:

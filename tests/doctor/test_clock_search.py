@@ -15,8 +15,8 @@ from support import DRIVES, needs_shared, quickly
 
 
 @cache
-def drive() -> Drive:
-    return sigmaswarm.simulate("urban", run=3, duration=150, gps="white-1m", imu_rate=50)
+def drive(duration: float = 150.0) -> Drive:
+    return sigmaswarm.simulate("urban", run=3, duration=duration, gps="white-1m", imu_rate=50)
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ def test_an_offset_of_seconds_is_found_and_mended(offset: float):
             (18.0, {"gx": "gz", "gz": "gx"}, 1.0),
             (-7.5, {"gx": "gz", "gz": "gx"}, -1.0),
         ],
-        lambda offset, columns, factor: offset in (7.0, -7.5),
+        lambda offset, columns, factor: offset in (7.0, 18.0),
     ),
 )
 def test_an_offset_and_a_wrong_scale_or_axis_are_both_mended(
@@ -159,7 +159,8 @@ def test_at_walking_speed_no_offset_is_invented():
 @pytest.mark.parametrize("factor", [0.0, 0.5])
 def test_rates_of_zero_are_no_error(factor: float):
     """Many drivers write 0 for the rates of a planar IMU."""
-    imu = drive().imu
+    sound = drive(80.0)
+    imu = sound.imu
     zero = replace(imu, gx=0 * imu.gx, gy=0 * imu.gy, gz=factor * imu.gz)
-    late = replace(drive(), imu=zero, gps=replace(drive().gps, time=drive().gps.time + 18.0))
+    late = replace(sound, imu=zero, gps=replace(sound.gps, time=sound.gps.time + 18.0))
     assert sigmaswarm.diagnose(late).findings
