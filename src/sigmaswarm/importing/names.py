@@ -4,6 +4,7 @@ import re
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import takewhile
 
 from sigmaswarm.importing.units import COUNTS, PARTS_OF_SECONDS, Unit, UnitDimension, parse_unit
@@ -164,6 +165,7 @@ def _stated(plain: str, unit: Unit | None) -> str | None:
     return next((w for d, w, pattern in _STATED if d == dimension and re.fullmatch(pattern, plain)), None)
 
 
+@lru_cache(4096)  # an import asks some 25 times for each name
 def meaning_of_plain(plain: str) -> str | None:
     """Find the column of a drive that a name means, also with the prefix of a logger or the ".data" of a message."""
     bare = re.sub(r"_(?:data|value|cal(?:ib(?:rated)?)?)$", "", plain)

@@ -48,6 +48,9 @@ _GYROS = (
 class Columns:
     frame: pl.DataFrame
     names: dict[str, Name] = field(default_factory=dict[str, Name])
+    # The numbers of columns and their 99th percentiles, since each axis of a sensor needs those of all axes
+    _numbers: dict[str, pl.Series] = field(default_factory=dict[str, pl.Series], init=False)
+    _largest: dict[str, float] = field(default_factory=dict[str, float], init=False)
 
     def __contains__(self, what: str) -> bool:
         return what in self.names
@@ -57,12 +60,18 @@ class Columns:
 
     def numbers(self, what: str) -> pl.Series:
         """Return the numbers of a column, without placeholders."""
-        values = column_numbers(self.frame[self.names[what].column])
-        return values.filter(~values.is_in(PLACEHOLDERS))
+        column = self.names[what].column
+        if column not in self._numbers:
+            values = column_numbers(self.frame[column])
+            self._numbers[column] = values.filter(~values.is_in(PLACEHOLDERS))
+        return self._numbers[column]
 
     def largest(self, what: str) -> float:
         """Return the 99th percentile of a column's absolute values."""
-        return float(self.numbers(what).abs().quantile(0.99) or 0.0)
+        column = self.names[what].column
+        if column not in self._largest:
+            self._largest[column] = float(self.numbers(what).abs().quantile(0.99) or 0.0)
+        return self._largest[column]
 
     def norms(self, axes: Sequence[str]) -> pl.Series:
         """Return the magnitudes of a vector, without placeholders and zeros; empty for fewer than three columns."""

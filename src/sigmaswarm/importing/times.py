@@ -337,7 +337,8 @@ def date_time(columns: Sequence[str], frame: pl.DataFrame) -> TimeExpression:
     """Read dates in text by the format that fits most of them; refuse texts that fit two formats, or no format well."""
     texts = frame.select(as_text(columns).alias("date"))["date"].drop_nulls()
     texts = texts.filter(texts.str.contains(r"\d")).unique(maintain_order=True)  # a placeholder counts once
-    read = {form: _read_by(texts, form).count() for form in DATE_FORMATS}
+    counts = (_date_in(form).count().alias(f"{k}") for k, form in enumerate(DATE_FORMATS))
+    read = dict(zip(DATE_FORMATS, texts.to_frame("date").select(counts).row(0), strict=True))
     most = max(read.values())
     fitting = [
         form for form in sorted(read, key=lambda f: -read[f]) if read[form] >= MIN_FITTING_SHARE * most > 0
@@ -355,7 +356,7 @@ def date_time(columns: Sequence[str], frame: pl.DataFrame) -> TimeExpression:
         return TimeExpression("", fault=f"column {quoted(columns[0])}: {message}; write {option}")
     form = fitting[0]
     if most < MIN_FITTING_SHARE * len(texts):
-        left = texts.filter(_read_by(texts, form).is_null())[0]
+        left = texts.to_frame("date").filter(_date_in(form).is_null()).item(0, 0)
         whole = f"utc({called}, '{form}')" if form else f"utc({called})"
         message = (
             f"column {quoted(columns[0])}: {quoted(left)} has a format different from that of {most} of "
@@ -375,10 +376,10 @@ def date_time(columns: Sequence[str], frame: pl.DataFrame) -> TimeExpression:
     return TimeExpression(f"utc({called}, '{form}')" if form else f"utc({called})", note)
 
 
-def _read_by(texts: pl.Series, form: str) -> pl.Series:
+def _date_in(form: str) -> pl.Expr:
+    """Return the dates of the column ``date`` by a format, s since 1970; null for other texts."""
     dates = pl.col("date")
-    dates = dates if form else pl.when(dates.str.contains(r"^\d{4}-\d")).then(dates)
-    return texts.to_frame("date").select(parse_dates(dates, form).alias("date"))["date"]
+    return parse_dates(dates if form else pl.when(dates.str.contains(r"^\d{4}-\d")).then(dates), form)
 
 
 def _of_numbers(values: pl.Series, text: str, role: Role) -> TimeExpression:

@@ -28,6 +28,8 @@ COMMENTS = "#%!"
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'’ \u00a0\u202f])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
 _DIGITS = re.compile(r"\d{8} ?\d{4,6}[\d.]{0,10}")  # a date and a time of day without separators
+_OTHER_SEPARATORS = frozenset(SEPARATORS) - {","}
+_EMPTY, _NO_NUMBER = frozenset((*NO_VALUE, "inf", "-inf")), re.compile(NO_NUMBER)
 Rows = Sequence[Sequence[str]]
 _HEADER, _COVARIANCE = ("sec", "nanosec", "frame_id"), [f"_covariance[{k}]" for k in range(9)]
 _VECTORS = (("orientation", "xyzw"), ("angular_velocity", "xyz"), ("linear_acceleration", "xyz"))
@@ -148,16 +150,17 @@ def is_table(file: Path) -> bool:
 
 
 def _is_empty(cell: str) -> bool:
-    return cell.strip().lower() in (*NO_VALUE, "inf", "-inf") or re.search(NO_NUMBER, cell) is not None
+    return cell.strip().lower() in _EMPTY or _NO_NUMBER.search(cell) is not None
 
 
 def _has_decimal_commas(cells: Sequence[str]) -> bool:
     """Return True if a column has commas, none of them before a dot, and 90% of the first 100 cells are numbers."""
+    commas = [cell for cell in cells if "," in cell]
+    if not commas or any("." in cell.partition(",")[2] for cell in commas):
+        return False
     filled = [cell.strip() for cell in cells if not _is_empty(cell)][:100]
     numbers = sum(any(form.fullmatch(cell) for form in (_NUMBER, _GROUPED)) for cell in filled)
-    commas = [cell for cell in cells if "," in cell]
-    thousands = any("." in cell.partition(",")[2] for cell in commas)
-    return bool(commas) and not thousands and numbers >= 0.9 * len(filled)
+    return numbers >= 0.9 * len(filled)
 
 
 def _lines(file: Path, shown_as: Path) -> tuple[list[str], str]:
@@ -203,7 +206,7 @@ def split(line: str, separator: str) -> list[str]:
 
 def is_value(cell: str) -> bool:
     cell = cell.strip()
-    if len(cell) > 40 or not cell or not {*cell}.isdisjoint({*SEPARATORS} - {","}):
+    if len(cell) > 40 or not cell or not _OTHER_SEPARATORS.isdisjoint(cell):
         return False
     dated = cell[0].isdigit() and any(mark in cell for mark in ":-/") and not re.search(r": *[A-Za-z]", cell)
     return dated or any(form.fullmatch(cell) for form in (_NUMBER, _DIGITS, _GROUPED))
