@@ -4,6 +4,7 @@ from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,21 @@ def several(cases: Iterable[tuple[Any, ...]], each: int = 2) -> list[Any]:
     return [
         pytest.param(*case, marks=() if k % each == 0 else pytest.mark.long) for k, case in enumerate(cases)
     ]
+
+
+def diagonal(*values: Iterable[Any]) -> list[Any]:
+    """Cases of a parametrized test, all combinations of the values; the quick tests have each value, but few pairs.
+
+    A value that is a tuple is several parameters.
+    """
+    lists = [list(of) for of in values]
+    quick = {tuple(k % len(of) for of in lists) for k in range(max(map(len, lists)))}
+    cases: list[Any] = []
+    for at in product(*(range(len(of)) for of in lists)):
+        case = [of[k] for of, k in zip(lists, at, strict=True)]
+        flat = [part for value in case for part in (value if isinstance(value, tuple) else (value,))]
+        cases.append(pytest.param(*flat, marks=() if at in quick else pytest.mark.long))
+    return cases
 
 
 def require(module: str, reason: str) -> None:

@@ -587,6 +587,7 @@ def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives
     assert sigmaswarm("evaluate", "part", second).out.startswith("On 1 drive that the tuning did not use")
 
 
+@pytest.mark.usefixtures("unoptimized")
 def test_what_is_next_for_one_log_can_be_pasted(sigmaswarm, drives: Path, here: Path):
     """Also where a folder was named that contains the drive, and where names have blanks."""
     drive = replace(read_drive(min(drives.iterdir())), name="it's monday")

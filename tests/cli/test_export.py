@@ -198,6 +198,7 @@ def test_a_new_export_removes_what_was_built_from_an_earlier_one(
     assert "libins_gps.so: cannot open shared object file" in loaded.stderr
 
 
+@pytest.mark.usefixtures("unoptimized")
 def test_export_says_how_to_go_on(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
     drive = drives / "urban-clear-00"
     said = sigmaswarm("export", tuned, "--to", "filterpy", "--out", "py").out

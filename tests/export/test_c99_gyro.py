@@ -16,7 +16,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.simulation.scenarios import simulate
-from support import make_drive, quickly
+from support import make_drive, quickly, some
 
 KINDS = {"planar8": "ukf", "tilted12": "ekf"}
 OFF = np.radians([9.0, -6.0, 14.0])
@@ -165,7 +165,7 @@ def test_its_alignment_has_the_evidence_of_the_library(tmp_path: Path):
 
 
 @needs_gcc
-@pytest.mark.parametrize("flags", [(), ("-DINS_GPS_FLOAT",)], ids=["double", "float"])
+@pytest.mark.parametrize("flags", some([(), ("-DINS_GPS_FLOAT",)]), ids=["double", "float"])
 def test_its_own_alignment_sees_the_tilts(tmp_path: Path, flags: tuple[str, ...]):
     drive = simulate("urban", terrain="hilly", gps="white-1m", imu="icm-20602", duration=30.0, seed=3)
     p = replace(filter_of("tilted12"), bias_std=(0.02, 1e-3))

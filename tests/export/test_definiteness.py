@@ -9,7 +9,7 @@ import pytest
 
 from exported import build
 from filter_cases import OPTIONS, WEIGHED, parameters
-from support import quickly
+from support import quickly, several
 
 MAIN = """
 #include <stdio.h>
@@ -76,8 +76,10 @@ def test_a_sound_filter_has_not_failed(name: str, flags: tuple[str, ...], tmp_pa
     assert least > -1e-3
 
 
-@pytest.mark.parametrize("flags", [(), ("-DINS_GPS_FLOAT",)], ids=["double", "float"])
-@pytest.mark.parametrize("fixes", [0, 1])
+@pytest.mark.parametrize(
+    ("fixes", "flags"),
+    several([(0, ()), (0, ("-DINS_GPS_FLOAT",)), (1, ()), (1, ("-DINS_GPS_FLOAT",))], 3),
+)
 @pytest.mark.parametrize(
     ("i", "j", "covariance"), quickly([(0, 2, 1.5), (1, 4, -0.3), (2, 3, 0.9)], lambda i, *_: i == 0)
 )

@@ -42,7 +42,7 @@ def numbers_in_c(folder: Path) -> list[float]:
 
 
 @needs_gcc
-@pytest.mark.parametrize("change", some(EXPORTABLE), ids=str)
+@pytest.mark.parametrize("change", some(EXPORTABLE, 4), ids=str)
 def test_c_keeps_every_bit_and_compiles_but_for_a_float_that_is_too_small(
     tmp_path: Path, change: dict[str, Any]
 ):
@@ -61,7 +61,7 @@ def test_c_keeps_every_bit_and_compiles_but_for_a_float_that_is_too_small(
     assert ("parameters beyond the range of float" in done.stderr) == (not fits)
 
 
-@pytest.mark.parametrize("change", some(EXPORTABLE), ids=str)
+@pytest.mark.parametrize("change", some(EXPORTABLE, 4), ids=str)
 def test_the_script_states_the_same_numbers(tmp_path: Path, change: dict[str, Any]):
     p = replace(P, **change)
     (path,) = export_filter(p, "filterpy", tmp_path)

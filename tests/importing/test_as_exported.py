@@ -24,7 +24,7 @@ from sigmaswarm.importing.convert import Request
 from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.row_times import _gaps_of, gaps_by_distance
-from support import some
+from support import diagonal, some
 
 N, HZ, EVERY = 800, 20, 4
 T = np.arange(N) / HZ
@@ -134,8 +134,7 @@ RESTARTED: Columns = {
 }
 
 
-@pytest.mark.parametrize("first", [70, 110, 150])
-@pytest.mark.parametrize("head", RESTARTED)
+@pytest.mark.parametrize(("head", "first"), diagonal(RESTARTED, (70, 110, 150)))
 def test_a_clock_that_restarts_before_the_first_fix(tmp_path: Path, head: str, first: int):
     """The fixes begin 14 to 30 s after the IMU; the clocks restart after 10 to 13 s, and micros every 17 s."""
     imu = pl.DataFrame({head: RESTARTED[head], **IMU})
@@ -157,12 +156,11 @@ def test_recordings_of_a_minute_are_no_seconds_of_the_minute(tmp_path: Path):
 
 
 def test_names_of_zones_are_hours(tmp_path: Path):
-    for zone, ahead in (("GMT", 0), ("CEST", 2), ("EDT", -4), ("JST", 9), ("+0530", 5.5), ("-03", -3)):
+    for zone, ahead in (("EDT", -4), ("JST", 9), ("+0530", 5.5), ("-03", -3)):
         write(
             tmp_path,
             clock=lambda t, by=ahead, zone=zone: dates(t + by * 3600, f"%Y-%m-%d %H:%M:%S.%f {zone}"),
         )
-        require_right(tmp_path)
         assert imported(tmp_path).drive.metadata["time_origin_s"] == EPOCH
 
 
@@ -286,9 +284,7 @@ FLAGS = [
 ]
 
 
-@pytest.mark.parametrize(("name", "bad", "good"), FLAGS)
-@pytest.mark.parametrize("tenths", [1, 4, 6])
-@pytest.mark.parametrize("noise", [0.0, 2e-3])
+@pytest.mark.parametrize(("name", "bad", "good", "tenths", "noise"), diagonal(FLAGS, [1, 4, 6], [0.0, 2e-3]))
 def test_flags(tmp_path: Path, name: str, bad: object, good: object, tenths: int, noise: float):
     """Fixes without a fix are 200 m off, or scatter; more than a fifth of them are left out as well."""
     wrong = np.arange(N // EVERY) // 2 % 10 < tenths
@@ -308,10 +304,12 @@ def test_flags_that_the_positions_contradict(tmp_path: Path, name: str, other: o
     assert len(imported(tmp_path, maps=options_in(said)[0]).drive.gps) == N // EVERY // 2
 
 
-@pytest.mark.parametrize("name", ["mode", "state"])
-@pytest.mark.parametrize("words", [("NONE", "AUTO"), ("NONE", "FOLLOW_GPS"), ("INVALID", "ACTIVE")])
-def test_words_of_an_autopilot_are_no_flags(tmp_path: Path, name: str, words: tuple[str, str]):
-    write(tmp_path, gps=FIXES | {name: np.array([words[k > 30] for k in range(N // EVERY)])})
+@pytest.mark.parametrize(
+    ("name", "first", "then"),
+    diagonal(["mode", "state"], [("NONE", "AUTO"), ("NONE", "FOLLOW_GPS"), ("INVALID", "ACTIVE")]),
+)
+def test_words_of_an_autopilot_are_no_flags(tmp_path: Path, name: str, first: str, then: str):
+    write(tmp_path, gps=FIXES | {name: np.array([then if k > 30 else first for k in range(N // EVERY)])})
     require_right(tmp_path)
 
 
@@ -383,8 +381,7 @@ STRAY: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 
 
-@pytest.mark.parametrize("case", STRAY)
-@pytest.mark.parametrize("count", [1, 5, 15])
+@pytest.mark.parametrize(("case", "count"), diagonal(STRAY, (1, 5, 15)))
 def test_few_wrong_times_are_no_recording(tmp_path: Path, case: str, count: int):
     write(tmp_path, clock=lambda t: t + EPOCH)
     table = pl.read_csv(tmp_path / "gps.csv")
@@ -430,8 +427,7 @@ def test_rows_are_counted_where_fractions_are_wrong(tmp_path: Path, case: str):
     require_right(tmp_path, maps=options_in(str(caught.value))[0])
 
 
-@pytest.mark.parametrize("names", ["{}", "ecef_{}", "ECEF {}"])
-@pytest.mark.parametrize("south", [1, -1])
+@pytest.mark.parametrize(("names", "south"), diagonal(["{}", "ecef_{}", "ECEF {}"], [1, -1]))
 def test_coordinates_from_the_center_of_the_earth(tmp_path: Path, names: str, south: int):
     lat, lon = np.radians(south * FIXES["lat"]), np.radians(FIXES["lon"] - 100)
     radius = 6378137 / np.sqrt(1 - 6.69437999014e-3 * np.sin(lat) ** 2) + 400
@@ -543,8 +539,7 @@ HZS = {
 }
 
 
-@pytest.mark.parametrize("unit", HZS)
-@pytest.mark.parametrize("form", ["three", "yaw_rate", "tilted", "unknown"])
+@pytest.mark.parametrize(("unit", "form"), diagonal(HZS, ["three", "yaw_rate", "tilted", "unknown"]))
 def test_the_turns_of_the_fixes_show_the_unit_of_rates(tmp_path: Path, unit: str, form: str):
     rates = {n: IMU[n] / HZS[unit] for n in ("gx", "gy", "gz")}
     if form == "tilted":
@@ -745,8 +740,7 @@ JSON: dict[str, Callable[[], str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("form", JSON)
-@pytest.mark.parametrize("name", ["log.json", "log.txt"])
+@pytest.mark.parametrize(("form", "name"), diagonal(JSON, ["log.json", "log.txt"]))
 def test_json(tmp_path: Path, form: str, name: str):
     (tmp_path / name).write_text(JSON[form]())
     require_right(tmp_path / name)

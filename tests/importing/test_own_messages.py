@@ -21,7 +21,7 @@ from sigmaswarm.importing.convert import Request, import_drive
 from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.source import TableChoice
 from sigmaswarm.simulation import simulate
-from support import quickly, some
+from support import quickly, several, some
 
 DRIVE = a_drive(5.0)
 IMU, GPS = DRIVE.imu, DRIVE.gps
@@ -276,7 +276,7 @@ def test_protobuf(tmp_path: Path, stamped: str):
 
 
 @pytest.mark.parametrize(
-    ("kind", "number"), [("ros1", "Float64"), ("mcap", "Float32"), ("sqlite3", "Float64")]
+    ("kind", "number"), several([("mcap", "Float32"), ("ros1", "Float64"), ("sqlite3", "Float64")], 3)
 )
 def test_arrays_of_numbers_are_recognized_by_their_values(tmp_path: Path, kind: str, number: str):
     drive = simulate("urban", duration=60.0, imu_rate=50.0, run=1, gps="white-1m")

@@ -5,6 +5,7 @@ import shlex
 import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.shared_frame import require_same_axes
 from sigmaswarm.importing.source import Part, TableChoice
 from sigmaswarm.importing.units import parse_unit
-from support import quickly, some
+from support import quickly, several, some
 
 DRIVE = a_drive()
 IMU, GPS, TRUTH = DRIVE.imu, DRIVE.gps, DRIVE.truth
@@ -671,9 +672,13 @@ FRAMES: dict[str, complex] = {
 }
 
 
-@pytest.mark.parametrize("frame", FRAMES)
-@pytest.mark.parametrize("mirrored", [False, True])
-@pytest.mark.parametrize("place", ["lat,lon", "x,y"])
+@pytest.mark.parametrize(
+    ("frame", "mirrored", "place"),
+    quickly(
+        product(FRAMES, (False, True), ("lat,lon", "x,y")),
+        lambda _, mirrored, place: mirrored == (place == "x,y"),
+    ),
+)
 def test_a_truth_with_other_axes_is_refused_and_the_remedy_helps(
     tmp_path: Path, frame: str, mirrored: bool, place: str
 ):
@@ -712,8 +717,9 @@ def test_the_remedy_for_a_turned_truth_is_a_rotation(degrees: float):
     )
 
 
-@pytest.mark.parametrize("place", ["lat,lon", "x,y"])
-@pytest.mark.parametrize("late", [-18.23, 4.37])
+@pytest.mark.parametrize(
+    ("late", "place"), several([(-18.23, "lat,lon"), (-18.23, "x,y"), (4.37, "lat,lon"), (4.37, "x,y")], 3)
+)
 def test_a_truth_with_another_clock_is_told_with_the_offset(tmp_path: Path, place: str, late: float):
     drive = simulate("urban", run=3, duration=60.0, gps="white-1m")
     columns = {n: v for n, v in vars(drive.imu).items() if v is not None}

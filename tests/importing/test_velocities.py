@@ -184,7 +184,7 @@ RIGHT: dict[str, Callable[[], Columns]] = {
 }
 
 
-@pytest.mark.parametrize("case", some(RIGHT))
+@pytest.mark.parametrize("case", some(RIGHT, 3))
 def test_a_right_speed_and_course_stay(tmp_path: Path, case: str):
     got = loaded(tmp_path, RIGHT[case]())
     assert got.drive.gps.speed is not None and got.drive.gps.course is not None, got.notes
