@@ -49,10 +49,29 @@ LONG_PAGES = (
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave some pages to `make test-long`, before pytest selects by marker."""
+    """Leave some pages to `make test-long`, before pytest selects by marker; begin with the workbench.
+
+    Its tests take up to half a minute: at the end, one process would wait for another.
+    """
+    items.sort(key=lambda item: not item.nodeid.startswith("tests/workbench"))
     for item in items:
         if item.nodeid.startswith(LONG_PAGES):
             item.add_marker(pytest.mark.long)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
+    """Simulate drives of a minute, not of three, for the example of README.md, which tunes and evaluates."""
+    if not item.nodeid.startswith("README.md"):
+        return (yield)
+    import sigmaswarm
+
+    simulate = sigmaswarm.simulate
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            sigmaswarm, "simulate", lambda *given, **more: simulate(*given, **more | {"duration": 60})
+        )
+        return (yield)
 
 
 def pytest_collection_finish() -> None:

@@ -103,7 +103,7 @@ def test_a_killed_worker_changes_no_bit_and_the_next_one_takes_over(folders, on_
                 running.kill("worker-0")
             if progress.generation == 2:
                 running.kill("worker-1")  # nobody is left, and one comes while the tuning waits
-                threading.Timer(6.0, running.add).start()
+                threading.Timer(3.0, running.add).start()
 
         with pytest.warns(match="no worker is left at tcp://127.0.0.1:.*: waiting for a worker"):
             asked = {"validation": folders[3:], "out": tmp_path / "out", "progress": disturb}

@@ -42,28 +42,10 @@ def tab_to(page: Any, name: str) -> None:
     raise AssertionError(f"Tab does not lead to {name}")
 
 
-def test_repair_and_back(tmp_path: Path, serve: Any, tab: Any):
-    """One click mends, one takes it back in another tab; the original stays."""
+def test_cuts(tmp_path: Path, serve: Any, tab: Any):
+    """One click repairs or cuts a copy, one in another tab takes it back; both tabs show this; the original stays."""
     original = wrong_sign(tmp_path / "bench")
     before = (original / "imu.csv").read_bytes()
-    served = serve(tmp_path / "bench")
-    page = tab(served.url + "check")
-    page.get_by_role("button", name="Repair: gyro-sign").click()
-    page.get_by_text("repaired: gyro-sign").wait_for()
-    page.get_by_role("heading", name="No serious finding").wait_for()
-    checked = original.with_name("monday-checked")
-    mended = sigmaswarm.read_drive(checked)
-    np.testing.assert_allclose(mended.imu.gz, -sigmaswarm.read_drive(original).imu.gz)
-    other = tab(served.url + "check")
-    other.get_by_role("button", name="Undo: repaired: gyro-sign").click()
-    page.get_by_role("button", name="Repair: gyro-sign").wait_for()
-    assert not checked.exists()
-    assert (original / "imu.csv").read_bytes() == before
-
-
-def test_cuts(tmp_path: Path, serve: Any, tab: Any):
-    """Cuts keep a part or leave it out, also after a repair, and another tab shows this."""
-    original = wrong_sign(tmp_path / "bench")
     served = serve(tmp_path / "bench")
     page, other = tab(served.url + "check"), tab(served.url + "check")
     page.get_by_role("button", name="Repair: gyro-sign").click()
@@ -71,6 +53,8 @@ def test_cuts(tmp_path: Path, serve: Any, tab: Any):
         one.get_by_text("repaired: gyro-sign").wait_for()
     page.get_by_role("heading", name="No serious finding").wait_for()
     checked = original.with_name("monday-checked")
+    mended = sigmaswarm.read_drive(checked)
+    np.testing.assert_allclose(mended.imu.gz, -sigmaswarm.read_drive(original).imu.gz)
     page.get_by_label("to, s").fill("40")
     page.get_by_role("button", name="Keep only this part").click()
     page.get_by_text("kept only 0 to 40 s").wait_for()
@@ -81,6 +65,7 @@ def test_cuts(tmp_path: Path, serve: Any, tab: Any):
     page.get_by_role("button", name="Undo: kept").click()
     page.get_by_text("kept only").wait_for(state="hidden")
     assert not checked.exists()
+    assert (original / "imu.csv").read_bytes() == before
     page.get_by_label("from, s").fill("20")
     page.get_by_label("to, s").fill("25")
     page.get_by_role("button", name="Remove this part").click()

@@ -15,7 +15,7 @@ import sigmaswarm
 from importing.logs import ORIGIN
 from processes import COMMAND, Process
 from sigmaswarm.drives.drive import Drive
-from support import make_drive
+from support import make_drive, quickly
 
 expect = pytest.importorskip("playwright.sync_api").expect
 expect.set_options(timeout=60_000)
@@ -170,10 +170,18 @@ def tune_and_export(page: Any, folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("write", "prepare"), [(odd_csv, name_columns), (phone, find_mounting), (bag, set_offset)]
+    ("write", "prepare", "onward"),
+    quickly(
+        [
+            (w, p, far)
+            for w, p in ((odd_csv, name_columns), (phone, find_mounting), (bag, set_offset))
+            for far in (0, 1)
+        ],
+        lambda write, _, onward: onward == (write is odd_csv),
+    ),
 )
-def test_road(write: Any, prepare: Any, tmp_path: Path, serve: Any, tab: Any):
-    """To a drive that the shown command makes, too, and on to a filter in C."""
+def test_road(write: Any, prepare: Any, onward: int, tmp_path: Path, serve: Any, tab: Any):
+    """To a drive that the shown command makes, too, and ``onward`` to a filter in C."""
     files = write(tmp_path / "log")
     served = serve(tmp_path / "bench")
     page = tab(served.url)
@@ -185,7 +193,8 @@ def test_road(write: Any, prepare: Any, tmp_path: Path, serve: Any, tab: Any):
     line = page.locator("pre").inner_text()
     page.get_by_role("link", name="Next: check the drive").click()
     page.get_by_role("heading", name="No serious finding").wait_for()
-    tune_and_export(page, served.folder)
+    if onward:
+        tune_and_export(page, served.folder)
     (made,) = [
         name for name in sorted(p.name for p in (served.folder / "drives").iterdir()) if "-t" not in name
     ]
