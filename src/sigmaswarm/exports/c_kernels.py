@@ -49,7 +49,7 @@ def kernels_of(
         **{"stores_innovation": features["USE_NIS"] or features["USE_LANES"], "gated": features["USE_GATE"]},
         **{"fading": features["USE_STRONG_TRACKING"], "fuzzy": features["USE_FUZZY"]},
         **{"robust": features["USE_ROBUST"], "adapting": features["USE_ADAPTIVE"]},
-        "inflate_observed": Kernel(adaptive.inflate_observed, None, {"n": n}),
+        "inflate_observed": Kernel(adaptive.inflate_observed, n=n),
     }
     rows = _rows(p, values["Q"] + "[{}]", values["R"] + "[{}]", features)
     emitter = Emitter(rows, states, settings, {**NAMES_IN_C, "predict": f"predict_{p.model}"})

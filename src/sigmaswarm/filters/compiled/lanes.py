@@ -24,7 +24,7 @@ def kernel(function, **known):
 
     The first parameter of the function is the array of rows ``w``. A function with a lane ``l`` may return a value.
     """
-    return Kernel(function, None if config.DISABLE_JIT else put_loops, known)
+    return Kernel(function, None if config.DISABLE_JIT else put_loops, **known)
 
 
 _FLUSH_SUBNORMALS = 0x8040  # bits of an x86 control register that replace subnormal numbers by 0

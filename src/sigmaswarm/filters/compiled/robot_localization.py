@@ -27,7 +27,7 @@ from sigmaswarm.drives.timeline import (
 from sigmaswarm.filters.compiled.lanes import kernel, sincos
 from sigmaswarm.filters.compiled.layout import LANES, P, Q, R
 from sigmaswarm.filters.compiled.measurements import add_forecast, add_likelihood
-from sigmaswarm.filters.compiled.unroll import unrolled
+from sigmaswarm.filters.compiled.unroll import Generated
 
 USES_VY, USES_AY = LATERAL, STANDSTILL
 """Bits of a step: update with vy = 0 of a twist, and with the IMU's ay."""
@@ -117,7 +117,7 @@ def _update(w, z, *, state, noise, gate, correct):
 
 
 def _updated(state, noise, gate=0):
-    return kernel(_update, state=state, noise=noise, gate=gate, correct=unrolled(_correct, state=state))
+    return kernel(_update, state=state, noise=noise, gate=gate, correct=Generated(_correct, state=state))
 
 
 _update_gz, _update_ax, _update_ay = (
@@ -162,7 +162,7 @@ def _update_axis(w, *, state, noise, innovation, correct):
 
 
 _update_x, _update_y = (
-    kernel(_update_axis, state=i, noise=noise, innovation=nu, correct=unrolled(_correct, state=i))
+    kernel(_update_axis, state=i, noise=noise, innovation=nu, correct=Generated(_correct, state=i))
     for i, noise, nu in ((R.X, R.R1, R.N1), (R.Y, R.R2, R.N2))
 )
 

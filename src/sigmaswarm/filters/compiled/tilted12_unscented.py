@@ -32,7 +32,7 @@ from sigmaswarm.drives.timeline import AX, AY, AZ, DT, FIX_VAR_X, FIX_VAR_Y, FIX
 from sigmaswarm.filters.compiled.lanes import FAR, TINY, angle_of, kernel, sinc_cos, sincos, spread_of
 from sigmaswarm.filters.compiled.layout import BEND, C1, C2, EXTRA, LANES, PIVOT, ROOT, SHIFT, SLOPE, P, R
 from sigmaswarm.filters.compiled.tilted12 import fold
-from sigmaswarm.filters.compiled.unroll import unrolled
+from sigmaswarm.filters.compiled.unroll import Generated
 from sigmaswarm.filters.tilted import GRAVITY, MEASURED_FIRST, STEP_FIRST, N
 
 ADDED, POSITION = (R.U, R.V, R.I, R.J, R.T), (R.X, R.Y)
@@ -250,7 +250,7 @@ def _draw(w, u, *, j, point, sinc_cos, store):
 def _column(number, far):
     sinc = _sinc_cos_far if far else sinc_cos
     vector = _rotation_vector_far if far else _rotation_vector
-    point = unrolled(_point, j=number, sinc_cos=sinc, rotation_vector=vector)
+    point = Generated(_point, j=number, sinc_cos=sinc, rotation_vector=vector)
     store = _store_far if far else _store_near
     return kernel(_draw, j=number, point=point, sinc_cos=sinc, store=store)
 

@@ -84,13 +84,13 @@ Change = Callable[[ast.FunctionDef, Names], None]
 """A function of ``(definition, names)`` that changes generated code in place."""
 
 
-class Kernel:
-    """A function that callers inline, with bound keyword-only parameters; its code is generated when needed.
+class Generated:
+    """A function with bound keyword-only parameters; its code is generated when needed, not at import.
 
     ``known`` contains the values of keyword-only parameters and of globals.
     """
 
-    def __init__(self, function: Callable[..., Any], change: Change | None, known: Names) -> None:
+    def __init__(self, function: Callable[..., Any], change: Change | None = None, /, **known: Any) -> None:
         self.source, self._change, self.known = function, change, known
         self.__name__ = function.__name__
 
@@ -126,12 +126,16 @@ class Kernel:
         return self.function(*arguments)
 
 
+class Kernel(Generated):
+    """A function that callers inline as statements; it returns nothing."""
+
+
 def unrolled(function: Callable[..., Any], /, **known: Any) -> Callable[..., Any]:
     """Return the function with its keyword-only parameters bound to ``known``, and loops over states and rows unrolled.
 
     ``known`` can also contain globals.
     """
-    return Kernel(function, None, known).function
+    return Generated(function, **known).function
 
 
 def _with_retries(make: Callable[[], T]) -> T:
@@ -152,7 +156,7 @@ def _hash_of(known: Names) -> str:
     parts: list[str] = []
     for name, value in sorted(known.items(), key=lambda item: item[0]):
         called = getattr(value, "py_func", value)
-        named = value.name if isinstance(value, Kernel) else getattr(called, "__qualname__", None)
+        named = value.name if isinstance(value, Generated) else getattr(called, "__qualname__", None)
         parts.append(f"{name} {named or repr(value)}")
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
 
