@@ -35,7 +35,7 @@ The noise of the calmest second is too low an estimate.
 DEPARTS = 0.12  # m/s2, change of the forward or left acceleration of a departing car
 FOLLOWS = 1.0  # s, time constant with which the acceleration of the stop follows sensors that warm up
 FORGETS = 3.0  # s without a calm IMU and constant fixes after which a new stop begins
-SLOPE = 1.0  # m/s2, largest acceleration at rest on a level IMU, on slopes of 10%
+MAX_AT_REST = 1.0  # m/s2, largest acceleration at rest of a level IMU, on a slope of 10%
 CONFIRMED = 1.0  # s, duration after which a stop with a larger difference counts
 FIX_WINDOW = 3.0  # s, window in which the fixes must be constant
 FILLED = 1.5  # mean fix intervals, longest time from the start of the window to the first fix
@@ -216,15 +216,15 @@ def matches_stop(stop: Array, passed: float, means: Array) -> bool:
     """Return True if the acceleration still agrees with that of the stop, within `DEPARTS`.
 
     At the beginning of a constant acceleration the fixes can still seem constant. Therefore, a stop whose acceleration
-    differs by more than `SLOPE` from 0 and from that of the previous stop counts only after `CONFIRMED`.
+    differs by more than `MAX_AT_REST` from 0 and from that of the previous stop counts only after `CONFIRMED`.
 
     ``stop`` (3,) contains ax, ay of the stop, and the time (s) until it counts. The acceleration follows slow changes,
     and is replaced after `FORGETS`. ``passed`` (s) is the time since the last call. ``means`` (4,) are the means of ax,
     ay (m/s2) over the last second, then over the last quarter of a second.
     """
     if not passed <= FORGETS:
-        level = abs(means[0]) <= SLOPE and abs(means[1]) <= SLOPE
-        as_before = abs(means[0] - stop[0]) <= SLOPE and abs(means[1] - stop[1]) <= SLOPE
+        level = abs(means[0]) <= MAX_AT_REST and abs(means[1]) <= MAX_AT_REST
+        as_before = abs(means[0] - stop[0]) <= MAX_AT_REST and abs(means[1] - stop[1]) <= MAX_AT_REST
         known = level or (as_before and stop[2] <= 0.0)
         stop[0] = means[0]
         stop[1] = means[1]
