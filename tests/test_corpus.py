@@ -262,7 +262,12 @@ def test_interrupted_tunings_end_in_the_same_filter(
         "generations": 6,
     }
     options |= {"trials": 2, "seed": 3, "optimizer": optimizer}
+    without = tmp_path / "without-checkpoint"
+    shutil.copytree(out, without)
+    for checkpoint in without.glob("checkpoint-*.npz"):
+        checkpoint.unlink()  # the trial begins again, as in version 0.3.0: its first generation is uniform
     tuning = sigmaswarm.tune(drives, out=out, resume=True, **options)
+    assert sigmaswarm.tune(drives, out=without, resume=True, **options).parameters == tuning.parameters
     whole = sigmaswarm.FilterParameters.load(f"uninterrupted/{optimizer}")
     assert tuning.parameters == whole
     assert sigmaswarm.FilterParameters.load(out) == whole

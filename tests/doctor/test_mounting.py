@@ -257,6 +257,11 @@ def test_an_imu_that_was_moved_within_a_log_is_reported_with_its_time(axis: str,
     assert "split" in found["mounting-changed"].remedy
     assert not any(f.repair and f.repair.action in AXIS_ACTIONS for f in found.values())
     assert find_movement(drive) is None and find_turn(gather(drive)) is None
+    in_g = replace(
+        drive.imu, **{n: columns.get(n, getattr(drive.imu, n)) / 9.80665 for n in ("ax", "ay", "az")}
+    )
+    moved = find_movement(replace(drive, imu=in_g))
+    assert (moved is None) == (axis == "z")
 
 
 def handled(drive: Drive, begin: float, end: float, axis: str) -> Drive:

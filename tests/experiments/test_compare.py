@@ -54,7 +54,8 @@ def whole(tmp_path_factory) -> tuple[Comparison, Path]:
     return comparison, folder
 
 
-def test_each_run_is_a_tuning(whole):
+def test_each_run_is_a_tuning_from_a_uniform_generation(whole, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("sigmaswarm.tuning.tune._center", lambda problem: None)
     comparison, _ = whole
     tuning = tune(DRIVES, optimizer="pso", particles=8, generations=3, seed=2, scale="linear", **ASKED)
     run = comparison.runs["pso, linear"][2]

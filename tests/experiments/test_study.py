@@ -122,8 +122,11 @@ def test_as_many_tune_side_by_side_as_there_are_cores(whole: Study, monkeypatch:
     assert seen == [3, 3, 1, 0, 0]
 
 
-def test_a_trial_is_what_tune_finds(whole: Study, design: Design):
+def test_a_trial_is_what_tune_finds_from_a_uniform_generation(
+    whole: Study, design: Design, monkeypatch: pytest.MonkeyPatch
+):
     """The shared, prepared drives give the same bits as a tuning of its own on the same split."""
+    monkeypatch.setattr("sigmaswarm.tuning.tune._center", lambda problem: None)
     train = [design.drives[i] for i in design.split(0)[0]]
     asked = {
         "pso-planar8": design.tune_config("pso-planar8", "honest").model_dump() | {"trials": 1},

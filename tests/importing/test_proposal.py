@@ -12,12 +12,20 @@ import polars as pl
 import pytest
 
 from sigmaswarm import import_log
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic
 from sigmaswarm.importing.convert import Request, import_drive
 from sigmaswarm.importing.inspection import inspect_request
-from sigmaswarm.importing.proposal import Meaning, Proposal, check_proposal, meaning_of, propose_columns
+from sigmaswarm.importing.proposal import (
+    CHECKED_TIME,
+    Meaning,
+    Proposal,
+    _busiest_part,
+    check_proposal,
+    meaning_of,
+    propose_columns,
+)
 from sigmaswarm.importing.source import TableChoice
 from sigmaswarm.simulation.scenarios import simulate
 from support import quickly, some
@@ -365,3 +373,14 @@ def test_rates_of_an_unknown_unit_are_not_imported(tmp_path: Path):
     pl.DataFrame({"t": gps.time, "lat": lat, "lon": lon}).write_csv(tmp_path / "gps.csv")
     seen = inspect_request(Request(tmp_path / "imu.csv", gps=tmp_path / "gps.csv"))
     assert not seen.works and "the doctor still finds gyro-unit" in seen.evidence
+
+
+def test_the_checked_part_of_a_long_log_lies_within_the_imu():
+    """The car is fastest after the end of the IMU's samples."""
+    imu, fixes = np.arange(0.0, 1500.0, 0.5), np.arange(0.0, 5000.0)
+    zeros = np.zeros(len(imu))
+    speed = np.where(fixes > 2000, 30.0, np.where(fixes > 500, 5.0, 1.0))
+    drive = Drive("long", Imu(imu, zeros, zeros, zeros), Gps(fixes, np.cumsum(speed), 0 * fixes))
+    part = _busiest_part(drive)
+    assert part.duration == pytest.approx(CHECKED_TIME, abs=2)
+    assert part.imu.time[0] >= 500

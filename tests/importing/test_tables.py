@@ -779,7 +779,9 @@ def test_spellings_of_units(text: str):
     assert unit is not None and unit.known
 
 
-@pytest.mark.parametrize("text", ["parsec", "m/foo", "rad^2", "bananas/s", "m" * 500, "V", "16 g", "250 dps"])
+@pytest.mark.parametrize(
+    "text", ["parsec", "m/foo", "rad^2", "bananas/s", "m" * 500, "V", "16 g", "250 dps", "0s", "1e999s"]
+)
 def test_what_is_no_unit_is_unknown(text: str):
     unit = parse_unit(text)
     assert unit is not None and not unit.known

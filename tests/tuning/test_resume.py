@@ -364,3 +364,14 @@ def test_a_search_from_a_start_is_resumed_with_the_same_bits(tmp_path: Path):
     interrupted(DRIVES, tmp_path / "killed", 2, **options)
     tune(DRIVES, out=tmp_path / "killed", resume=True, **options)
     assert contents(tmp_path / "killed") == contents(tmp_path / "whole")
+
+
+def test_a_run_that_lacks_later_entries_of_its_drives_is_resumed(tmp_path: Path):
+    interrupted(DRIVES, tmp_path / "run", 2, **OPTIONS)
+    file = tmp_path / "run" / "config.json"
+    config = json.loads(file.read_text())
+    assert config.pop("center")
+    for drive in config["data"]:
+        drive["slow"] = True  # as another version could save it
+    file.write_text(json.dumps(config))
+    assert tune(DRIVES, out=tmp_path / "run", resume=True, **OPTIONS).cost > 0

@@ -90,7 +90,7 @@ def test_the_first_generation_is_around_the_baseline():
     start = space.point_of(baseline_of(DRIVES[0], "planar5", ()))
     rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(0,)))
     rng.uniform(size=(6, 10))
-    points = np.clip(rng.normal(start, 0.1 * (space.high - space.low), (6, 10)), space.low, space.high)
+    points = np.clip(rng.normal(start, 0.3 * (space.high - space.low), (6, 10)), space.low, space.high)
     points[0] = start
     costs = run_batch(DRIVES, space.decode(points)).costs
     (trial,) = tuning.trials

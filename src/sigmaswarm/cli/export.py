@@ -145,8 +145,8 @@ def _notes(target: AnyTarget, record: "TuningRecord", *, replay: bool) -> Iterat
 
     if target == "c99" and record.data and all(drive.slow for drive in record.data):
         yield (
-            "note: the training drives never travel 20 m within 6 s (12 km/h). For such drives the alignment in C "
-            "finds no start: compute the initial state in your program, and pass it to ins_gps_init() (README.md)"
+            "note: the training drives rarely travel 20 m within 6 s (12 km/h). The alignment in C finds no start "
+            "before such a part: compute the initial state in your program, and pass it to ins_gps_init() (README.md)"
         )
 
 

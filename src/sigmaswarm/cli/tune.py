@@ -138,7 +138,7 @@ def tune(
     files = f"filter:   {out / 'tuning.toml'}", f"pictures: {', '.join(map(str, pictures))}"
     record = TuningRecord.read(out)
     lines = [*before, *_costs(tuning), *_remarks(tuning, record, track, drives), *files]
-    print_result(options.json, tuning.to_dict(), *lines)  # printed last, so that an error is a single line
+    print_result(options.json, tuning.to_dict(), *lines)
     if warn_of_unusable(out, record) and not remedies:
         after = [
             "next:     sigmaswarm doctor DRIVE    (check the training drives, then tune as stated above)"

@@ -105,7 +105,7 @@ def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | Sta
 
 
 def is_slow(drive: Drive) -> bool:
-    """Return True if the fixes rarely move `MIN_TRAVEL` within `MAX_DURATION`, so no usual start is possible."""
+    """Return True if the fixes rarely move `MIN_TRAVEL` within `MAX_DURATION`, as a usual start requires."""
     usable = np.isfinite(drive.gps.x + drive.gps.y)
     time, position = drive.gps.time[usable], (drive.gps.x + 1j * drive.gps.y)[usable]
     first = np.searchsorted(time, time - MAX_DURATION)

@@ -27,7 +27,7 @@ class DriveRecord(BaseModel):
     has_truth: bool | None = None
     imu_mounting_deg: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
     imu_axes: dict[str, str] = Field(default_factory=dict)
-    slow: bool = False  # True if the vehicle never travels far enough for the usual alignment
+    slow: bool = False  # True if the vehicle rarely travels far enough for the usual alignment
     sha256: str = ""
     receiver_std_m: float | None = None  # standard deviation of the fixes per axis, stated or from noise
     # Of an evaluated drive: fraction of the scored time with known truth; start of filters and scores, s after the

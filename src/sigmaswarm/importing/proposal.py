@@ -199,12 +199,14 @@ def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tup
 
 def _busiest_part(drive: Drive) -> Drive:
     """Return the part of at most `CHECKED_TIME` with the longest path along the fixes, smoothed over ten fixes."""
-    position, time = drive.gps.x + 1j * drive.gps.y, drive.gps.time
+    imu = drive.imu.time
+    fixes = drive.gps.select((drive.gps.time >= imu[0]) & (drive.gps.time <= imu[-1]))
+    position, time = fixes.x + 1j * fixes.y, fixes.time
     if drive.duration <= CHECKED_TIME or len(time) < 20:
         return drive
     path = np.append(0.0, np.cumsum(np.abs(np.diff(position[::10]))))
     ends = np.interp(time[::10] + CHECKED_TIME, time[::10], path)
-    start = max(float(time[::10][np.argmax(ends - path)]), float(drive.imu.time[0]))
+    start = float(time[::10][np.argmax(ends - path)])
     return clip(drive, start, start + CHECKED_TIME)
 
 

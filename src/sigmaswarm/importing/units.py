@@ -117,6 +117,8 @@ def parse_unit(text: str) -> Unit | None:
         return Unit(text, *word)
     if scaled := re.fullmatch(r"(\d+(?:\.\d+)?(?:e-?\d+)?) *([^\d.].*)", plain):  # 0.001 s, 10us
         whole, factor = parse_unit(scaled[2]), float(scaled[1])
+        if not 0 < factor < math.inf:
+            return Unit(text, None, 0.0)
         if factor < 1 or (whole and whole.dimension == "time"):  # "16 g" is the range of a sensor
             return whole and Unit(text, whole.dimension, factor * whole.factor)
     powers, factor, sign, at = {"L": 0, "T": 0, "A": 0}, 1.0, 1, 0

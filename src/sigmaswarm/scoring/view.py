@@ -280,7 +280,7 @@ class EvaluationView:
         """Return a sentence for each outage drift, and for the heading error, that some drives lack."""
         slow = f"never exceeds {MIN_HEADING_SPEED:g} m/s according to the truth"
         reasons = dict.fromkeys(DRIFTS, "can't contain such an outage") | {"heading_rmse_deg": slow}
-        blind = {drive.name for drive in self.setup.data if drive.has_truth is False}
+        blind = {drive.name for drive in self.setup.data if not drive.has_truth}
         sentences: list[str] = []
         for m, reason in reasons.items():
             lacking = [
@@ -320,9 +320,9 @@ class EvaluationView:
 def accuracy_section(view: EvaluationView) -> str:
     """Return the section on accuracy in README.md of an exported configuration of robot_localization."""
     names = {**view.names, BASELINE: "default process noise, same inputs", "tuned": "ekf.yaml"}
-    table = replace(view, names=names).mean_table()
+    named = replace(view, names=names)
     drives = ", ".join(view.scores.drives)
-    return "\n".join([f"\n## Accuracy on {drives}\n", table.to_markdown(), view.result(), ""])
+    return "\n".join([f"\n## Accuracy on {drives}\n", named.mean_table().to_markdown(), named.result(), ""])
 
 
 def explained_consistency(nees: bool) -> str:

@@ -27,6 +27,10 @@ from sigmaswarm.wording import list_names, printable
 MAX_LENGTH = 120  # characters of a value in a message
 
 
+CENTER = "center"
+"""Key of the point, by parameter, around which the first generation is drawn; without it, the generation is uniform."""
+
+
 class ConfigRecord(BaseModel, extra="allow"):
     versions: dict[str, str] = Field(default_factory=dict)
 
@@ -78,6 +82,7 @@ def saved_options(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Return the options and the data of the tuning in a folder, to resume it with `tune`."""
     record = load_record(ConfigRecord, path / "config.json", "not written by a tuning", infinite=True)
     config = _with_current_names(record.model_extra)
+    config.pop(CENTER, None)
     if "start" in config:
         raise InputError(
             f"{path}: the tuning was started with --start; repeat its first command and add --resume"
@@ -140,9 +145,15 @@ def _short(key: str, value: Any) -> str:
     return f"{printable(key)} = {printable(value, MAX_LENGTH)}"
 
 
-def _require_same(file: Path, config: dict[str, Any]) -> None:
+def _require_same(file: Path, config: dict[str, Any]) -> dict[str, float] | None:
+    """Raise `InputError` unless a saved configuration is the same; return its center of the first generation."""
     record = load_record(ConfigRecord, file, "not written by a tuning; choose another --out", infinite=True)
     saved, wanted = _with_current_names(record.model_extra), json.loads(json.dumps(config))
+    center, _ = saved.pop(CENTER, None), wanted.pop(CENTER, None)
+    for config in (saved, wanted):
+        for drive in (*config.get("data", []), *config.get("validation", [])):
+            if isinstance(drive, dict):
+                cast(dict[str, Any], drive).pop("slow", None)  # version 0.3.0 does not save it
     if not same_results(record.versions, wanted.pop("versions", {})):
         made = list_names(" ".join(one) for one in record.versions.items())
         raise InputError(
@@ -155,6 +166,7 @@ def _require_same(file: Path, config: dict[str, Any]) -> None:
             f"{file}: was started with {old}, but this command has {new}; "
             "repeat the first command, or choose another --out"
         )
+    return center
 
 
 class ResultFolder:
@@ -163,15 +175,18 @@ class ResultFolder:
     With ``resume`` the folder may contain a run with the same configuration. Raises `InputError` if the folder contains
     another tuning, or if it contains any tuning and ``resume`` is False. The message proposes ``--resume`` only if the
     configuration is the same.
+
+    ``center`` is the `CENTER` of the configuration. A resumed run has the saved one, since version 0.3.0 saves none.
     """
 
     def __init__(self, path: Path, config: dict[str, Any], *, resume: bool) -> None:
         self.path, file = make_folder(path), path / "config.json"
+        self.center: dict[str, float] | None = config.get(CENTER)
         if not file.exists():
             write_json(file, config)
             return
         if resume:
-            _require_same(file, config)
+            self.center = _require_same(file, config)
             return
         remedy = f"its drives or options differ; choose another folder, for example --out {free_path(path)}"
         with suppress(InputError):

@@ -29,6 +29,7 @@ from sigmaswarm.filters.presets import filter_for
 from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.tuning.config import (
     MODEL_REMEDIES,
+    PAPER_OPTIONS,
     ModelTuneConfig,
     TuneConfig,
     current_options,
@@ -45,7 +46,7 @@ from sigmaswarm.tuning.result import Tuning, Validation
 from sigmaswarm.tuning.search import Progress, TrialRunner
 from sigmaswarm.tuning.sensitivity import sensitivities
 from sigmaswarm.tuning.space import SearchSpace
-from sigmaswarm.tuning.store import ResultFolder
+from sigmaswarm.tuning.store import CENTER, ResultFolder
 from sigmaswarm.versions import versions
 
 if TYPE_CHECKING:
@@ -137,12 +138,13 @@ def tune(
     problem, held_back, first = _problem_of(drives, validation, options, start, (executor, cluster))
     with ExitStack() as stack:
         folder = None
+        center = _center(problem) if first is None else first
         if out is not None:  # created only after all checks of the input
             place = stack.enter_context(locked_folder(Path(out)))
-            folder = tuning_folder(place, problem, resume=bool(resume), start=first)
+            folder = tuning_folder(place, problem, resume=bool(resume), start=first, center=center)
+            center = None if folder.center is None else np.array([*folder.center.values()])
         marks = _landmarks_of(problem, folder)
         pool = executor or stack.enter_context(ThreadPoolExecutor(cores()))
-        center = problem.baseline_point() if first is None and not paper else first
         options = {
             "held_back": held_back,
             "folder": folder,
@@ -225,12 +227,25 @@ def start_point(space: SearchSpace, given: FilterParameters) -> Array:
     return space.point_of(given)
 
 
+def _center(problem: Problem[Any]) -> Array | None:
+    """Return the baseline's point; None for a custom model, and for the paper's settings, whose swarm is uniform."""
+    config = problem.config.model_dump()
+    papers = all(config.get(name) == value for name, value in PAPER_OPTIONS.items())
+    return None if papers else problem.baseline_point()
+
+
 def tuning_folder(
-    path: Path, problem: Problem[Any], *, resume: bool, start: Array | None = None
+    path: Path,
+    problem: Problem[Any],
+    *,
+    resume: bool,
+    start: Array | None = None,
+    center: Array | None = None,
 ) -> ResultFolder:
     wanted = {**problem.config.model_dump(mode="json"), "data": problem.data, "versions": versions()}
-    if start is not None:
-        wanted["start"] = dict(zip(problem.space.names, start.tolist(), strict=True))
+    for name, point in (("start", start), (CENTER, center)):
+        if point is not None:
+            wanted[name] = dict(zip(problem.space.names, point.tolist(), strict=True))
     return ResultFolder(path, wanted, resume=resume)
 
 

@@ -21,6 +21,9 @@ MIN_MOVEMENT, MIN_MOVEMENT_RATIO = math.radians(18.0), 4.0
 # Of an IMU that was turned about the vertical: shortest part, s; smallest coherence of measured and expected
 # accelerations in each part; smallest angle, rad. In 84 fault-free drives and parts of 60 s, it was up to 19 deg.
 MIN_PART, MIN_COHERENCE, MIN_TURNED = 20.0, 0.7, math.radians(45.0)
+BACKWARD = math.radians(
+    150.0
+)  # smallest change of the direction of acceleration that driving backward explains
 MAX_SCATTER = 0.5  # rad, largest typical deviation of directions from their median that shows gravity
 MIN_DIFFERENCE = math.radians(0.5)  # smallest difference from the mounting of drive.toml that a note reports
 WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
@@ -66,7 +69,12 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
         what = "the direction of the vehicle's acceleration in ax and ay"
     if change:
         time, angle = change
-        what = f"the IMU was moved at t = {time:.0f} s: {what} changes by {math.degrees(angle):.0f} deg"
+        backward = (
+            ", or the vehicle drives backward"
+            if what != "the direction of gravity" and angle > BACKWARD
+            else ""
+        )
+        what = f"the IMU was moved at t = {time:.0f} s: {what} changes by {math.degrees(angle):.0f} deg{backward}"
         remedy = (
             f"split the drive at this time: sigmaswarm split DRIVE --at {time:.0f} --out parts; the two parts "
             "have different mountings"
@@ -138,7 +146,8 @@ def find_movement(drive: Drive, unit: float = 1.0) -> tuple[float, float] | None
     """Find the time, s, at which the IMU was moved, and gravity's change of direction, rad; None if it was not moved.
 
     The directions of the specific force, averaged over 5 s, scatter least about one median before this time and one
-    after it. ``unit``: unit of ax and ay, m/s2; az with another unit shows no direction.
+    after it. ``unit``: unit of ax and ay, m/s2; m/s2 and g are tried, too, since a moved IMU hides its unit. If az has
+    another unit, the force shows no direction.
     """
     imu = drive.imu
     if imu.az is None:
@@ -147,7 +156,8 @@ def find_movement(drive: Drive, unit: float = 1.0) -> tuple[float, float] | None
     size = np.linalg.norm(mean, axis=1, keepdims=True)
     direction = mean / np.maximum(size, 1e-9)
     least = 4  # windows on each side: 20 s
-    if len(direction) < 2 * least or not 0.8 < unit * np.median(size) / GRAVITY < 1.2:
+    sizes = np.median(size) * np.array([unit, 1.0, GRAVITY]) / GRAVITY
+    if len(direction) < 2 * least or not np.any((sizes > 0.8) & (sizes < 1.2)):
         return None  # too short, or az has another unit
 
     def spread(cut: int) -> float:

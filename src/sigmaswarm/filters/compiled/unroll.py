@@ -127,7 +127,7 @@ class Generated:
 
 
 class Kernel(Generated):
-    """A function that callers inline as statements; it returns nothing."""
+    """A function that callers inline as statements if they do not use its value."""
 
 
 def unrolled(function: Callable[..., Any], /, **known: Any) -> Callable[..., Any]:

@@ -9,7 +9,12 @@ import numpy as np
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import Array
 
-FIRST_STEP = 0.1  # standard deviation of the first points around a start, in widths of the bounds
+FIRST_STEP = 0.3
+"""Standard deviation of the first points around a start, in widths of the bounds.
+
+With 0.1, parameters that the cost hardly determines stayed near the start: tuned with truth on 30 s of comma2k19, the
+position RMSE on the rest was 10 to 30% larger than after a uniform first generation. With 0.3, it was the same.
+"""
 
 
 class Optimizer(Protocol):
@@ -62,16 +67,19 @@ class AskTell:
                 )
             setattr(self, option, value)
         self.low, self.high, self.population, self.rng = low, high, population, rng
+        self.center: Array | None = None
         self.positions = np.clip(self._begin(), low, high)
         self.global_best, self.global_cost = self.positions[0].copy(), np.inf
         self.told = False
 
     def begin_near(self, point: Array) -> None:
-        """Draw the first batch around a point, shape (d,), and include this point; call this before the first `ask`."""
-        step = FIRST_STEP * (self.high - self.low)
-        drawn = self.rng.normal(point, step, self.positions.shape)
-        drawn[0] = point
-        self.positions = np.clip(drawn, self.low, self.high)
+        """Begin around a point, shape (d,), which is in the first batch; call this before the first `ask`.
+
+        The first points of `bo` and `sobol`, which cover the bounds, stay the same otherwise.
+        """
+        self.center = point
+        self.positions = np.clip(self._begin(), self.low, self.high)
+        self.positions[0] = point
 
     def ask(self) -> Array:
         if self.told:
@@ -94,7 +102,16 @@ class AskTell:
 
     def _begin(self) -> Array:
         """Initialize the subclass's state; return the first points, by default random ones."""
-        return self.rng.uniform(self.low, self.high, (self.population, len(self.low)))
+        return self._drawn_first()
+
+    def _drawn_first(self) -> Array:
+        """Draw one point per member: uniform within the bounds, or normal around the point of `begin_near`."""
+        shape = self.population, len(self.low)
+        if self.center is None:
+            return self.rng.uniform(self.low, self.high, shape)
+        points = self.rng.normal(self.center, FIRST_STEP * (self.high - self.low), shape)
+        points[0] = self.center
+        return np.clip(points, self.low, self.high)
 
     def _next(self) -> Array:
         raise NotImplementedError

@@ -31,7 +31,7 @@ class ParticleSwarm(MovingSwarm):
     def _begin(self) -> Array:
         positions = super()._begin()
         # Half the vector to another random point (SPSO 2007), so that no initial velocity leads out of the bounds.
-        self.velocities = 0.5 * (self.rng.uniform(self.low, self.high, positions.shape) - positions)
+        self.velocities = 0.5 * (self._drawn_first() - positions)
         return positions
 
     def _next(self) -> Array:

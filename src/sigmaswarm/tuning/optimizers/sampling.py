@@ -15,7 +15,7 @@ class RandomSearch(AskTell):
     name = "random"
 
     def _next(self) -> Array:
-        return self._begin()
+        return self.rng.uniform(self.low, self.high, self.positions.shape)
 
 
 class SobolSearch(AskTell):
