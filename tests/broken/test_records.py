@@ -169,7 +169,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Two evaluations of one drive, by two tunings."""
     root, drive = tmp_path_factory.mktemp("evaluations"), make_drive(duration=20.0, imu_rate=50.0)
     for seed in (0, 1):
-        tuning = tune(drive, particles=3, generations=1, seed=seed)
+        tuning = tune(drive, particles=4, generations=5, seed=seed)
         tuning.save(root / f"{seed}.toml")
         with no_pictures():
             save_evaluation(evaluate(drive, tuning.parameters), root / str(seed), root / f"{seed}.toml")

@@ -107,7 +107,7 @@ def test_export_states_that_slow_vehicles_have_no_alignment_in_c(
         data = [{"name": "robot", "slow": True}, {"name": "car", "slow": slow}]
         Path("t.toml").write_text(tomli_w.dumps(content | {"data": data}))
         said = sigmaswarm("export", "t.toml", "--to", "c99", "--out", "c", "--overwrite").out
-        assert ("(12 km/h). For such drives the alignment in C finds no start" in said) is slow
+        assert ("(12 km/h). The alignment in C finds no start before such a part" in said) is slow
 
 
 @pytest.mark.long

@@ -156,9 +156,11 @@ def find_movement(drive: Drive, unit: float = 1.0) -> tuple[float, float] | None
     size = np.linalg.norm(mean, axis=1, keepdims=True)
     direction = mean / np.maximum(size, 1e-9)
     least = 4  # windows on each side: 20 s
+    if len(direction) < 2 * least:
+        return None
     sizes = np.median(size) * np.array([unit, 1.0, GRAVITY]) / GRAVITY
-    if len(direction) < 2 * least or not np.any((sizes > 0.8) & (sizes < 1.2)):
-        return None  # too short, or az has another unit
+    if not np.any((sizes > 0.8) & (sizes < 1.2)):
+        return None
 
     def spread(cut: int) -> float:
         return sum(float(np.abs(v - np.median(v, axis=0)).sum()) for v in (direction[:cut], direction[cut:]))
