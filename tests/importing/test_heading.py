@@ -11,6 +11,7 @@ from importing.test_datasets import imu_csv
 from importing.test_receivers import GPS, nmea, pynmeagps, pyubx2, ubx
 from sigmaswarm.drives.drive import Gps
 from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.importing.assemble import _motion
 
 HEADING = np.linspace(-3.0, 3.0, len(GPS))  # rad from east
 NORTH = np.degrees(np.pi / 2 - HEADING) % 360.0
@@ -108,3 +109,15 @@ def test_a_bag_with_a_heading_topic(tmp_path: Path):
     assert_headings(got.drive.gps, HEADING, np.zeros(len(GPS), bool), np.radians(0.4))
     assert len(got.drive.imu) == len(drive.imu)
     assert "/gps/heading is used as the dual-antenna heading" in got.notes
+
+
+def test_a_heading_of_a_slow_robot_in_unwrapped_radians_is_not_read_as_degrees():
+    """Its rows reach more than a turn, so the proposal converts them from degrees; the positions contradict this."""
+    time = np.arange(0.0, 200.0, 0.05)
+    theta = 0.5 + 0.1 * time
+    x, y = (np.cumsum(0.4 * part(theta)) * 0.05 for part in (np.cos, np.sin))
+    said = list[str]()
+    values = {"x": x, "y": y, "theta": np.radians(theta)}
+    found = _motion(time, values, {}, said.append)["theta"]
+    assert np.abs(np.angle(np.exp(1j * (found - theta)))).max() < 1e-9
+    assert "truth: the heading is converted from unwrapped radians" in " ".join(said)

@@ -40,12 +40,11 @@ def write_pieces(
     """Write an estimate, in pieces, to a file; the extension selects the format.
 
     ``.csv``: t, x, y, vx, vy, theta and std_x ... std_theta (s, m, m/s, rad); also further states of the model with
-    their standard deviations. ``.mat``, for MATLAB: t, the states by name, and covariance (n, states,
-    states). ``.tum``: one line ``t x y z qx qy qz qw`` per estimate, z = 0 and the attitude as a quaternion.
-    ``.kitti``: one line of 12 numbers per estimate, the 3 x 4 matrix of the pose row by row, without time. ``.ros2``: a
-    ROS 2 bag (a folder) with the estimate as nav_msgs/Odometry and, with an origin, as sensor_msgs/NavSatFix; also
-    standard deviations, innovations, NIS, and a layout for Foxglove. ``.geojson``, ``.gpx``, ``.kml``: the track in
-    degrees.
+    their standard deviations. ``.mat``, for MATLAB: t, the states by name, and covariance (n, states, states).
+    ``.tum``: one line ``t x y z qx qy qz qw`` per estimate, z = 0 and the attitude as a quaternion. ``.kitti``: one
+    line of 12 numbers per estimate, the 3 x 4 matrix of the pose row by row, without time. ``.ros2``: a ROS 2 bag (a
+    folder) with the estimate as nav_msgs/Odometry and, with an origin, as sensor_msgs/NavSatFix; also standard
+    deviations, innovations, NIS, and a layout for Foxglove. ``.geojson``, ``.gpx``, ``.kml``: the track in degrees.
 
     The file does not depend on the division into pieces. Maps and .mat need all pieces in memory, the other formats one
     piece. After an error, no file remains.

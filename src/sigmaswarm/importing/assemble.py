@@ -54,12 +54,7 @@ def assemble(
     values: dict[Role, Values] = {}
     for role, parts in gathered.items():
         times[role], values[role] = join(parts, role, REQUIRED.get(role, ()), say, recording)
-    back = gathered["imu"][0].set_back
-    for role in times:
-        steps = np.diff(times[role])
-        if back and not gathered[role][0].set_back and back > STEPS * np.median(steps):
-            message = "the clock does not restart when the IMU's clock restarts. If the pause before this recording was"
-            say(f"{role}: {message} short, add --{role}-offset {-back / SECOND:.3f}")
+    _report_other_clocks(times, gathered, say)
     seconds, zero = _seconds(_in_same_period(times, gathered, say), recipe)
     imu = _imu(seconds["imu"], values["imu"], recipe)
     origin = recipe.origin
@@ -232,6 +227,17 @@ def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[P
     )
 
 
+def _report_other_clocks(
+    times: Mapping[Role, Nanoseconds], gathered: Mapping[Role, Sequence[PartColumns]], say: Say
+) -> None:
+    back = gathered["imu"][0].set_back
+    for role in times:
+        steps = np.diff(times[role])
+        if back and not gathered[role][0].set_back and back > STEPS * np.median(steps):
+            message = "the clock does not restart when the IMU's clock restarts. If the pause before this recording was"
+            say(f"{role}: {message} short, add --{role}-offset {-back / SECOND:.3f}")
+
+
 def assemble_imu(parts: Sequence[PartColumns], recipe: Recipe, say: Say, recording: int | None = None) -> Imu:
     time, values = join(parts, "imu", REQUIRED["imu"], say, recording)
     return _imu(_seconds({"imu": time}, recipe)[0]["imu"], values, recipe)
@@ -368,6 +374,8 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
         values["theta"] = _held_course(values["vx"], values["vy"])
     else:
         course, rows = chord_course(time, values["x"], values["y"])
+        if len(rows) < 5:  # the vehicle is slower than 1 m/s
+            course, rows = chord_course(time, values["x"], values["y"], chord=1.0)
         values["theta"] = fitting_angle(values["theta"], course, rows, "truth: the heading", say)
     if gps:
         east, north = (float(np.median(values[n]) - np.median(gps[n])) for n in ("x", "y"))

@@ -280,12 +280,6 @@ def tune_problem(
         )
     if isinstance(config, TuneConfig) and config.inflation:
         point, cost, factor = inflate(problem, point, config.inflation, executor)
-    validation = None
-    if held_back:
-        both = (problem, held_back)
-        own, other = (float(one.costs_without_prior(point[np.newaxis], executor)[0]) for one in both)
-        names = tuple(entry["name"] for entry in held_back.data)
-        validation = Validation(other, float(problem.relative_increase(other, own)), names)
     evaluations = sum(trial.evaluations for trial in trials)
     noise = problem.fixes_alone() if diagnose else None
     tuning = Tuning(
@@ -306,12 +300,21 @@ def tune_problem(
         fixes_alone=noise,
         forecasts=tuple(problem.forecasts(point, noise)) if noise else (),
         sensitivities=sensitivities(problem, point, cost, executor),
-        validation=validation,
+        validation=_validate(problem, held_back, point, executor) if held_back else None,
         inflation_factor=factor,
     )
     if folder is not None:
         tuning.save(folder.path / FILE)
     return tuning
+
+
+def _validate(
+    problem: Problem[P], held_back: Problem[P], point: Array, executor: Executor | None
+) -> Validation:
+    both = (problem, held_back)
+    own, other = (float(one.costs_without_prior(point[np.newaxis], executor)[0]) for one in both)
+    names = tuple(entry["name"] for entry in held_back.data)
+    return Validation(other, float(problem.relative_increase(other, own)), names)
 
 
 def check_disjoint(problem: Problem[Any], held_back: Problem[Any]) -> None:
