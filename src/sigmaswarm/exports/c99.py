@@ -103,9 +103,11 @@ def c99(
     return texts
 
 
-def replay_rows(drive: Drive, *model: ModelName, **options: bool) -> str:
+def replay_rows(
+    drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False, heading: bool = False
+) -> str:
     """Return the events of `replay_events` as text, the input of replay.c."""
-    events = replay_events(drive, *model, **options)
+    events = replay_events(drive, model, as_recorded=as_recorded, heading=heading)
     return "".join(",".join([name, *(repr(float(z)) for z in numbers)]) + "\n" for name, numbers in events)
 
 

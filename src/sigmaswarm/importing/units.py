@@ -115,8 +115,8 @@ def parse_unit(text: str) -> Unit | None:
         return Unit(text, None, 0.0)
     if (word := _WORDS.get(re.sub(r"[\s^]", "", plain))) is not None:
         return Unit(text, *word)
-    if scaled := re.fullmatch(r"(\d+(?:\.\d+)?(?:e-?\d+)?) *([^\d.].*)", plain):  # 0.001 s, 10us
-        whole, factor = parse_unit(scaled[2]), float(scaled[1])
+    if parts := re.fullmatch(r"(\d+(?:\.\d+)?(?:e-?\d+)?) *([^\d.].*)", plain):  # 0.001 s, 10us
+        whole, factor = parse_unit(parts[2]), float(parts[1])
         if not 0 < factor < math.inf:
             return Unit(text, None, 0.0)
         if factor < 1 or (whole and whole.dimension == "time"):  # "16 g" is the range of a sensor

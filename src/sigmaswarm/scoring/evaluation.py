@@ -355,9 +355,16 @@ def evaluate(
     also = (*([AGAINST] if other else []), *chosen.optional_runs(parameters))
     against = None if other is None else (other.kind, other.model)
     names = method_names(parameters.kind, parameters.model, also=also, against=against)
-    stored = ("outage_length", "outage_seed", "against", "fixes_alone", "as_recorded")
-    values = {name: getattr(chosen, name) for name in stored}
-    return Evaluation(results, names, parameters=parameters, **values)
+    return Evaluation(
+        results,
+        names,
+        outage_length=chosen.outage_length,
+        outage_seed=chosen.outage_seed,
+        against=other,
+        parameters=parameters,
+        fixes_alone=chosen.fixes_alone,
+        as_recorded=chosen.as_recorded,
+    )
 
 
 def _evaluated(

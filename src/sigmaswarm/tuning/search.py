@@ -91,7 +91,7 @@ class TrialRunner:
     """Settings that the trials of one tuning share.
 
     The first generation is drawn around ``center``, shape (d,); None: uniformly within the bounds. Custom optimizers
-    ignore ``center``.
+    that are no `AskTell` ignore ``center``.
     """
 
     problem: Problem[Any]

@@ -150,8 +150,8 @@ def _require_same(file: Path, config: dict[str, Any]) -> dict[str, float] | None
     record = load_record(ConfigRecord, file, "not written by a tuning; choose another --out", infinite=True)
     saved, wanted = _with_current_names(record.model_extra), json.loads(json.dumps(config))
     center, _ = saved.pop(CENTER, None), wanted.pop(CENTER, None)
-    for config in (saved, wanted):
-        for drive in (*config.get("data", []), *config.get("validation", [])):
+    for one in (saved, wanted):
+        for drive in (*one.get("data", []), *one.get("validation", [])):
             if isinstance(drive, dict):
                 cast(dict[str, Any], drive).pop("slow", None)  # version 0.3.0 does not save it
     if not same_results(record.versions, wanted.pop("versions", {})):

@@ -21,9 +21,8 @@ MIN_MOVEMENT, MIN_MOVEMENT_RATIO = math.radians(18.0), 4.0
 # Of an IMU that was turned about the vertical: shortest part, s; smallest coherence of measured and expected
 # accelerations in each part; smallest angle, rad. In 84 fault-free drives and parts of 60 s, it was up to 19 deg.
 MIN_PART, MIN_COHERENCE, MIN_TURNED = 20.0, 0.7, math.radians(45.0)
-BACKWARD = math.radians(
-    150.0
-)  # smallest change of the direction of acceleration that driving backward explains
+# Smallest change of the direction of acceleration, rad, that driving backward explains
+BACKWARD = math.radians(150.0)
 MAX_SCATTER = 0.5  # rad, largest typical deviation of directions from their median that shows gravity
 MIN_DIFFERENCE = math.radians(0.5)  # smallest difference from the mounting of drive.toml that a note reports
 WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
@@ -61,20 +60,17 @@ def check_mirrored(evidence: Evidence) -> Iterator[Finding]:
 
 
 def check_mounting(evidence: Evidence) -> Iterator[Finding]:
-    mounting, what = evidence.mounting, "the direction of gravity"
-    unit = evidence.mount.unit if evidence.mount else 1.0
-    if (change := find_movement(evidence.drive, unit)) is None and (
-        change := find_turn(evidence)
-    ) is not None:
-        what = "the direction of the vehicle's acceleration in ax and ay"
-    if change:
+    mounting = evidence.mounting
+    moved = find_movement(evidence.drive)
+    if change := moved or find_turn(evidence):
         time, angle = change
-        backward = (
-            ", or the vehicle drives backward"
-            if what != "the direction of gravity" and angle > BACKWARD
-            else ""
+        seen = (
+            "the direction of gravity"
+            if moved
+            else "the direction of the vehicle's acceleration in ax and ay"
         )
-        what = f"the IMU was moved at t = {time:.0f} s: {what} changes by {math.degrees(angle):.0f} deg{backward}"
+        backward = ", or the vehicle drives backward" if not moved and angle > BACKWARD else ""
+        what = f"the IMU was moved at t = {time:.0f} s: {seen} changes by {math.degrees(angle):.0f} deg{backward}"
         remedy = (
             f"split the drive at this time: sigmaswarm split DRIVE --at {time:.0f} --out parts; the two parts "
             "have different mountings"
@@ -142,12 +138,12 @@ def find_turn(evidence: Evidence) -> tuple[float, float] | None:
     return (float(at[cut]), angle) if coherent and angle > MIN_TURNED else None
 
 
-def find_movement(drive: Drive, unit: float = 1.0) -> tuple[float, float] | None:
+def find_movement(drive: Drive) -> tuple[float, float] | None:
     """Find the time, s, at which the IMU was moved, and gravity's change of direction, rad; None if it was not moved.
 
     The directions of the specific force, averaged over 5 s, scatter least about one median before this time and one
-    after it. ``unit``: unit of ax and ay, m/s2; m/s2 and g are tried, too, since a moved IMU hides its unit. If az has
-    another unit, the force shows no direction.
+    after it. Its median size is that of gravity in m/s2 or in g; otherwise az has another unit than ax and ay, and the
+    force shows no direction.
     """
     imu = drive.imu
     if imu.az is None:
@@ -158,7 +154,7 @@ def find_movement(drive: Drive, unit: float = 1.0) -> tuple[float, float] | None
     least = 4  # windows on each side: 20 s
     if len(direction) < 2 * least:
         return None
-    sizes = np.median(size) * np.array([unit, 1.0, GRAVITY]) / GRAVITY
+    sizes = np.median(size) * np.array([1.0, GRAVITY]) / GRAVITY
     if not np.any((sizes > 0.8) & (sizes < 1.2)):
         return None
 
