@@ -161,7 +161,7 @@ def with_default_guards(config: C) -> C:
     """Set the weight of the priors and the process-noise inflation if they are None.
 
     Objectives that are likelihoods without truth have priors and, in a log10 search, inflation. Objectives with truth
-    have no priors, and inflation only for models with roll and pitch. Other objectives have neither.
+    have both in a log10 search of a model with roll and pitch, but no prior on R. Other objectives have neither.
     """
     if not isinstance(config, TuneConfig):
         return config
@@ -171,7 +171,7 @@ def with_default_guards(config: C) -> C:
     if config.scale == "log10" and blind:
         inflation = TILTED_INFLATION if model.tilts or model.measures_imu else INFLATION
     elif config.scale == "log10" and objective.needs_truth and model.tilts:
-        inflation = WITH_TRUTH
+        prior, inflation = 1.0, WITH_TRUTH
     return config.model_copy(
         update={
             "prior": prior if config.prior is None else config.prior,
