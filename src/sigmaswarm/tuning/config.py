@@ -113,8 +113,8 @@ class TuneConfig(SearchConfig):
     as_recorded: bool = False
     """Run without preprocessing: use stale fixes, treat IMU gaps as ordinary steps; for diagnosis and the paper."""
     prior: float | None = Field(default=None, ge=0, le=100)
-    """Weight of priors on R (without truth) and (tilted12) other parameters; 0 disables them. Default: 1 where
-    they apply."""
+    """Weight of priors on R and (tilted12) other parameters; 0 disables them. Default: 1 for likelihoods without truth,
+    0.3 with fix-error and truth, otherwise 0."""
     inflation: float | None = Field(default=None, ge=0, le=1)
     """Relative cost increase allowed for inflating process noise; 0 disables it. Default: 0 to 0.05, depending on
     model and truth."""

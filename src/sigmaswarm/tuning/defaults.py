@@ -35,6 +35,13 @@ FIX_ERROR_OBJECTIVE = "innovation-t + 0.2 truth-pose + 0.2 nees"
 
 With a larger weight of truth-pose, the filter overfits to the errors of the training drive.
 """
+PRIOR_WITH_TRUTH = 0.3
+"""Weight of the priors with this objective.
+
+Among parameters of nearly equal costs, the priors select the typical ones. After tuning on four simulated drives with a
+u-blox M8, the 30 s drift was 22 to 118 m without priors, depending on the seed, and 21 to 24 m with this weight. With
+a weight of 1, the position RMSE after tuning on one such drive was 5% larger on average (five drives).
+"""
 MIN_DRIVEN = 30.0  # s, driving time that each drive must exceed for `FORECAST_OBJECTIVES`
 OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
 """Objectives with and without truth for custom models, which support only these."""
@@ -161,7 +168,7 @@ def with_default_guards(config: C) -> C:
     """Set the weight of the priors and the process-noise inflation if they are None.
 
     Objectives that are likelihoods without truth have priors and, in a log10 search, inflation. Objectives with truth
-    have both in a log10 search of a model with roll and pitch, but no prior on R. Other objectives have neither.
+    have priors only with fix-error, and inflation only for models with roll and pitch. Other objectives have neither.
     """
     if not isinstance(config, TuneConfig):
         return config
@@ -171,7 +178,8 @@ def with_default_guards(config: C) -> C:
     if config.scale == "log10" and blind:
         inflation = TILTED_INFLATION if model.tilts or model.measures_imu else INFLATION
     elif config.scale == "log10" and objective.needs_truth and model.tilts:
-        prior, inflation = 1.0, WITH_TRUTH
+        inflation = WITH_TRUTH
+        prior = PRIOR_WITH_TRUTH if "fix-error" in config.use and objective.likelihood else 0.0
     return config.model_copy(
         update={
             "prior": prior if config.prior is None else config.prior,

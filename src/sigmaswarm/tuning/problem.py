@@ -21,7 +21,6 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.run import run_kernel
 from sigmaswarm.filters.fix_error import kernel_name
 from sigmaswarm.filters.fixes_alone import MotionNoise, fitted_noise
-from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline_of
 from sigmaswarm.filters.schedule import require_named_axes
@@ -47,13 +46,7 @@ from sigmaswarm.tuning.receiver import (
     prior_costs,
     prior_warnings,
 )
-from sigmaswarm.tuning.space import (
-    TYPICAL_DURATION,
-    TYPICAL_WEIGHT,
-    TYPICAL_WEIGHT_WITH_TRUTH,
-    SearchSpace,
-    search_space,
-)
+from sigmaswarm.tuning.space import TYPICAL_DURATION, TYPICAL_WEIGHT, SearchSpace, search_space
 
 P = TypeVar("P", covariant=True)
 
@@ -160,8 +153,7 @@ class CarProblem(Problem[FilterParameters]):
 
     @cached_property
     def _weight_of_typical(self) -> float:
-        weight = TYPICAL_WEIGHT_WITH_TRUTH if self.objective.needs_truth else TYPICAL_WEIGHT
-        return weight * duration_share(self.data, TYPICAL_DURATION)
+        return TYPICAL_WEIGHT * duration_share(self.data, TYPICAL_DURATION)
 
     @cached_property
     def _landmarks(self) -> list[Landmarks]:
@@ -189,8 +181,7 @@ class CarProblem(Problem[FilterParameters]):
         parameter_sets = self.space.decode(points)
         costs = scorer.measured(partial(costs_of_each, self.config.objective), parameter_sets, executor)
         if self.config.prior:
-            if not self.objective.needs_truth:  # truth determines R
-                costs += self.config.prior * prior_costs(parameter_sets, self._receiver_std[list(drives)])
+            costs += self.config.prior * prior_costs(parameter_sets, self._receiver_std[list(drives)])
             costs += self.config.prior * self._weight_of_typical * self.space.distance(points)[:, np.newaxis]
         return costs
 
@@ -252,7 +243,11 @@ def car_problem(
     drives: Sequence[Drive] | Dataset, config: TuneConfig, space: SearchSpace | None = None
 ) -> CarProblem:
     objective = parse_objective(config.objective)
-    _check_prior(config, objective)
+    if config.prior and not objective.nats:
+        raise InputError(
+            f"prior = {config.prior:g}: the prior is in nats, but {objective.name} is not; leave prior out, or use "
+            "innovation-nll or innovation-t"
+        )
     dataset = LocalDataset(drives) if isinstance(drives, Sequence) else drives
     have = dataset.map(log_properties)
     check_drives(have, objective)
@@ -276,15 +271,6 @@ def car_space(config: TuneConfig, drives: Sequence[Drive | LogProperties]) -> Se
         fix_std=float(np.median([one.receiver_std for one in have])),
         has_truth=parse_objective(config.objective).needs_truth,
     )
-
-
-def _check_prior(config: TuneConfig, objective: Objective) -> None:
-    if not config.prior or (MODELS[config.model].tilts if objective.needs_truth else objective.nats):
-        return
-    why = f"the prior is in nats, but {objective.name} is not; leave prior out, or use innovation-nll or innovation-t"
-    if objective.needs_truth:
-        why = f"{objective.name} needs truth, which determines R, and {config.model} has no other prior; leave it out"
-    raise InputError(f"prior = {config.prior:g}: {why}")
 
 
 def _check_columns(drives: Sequence[LogProperties], config: TuneConfig) -> None:

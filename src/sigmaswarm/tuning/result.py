@@ -197,12 +197,10 @@ class Tuning(Generic[P]):
             return MODEL_OBJECTIVES[self.config.objective]
         meaning, prior = parse_objective(self.config.objective).summary, self.config.prior
         lasting = isinstance(p := self.parameters, FilterParameters) and p.fix_error is not None
-        penalized = list[str]()
-        if not parse_objective(self.config.objective).needs_truth:
-            penalized.append(f"an R {'different from' if lasting else 'below'} the receiver's variance")
+        penalized = "different from" if lasting else "below"
+        added = f"; a prior with weight {prior:g} penalizes an R {penalized} the receiver's variance"
         if MODELS[self.config.model].tilts and self.config.scale == "log10":
-            penalized.append("parameters far from typical values")
-        added = f"; a prior with weight {prior:g} penalizes {' and '.join(penalized)}"
+            added += ", and parameters far from typical values"
         return f"{meaning}{added}" if prior else meaning
 
     @property

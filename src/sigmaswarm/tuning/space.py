@@ -79,12 +79,6 @@ TYPICAL_WEIGHT, TYPICAL_DURATION = 1 / 250, 150.0
 
 In a cost that is the mean over n independent fixes, a prior has the weight 1 / n. For 150 s, n is set to 250.
 """
-TYPICAL_WEIGHT_WITH_TRUTH = 0.01
-"""Weight of this prior if the objective uses truth, in units of its cost; the same duration applies.
-
-Among parameters with nearly equal costs it selects the typical ones. Without it, the 30 s drift on simulated M8 drives
-was 22 to 118 m, depending on the seed, instead of 24 to 32 m. Weights from 0.004 to 0.02 are equally good.
-"""
 DEFAULT_INTERVAL = 0.01  # IMU interval, s, if no drive is known yet
 IMU_DIMENSIONS = (
     Dimension("r_gyro", "imu_noise", 1, 1e-9, 1.0),
