@@ -20,10 +20,8 @@ from sigmaswarm.drives.standstill import (
     matches_stop,
     new_memory,
 )
-from sigmaswarm.filters.schedule import (
-    STANDSTILL_RATE_NOISE,
-    start_of,
-)
+from sigmaswarm.filters.constants import STANDSTILL_RATE_NOISE
+from sigmaswarm.filters.starts import start_of
 
 
 def slot(time, start, interval):

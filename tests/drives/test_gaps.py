@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sigmaswarm.drives.gaps import gaps_before
-from sigmaswarm.filters.schedule import GAP_ACCELERATION_STD, GAP_TURN_STD, gap_covariance
+from sigmaswarm.filters.constants import GAP_ACCELERATION_STD, GAP_TURN_STD, gap_covariance
 
 
 @pytest.mark.parametrize("rate", [10.0, 50.0, 100.0, 1000.0])

@@ -15,7 +15,7 @@ from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.packing import unpack_states
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
-from sigmaswarm.filters.schedule import starts_of
+from sigmaswarm.filters.starts import starts_of
 from sigmaswarm.geodesy import wrap_angle
 from support import make_drive
 

@@ -15,7 +15,7 @@ from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
-from sigmaswarm.filters.schedule import starts_of
+from sigmaswarm.filters.starts import starts_of
 from support import make_drive
 
 SLOPE = np.array([0.05, -0.03])  # rad about east and north

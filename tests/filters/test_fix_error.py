@@ -17,15 +17,15 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.exports.check import check_export
 from sigmaswarm.exports.targets import export_texts, write_texts
 from sigmaswarm.filters.compiled.run import new_cursor
-from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
+from sigmaswarm.filters.kernels import FILTERS
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS, planar8
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass, Targets, run_steps, start_passes
 from sigmaswarm.filters.run import run_filter, run_innovations, run_textbook
-from sigmaswarm.filters.schedule import start_of
 from sigmaswarm.filters.smoothing import smooth
+from sigmaswarm.filters.starts import start_of
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.filters.textbook.ekf import complex_step
 from support import quickly, sparse

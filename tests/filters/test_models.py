@@ -12,12 +12,13 @@ from filter_cases import equipped, parameters
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.filters.compiled import layout
 from sigmaswarm.filters.compiled.layout import R
+from sigmaswarm.filters.constants import STANDSTILL_RATE_NOISE
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.packing import unpack_states
 from sigmaswarm.filters.parameters import densities, units
-from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE, start_of
+from sigmaswarm.filters.starts import start_of
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.tuning.space import search_space
 

@@ -3,7 +3,7 @@
 from sigmaswarm.filters.compiled import run, step
 from sigmaswarm.filters.compiled.single import single_step
 from sigmaswarm.filters.compiled.unroll import Kernel, unrolled
-from sigmaswarm.filters.fix_error import FILTERS
+from sigmaswarm.filters.kernels import FILTERS
 
 
 def _scaled(w, *, n, inner):

@@ -10,7 +10,8 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters import tilted
-from sigmaswarm.filters.schedule import process_noise_per_step, start_of
+from sigmaswarm.filters.constants import process_noise_per_step
+from sigmaswarm.filters.starts import start_of
 
 
 def thinned():

@@ -15,7 +15,7 @@ from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.run import whole_pass
-from sigmaswarm.filters.schedule import start_of
+from sigmaswarm.filters.starts import start_of
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.learned import noise_training, outage_training
 from sigmaswarm.learned.cells import new_weights

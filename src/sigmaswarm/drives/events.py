@@ -48,7 +48,7 @@ class Events(NamedTuple):
 
 
 def events_of(line: Timeline, used: Set[str]) -> Events:
-    """Return the events of a filter that uses the measurements ``used``, see `filters.schedule.measured_by`.
+    """Return the events of a filter that uses the measurements ``used``, see `filters.requirements.measured_by`.
 
     With "ay" (robot-localization, which has no standstill update), the bit STANDSTILL marks samples whose lateral
     acceleration is fused.

@@ -27,8 +27,8 @@ from sigmaswarm.exports.features import (
     with_definitions,
 )
 from sigmaswarm.exports.lanes import Lanes
-from sigmaswarm.filters import schedule
-from sigmaswarm.filters.fix_error import FILTERS
+from sigmaswarm.filters import requirements
+from sigmaswarm.filters.kernels import FILTERS
 from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
@@ -93,7 +93,7 @@ def c99(
     axes = (f"{printable(axis):{width}} = {printable(text, 1000)}" for axis, text in (imu_axes or {}).items())
     values["BEFORE_MOUNTING"] = ", before the rotation" if mounting is not None else ""
     values["IMU_AXES"] = "\n".join(axes)
-    values |= c_rules.rules_of(features, events.bits_of(schedule.measured_by(parameters)))
+    values |= c_rules.rules_of(features, events.bits_of(requirements.measured_by(parameters)))
     values |= c_alignment.alignment_of(biases=features["USE_BIASES"], tilted=features["USE_TILTED"])
     texts = {name: fill(f"{name}.in", features, values) for name in FILES}
     texts["ins_gps_align.c"] = with_constants(texts["ins_gps_align.c"], c_alignment.MODULES)
@@ -126,7 +126,7 @@ def replay_events(
     AlignmentError
         If the drive has no start for the filter.
     """
-    schedule.require_axes(drive, model)
+    requirements.require_axes(drive, model)
     initial, imu = initial_state(drive, as_recorded=as_recorded), drive.imu
     start = [initial.time, *drive.lever_arm, *initial.mean, *initial.covariance.ravel()]
     axes = ["ax", "ay", "gz"]

@@ -10,14 +10,14 @@ from collections.abc import Iterable, Mapping
 from importlib.resources import files
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters import schedule
+from sigmaswarm.filters import requirements
 from sigmaswarm.filters.models import MEASURED, MODELS, NOISE_OF, SENSORS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.versions import __version__
 
 
 def features_of(p: FilterParameters) -> dict[str, bool]:
-    measured = schedule.measured_by(p)
+    measured = requirements.measured_by(p)
     lateral, stands, wheels = (name in measured for name in ("lateral", "standstill", "odometer"))
     gate, robust = p.gate is not None, p.robust_dof is not None
     adaptive, tracking, rules = (p.kind == f"{kind}-ukf" for kind in ("adaptive", "strong-tracking", "fuzzy"))

@@ -25,7 +25,7 @@ from sigmaswarm.drives import (
 )
 from sigmaswarm.drives.mounting import Angles
 from sigmaswarm.exports.features import fill
-from sigmaswarm.filters import fuzzy, models, schedule, student
+from sigmaswarm.filters import constants, fuzzy, models, requirements, student
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.textbook import adaptive, car, ekf, gaussian, ukf
 from sigmaswarm.versions import __version__
@@ -45,7 +45,7 @@ FILTER = {
     fuzzy: "",
     student: "ITERATIONS OUTLYING OUTLIERS OUTLIERS_SPAN",
     adaptive: "",
-    schedule: "STANDSTILL_RATE_NOISE SLIP_GATE HEADING_GATE MOST_REJECTED GAP_TURN_STD GAP_ACCELERATION_STD "
+    constants: "STANDSTILL_RATE_NOISE SLIP_GATE HEADING_GATE MOST_REJECTED GAP_TURN_STD GAP_ACCELERATION_STD "
     "GAP_TILT_STD gap_covariance process_noise_per_step require_accuracy require_odometer",
     car: "Car",
 }
@@ -84,7 +84,7 @@ def filterpy(
         else "MerweScaledSigmaPoints, UnscentedKalmanFilter",
         "MODEL": p.model,
         "GYRO_AXES": repr(model.gyro_axes),
-        "MEASURED": f"frozenset({sorted(schedule.measured_by(p))!r})",
+        "MEASURED": f"frozenset({sorted(requirements.measured_by(p))!r})",
         "MODEL_SOURCE": _sources_of(MODEL),
         "FILTER_SOURCE": _sources_of(FILTER),
         "DRIVE_SOURCE": _sources_of(DRIVE),

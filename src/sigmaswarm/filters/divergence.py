@@ -24,7 +24,7 @@ from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled.live import LEAP
 from sigmaswarm.filters.compiled.monitor import CHECK_INTERVAL, LATEST_CHECK
 from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA, planar5
-from sigmaswarm.filters.schedule import starts_of
+from sigmaswarm.filters.starts import starts_of
 from sigmaswarm.geodesy import wrap_angle
 
 DIVERGED_AFTER = 10.0  # s; bad fixes in a city, and recoveries of robust filters, contradict for less time

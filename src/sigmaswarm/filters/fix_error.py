@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from sigmaswarm.filters.models import MODELS, CarModel, State, Tilts
+from sigmaswarm.filters.models import CarModel, State, Tilts
 from sigmaswarm.geodesy import Array
 
 STATES = tuple(State(name, "m", (0.0, 0.0), name) for name in ("fix_error_x", "fix_error_y"))
@@ -88,35 +88,6 @@ def _tilts(own: Tilts) -> Tilts:
         return own.as_angles(state[..., :-2], covariance[..., :-2, :-2])
 
     return Tilts(on_own_states(own.plus), on_own_states(own.minus), nearest, transition, as_angles)
-
-
-UNSCENTED = "tilted12, unscented"
-"""Kernel of tilted12 with sigma points. A planar model has one kernel for all filter types."""
-FILTERS = (
-    MODELS
-    | {name + SUFFIX: with_fix_error(model) for name, model in MODELS.items() if not model.measures_imu}
-    | {UNSCENTED: MODELS["tilted12"]}
-)
-"""Compiled models, by the name of the kernel."""
-
-
-def kernel_name(model: str, kind: str, fix_error: bool = False) -> str:
-    name = UNSCENTED if model == "tilted12" and kind != "ekf" else model
-    return name + SUFFIX if fix_error else name
-
-
-def base_model_name(model: str) -> str:
-    return model.removesuffix(SUFFIX)
-
-
-_LENGTHS = {len(model.states) for model in FILTERS.values() if model.fix_error}
-
-
-def known_states(n: int, given: int) -> int:
-    """Return the number of a model's n states that an initial state with ``given`` states determines."""
-    if n == given:
-        return n
-    return min(n - 2 if n in _LENGTHS else n, given - 2 if given in _LENGTHS else given)
 
 
 def transition(n: int, phi: float) -> Array:

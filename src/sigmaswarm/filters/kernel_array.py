@@ -28,12 +28,14 @@ from sigmaswarm.filters.compiled.layout import (
     lanes_for,
     most_lanes,
 )
-from sigmaswarm.filters.fix_error import FILTERS
+from sigmaswarm.filters.constants import STANDSTILL_RATE_NOISE
+from sigmaswarm.filters.kernels import FILTERS
 from sigmaswarm.filters.models import NOISE_OF, THETA
 from sigmaswarm.filters.packing import RESULT_SUMS, pack_states, sound_columns
 from sigmaswarm.filters.parameter_table import ParameterTable
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE, measured_by, start_std, starts_of
+from sigmaswarm.filters.requirements import measured_by
+from sigmaswarm.filters.starts import start_std, starts_of
 from sigmaswarm.filters.student import OUTLIERS_SPAN
 
 Starts = dict[InitialState, tuple[Array, Array]]

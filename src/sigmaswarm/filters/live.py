@@ -28,13 +28,13 @@ from sigmaswarm.filters.divergence import (
     state_at_fix,
     steps_since,
 )
-from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
+from sigmaswarm.filters.kernels import FILTERS
 from sigmaswarm.filters.lagged import FixedLag
 from sigmaswarm.filters.models import MODELS, THETA, require_driven_by_imu
 from sigmaswarm.filters.packing import state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import measured_by
+from sigmaswarm.filters.requirements import measured_by
 from sigmaswarm.geodesy import wrap_angle
 
 MAX_RESTARTS = 1000  # largest number of times in `LiveFilter.restarts`

@@ -9,7 +9,7 @@ from sigmaswarm.compilation import cached
 from sigmaswarm.drives.tables import Array, Indices, Mask
 from sigmaswarm.filters import tilted
 from sigmaswarm.filters.compiled.layout import N_STATE, P0, R, state_rows
-from sigmaswarm.filters.fix_error import FILTERS, base_model_name
+from sigmaswarm.filters.kernels import FILTERS, base_model_name
 from sigmaswarm.filters.models import THETA
 
 _FIRST_SHOWN, _LAST_SHOWN = R.SQ_POSITION, R.LOG_DET  # rows of `kernel_array.KernelSums`

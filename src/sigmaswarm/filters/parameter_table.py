@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.tables import Array, Indices
 from sigmaswarm.filters.models import NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import measured_by
+from sigmaswarm.filters.requirements import measured_by
 
 _ABSENT: dict[str, float] = {
     **dict.fromkeys((*NOISE_OF.values(), "gate"), math.inf),

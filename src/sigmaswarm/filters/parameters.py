@@ -16,7 +16,7 @@ from pydantic.dataclasses import dataclass
 from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.files import write_atomically
-from sigmaswarm.filters.fix_error import FILTERS, kernel_name
+from sigmaswarm.filters.kernels import FILTERS, kernel_name
 from sigmaswarm.filters.models import MEASURED, MODELS, NOISE_OF, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.filters.robot_yaml import IMU_NOISE, YAML, read_configuration
@@ -210,7 +210,7 @@ class FilterParameters:
 
     @property
     def kernel(self) -> str:
-        """Name of the kernel: the key in `fix_error.FILTERS`."""
+        """Name of the kernel: the key in `kernels.FILTERS`."""
         return kernel_name(self.model, self.kind, self.fix_error is not None)
 
     def scaled(self, factor: float) -> "FilterParameters":

@@ -17,7 +17,7 @@ from sigmaswarm.filters.kernel_array import KernelArray, KernelSums
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameter_table import group_tables
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import require_accuracy, require_axes, require_odometer
+from sigmaswarm.filters.requirements import require_accuracy, require_axes, require_odometer
 
 
 @dataclass(frozen=True, eq=False)

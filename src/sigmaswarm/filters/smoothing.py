@@ -30,8 +30,8 @@ from sigmaswarm.filters.models import THETA, require_driven_by_imu
 from sigmaswarm.filters.packing import state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass, require_readable
+from sigmaswarm.filters.requirements import measured_by
 from sigmaswarm.filters.run import Estimate, estimate_of, whole_pass
-from sigmaswarm.filters.schedule import measured_by
 from sigmaswarm.geodesy import wrap_angle
 
 

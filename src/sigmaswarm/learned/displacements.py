@@ -16,8 +16,8 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.compiled.layout import LANES, N_STATE, R, state_rows
-from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
+from sigmaswarm.filters.kernels import FILTERS
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.packing import definite, pack_states, unpack_states
 from sigmaswarm.filters.parameters import FilterParameters

@@ -1,6 +1,6 @@
 """Extended Kalman filter of planar5 and planar8 in JAX, to train `noise-gru` with gradients.
 
-The filter has the textbook form and the rules of `schedule`. It uses neither the receiver's velocity nor an odometer.
+The filter has the textbook form and the gates of `constants`. It uses neither the receiver's velocity nor an odometer.
 It is not reset after a divergence. With Student's t, it does not inflate P during runs of outliers. This module needs
 JAX, the extra ``learned``.
 """
@@ -15,17 +15,17 @@ import numpy as np
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.events import FIX, IMU, LATERAL, STANDSTILL, events_of
 from sigmaswarm.drives.timeline import AX, AY, DT, GAP, GZ, Q_SCALE
-from sigmaswarm.filters.models import GYRO_BIAS, THETA
-from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.passes import FilterPass
-from sigmaswarm.filters.schedule import (
+from sigmaswarm.filters.constants import (
     GAP_ACCELERATION_STD,
     GAP_TURN_STD,
     MOST_REJECTED,
     STANDSTILL_RATE_NOISE,
-    measured_by,
     process_noise_per_step,
 )
+from sigmaswarm.filters.models import GYRO_BIAS, THETA
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.passes import FilterPass
+from sigmaswarm.filters.requirements import measured_by
 from sigmaswarm.filters.student import INNOVATION_DOF, INNOVATION_SCALE, ITERATIONS
 from sigmaswarm.learned.cells import gru
 from sigmaswarm.learned.noise_gru import features_of, log_scales, nis_of

@@ -8,7 +8,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.sensors import LogProperties, enough_for_fix_error, log_properties, suggest_filter
 from sigmaswarm.errors import SigmaswarmWarning
 from sigmaswarm.filters.custom.log import Log
-from sigmaswarm.filters.fix_error import FILTERS, kernel_name
+from sigmaswarm.filters.kernels import FILTERS, kernel_name
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import incompatibility
 from sigmaswarm.tuning.config import C, TuneConfig, validated_config

@@ -15,8 +15,8 @@ from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.divergence import describe_restarts
 from sigmaswarm.filters.filter_run import FilterRun
-from sigmaswarm.filters.fix_error import FILTERS, kernel_name
 from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise
+from sigmaswarm.filters.kernels import FILTERS, kernel_name
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass
 from sigmaswarm.filters.presets import baseline

@@ -19,11 +19,11 @@ from sigmaswarm.drives.overlap import Landmarks, landmarks
 from sigmaswarm.drives.sensors import LogProperties, enough_for_fix_error, log_properties
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.run import run_kernel
-from sigmaswarm.filters.fix_error import kernel_name
 from sigmaswarm.filters.fixes_alone import MotionNoise, fitted_noise
+from sigmaswarm.filters.kernels import kernel_name
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline_of
-from sigmaswarm.filters.schedule import require_named_axes
+from sigmaswarm.filters.requirements import require_named_axes
 from sigmaswarm.scoring.batch import Scores
 from sigmaswarm.scoring.remote import AnyBatchScorer
 from sigmaswarm.tuning.batch import check_drives, scorer_for

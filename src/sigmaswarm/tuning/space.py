@@ -12,7 +12,7 @@ import numpy as np
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.fix_error import FILTERS, kernel_name
+from sigmaswarm.filters.kernels import FILTERS, kernel_name
 from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.filters.parameter_table import ParameterTable

@@ -27,8 +27,8 @@ from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, R, 
 from sigmaswarm.filters.compiled.memory import Memory
 from sigmaswarm.filters.compiled.swarm import N_LOG_ROW, STEP_LOG, swarm_step
 from sigmaswarm.filters.divergence import DivergenceMonitor
-from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
+from sigmaswarm.filters.kernels import FILTERS
 from sigmaswarm.filters.live import LiveFilter, LiveState, live_state
 from sigmaswarm.filters.models import GYRO_BIAS
 from sigmaswarm.filters.parameters import FilterParameters

@@ -16,8 +16,8 @@ from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.filters.bank.live import LiveFilterBank
 from sigmaswarm.filters.bank.mixture import Mixture
 from sigmaswarm.filters.filter_run import EstimateChunk, Innovations, failure_at
-from sigmaswarm.filters.fix_error import FILTERS
 from sigmaswarm.filters.kernel_array import KernelArray
+from sigmaswarm.filters.kernels import FILTERS
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass, require_readable

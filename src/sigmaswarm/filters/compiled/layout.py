@@ -12,7 +12,7 @@ import numpy as np
 from numba import config
 from numpy.typing import NDArray
 
-from sigmaswarm.filters.fix_error import FILTERS
+from sigmaswarm.filters.kernels import FILTERS
 
 LANES = 16  # lanes per block, a compile-time constant: two AVX-512 or four AVX2 vectors
 

@@ -44,8 +44,8 @@ from sigmaswarm.filters.compiled.vehicle import (
     update_standstill,
     update_velocity,
 )
-from sigmaswarm.filters.fix_error import FILTERS, UNSCENTED
-from sigmaswarm.filters.schedule import MOST_REJECTED
+from sigmaswarm.filters.constants import MOST_REJECTED
+from sigmaswarm.filters.kernels import FILTERS, UNSCENTED
 from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE, INNOVATION_SCALE, LARGEST_TAIL
 
 

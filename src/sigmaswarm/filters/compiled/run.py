@@ -16,14 +16,14 @@ from sigmaswarm.drives import alignment, gaps, odometer, stale_fixes, standstill
 from sigmaswarm.drives import events as drive_events
 from sigmaswarm.drives.events import FIX, HIDDEN, IMU, ODOMETER
 from sigmaswarm.drives.timeline import Q_SCALE
-from sigmaswarm.filters import fix_error, fuzzy, models, schedule, student, tilted
+from sigmaswarm.filters import constants, fix_error, fuzzy, kernels, models, student, tilted
 from sigmaswarm.filters.compiled.lanes import OPTIONS, exchange_control, kernel
 from sigmaswarm.filters.compiled.layout import LANES, N_KEPT, N_ROWS, R, state_rows
 from sigmaswarm.filters.compiled.memory import new_rows
 from sigmaswarm.filters.compiled.step import step_of
 from sigmaswarm.filters.compiled.step_log import logged_rows
 from sigmaswarm.filters.compiled.unroll import unrolled
-from sigmaswarm.filters.fix_error import FILTERS
+from sigmaswarm.filters.kernels import FILTERS
 from sigmaswarm.geodesy import Array
 
 # Cursor of a run in pieces: the next step, fix and target, nominal steps since the last fix, the next wheel speed.
@@ -235,6 +235,7 @@ def _store(w, rows):
 
 _ELSEWHERE = (
     alignment,
+    constants,
     drive_events,
     fix_error,
     stale_fixes,
@@ -244,7 +245,7 @@ _ELSEWHERE = (
     standstill,
     timeline,
     models,
-    schedule,
+    kernels,
     student,
     tilted,
 )

@@ -21,7 +21,7 @@ from sigmaswarm.filters.compiled.run import cached_by_sources
 from sigmaswarm.filters.compiled.step_log import phi_place
 from sigmaswarm.filters.compiled.transition import COEFFICIENTS, TRANSITIONS
 from sigmaswarm.filters.compiled.unroll import unrolled
-from sigmaswarm.filters.fix_error import FILTERS, base_model_name
+from sigmaswarm.filters.kernels import FILTERS, base_model_name
 
 
 def _plain(function, **known):

@@ -13,15 +13,15 @@ from sigmaswarm.filters.compiled.planar8 import predict_planar8
 from sigmaswarm.filters.compiled.tilted12 import COLUMNS, predict_tilted12, propagate, settle
 from sigmaswarm.filters.compiled.tilted12_unscented import add_curvature, linearize
 from sigmaswarm.filters.compiled.transition import COEFFICIENTS, TRANSITIONS
-from sigmaswarm.filters.fix_error import FILTERS, UNSCENTED, base_model_name
-from sigmaswarm.filters.schedule import GAP_ACCELERATION_STD, GAP_TILT_STD, GAP_TURN_STD
+from sigmaswarm.filters.constants import GAP_ACCELERATION_STD, GAP_TILT_STD, GAP_TURN_STD
+from sigmaswarm.filters.kernels import FILTERS, UNSCENTED, base_model_name
 from sigmaswarm.filters.tilted import N
 
 
 def _grow(w, dt, gap, *, tilted):
     """Add the covariance of the unobserved motion in an IMU gap.
 
-    See `schedule.gap_covariance`.
+    See `constants.gap_covariance`.
     """
     turn = GAP_TURN_STD * GAP_TURN_STD * gap * dt
     g = GAP_ACCELERATION_STD * GAP_ACCELERATION_STD * gap * dt

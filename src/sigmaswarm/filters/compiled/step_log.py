@@ -9,7 +9,7 @@ import numpy as np
 from sigmaswarm.filters.compiled.lanes import kernel
 from sigmaswarm.filters.compiled.layout import LANES, MOVE, PRIOR, state_rows
 from sigmaswarm.filters.compiled.transition import COEFFICIENTS
-from sigmaswarm.filters.fix_error import FILTERS, base_model_name
+from sigmaswarm.filters.kernels import FILTERS, base_model_name
 
 
 def _moves_of(name):

@@ -7,7 +7,7 @@ tilted12_unscented.py. Each function returns A e as a tuple. Its coefficients ``
 """
 
 from sigmaswarm.filters.compiled.layout import SLOPE, R
-from sigmaswarm.filters.fix_error import UNSCENTED
+from sigmaswarm.filters.kernels import UNSCENTED
 from sigmaswarm.filters.tilted import GRAVITY
 
 COEFFICIENTS = {

@@ -12,7 +12,7 @@ from sigmaswarm.drives.timeline import AX, FIX_THETA, FIX_VAR_THETA, FIX_VX, FIX
 from sigmaswarm.filters.compiled.lanes import sincos, spread_of
 from sigmaswarm.filters.compiled.layout import C1, C2, LANES, P, R
 from sigmaswarm.filters.compiled.tilted12 import fold
-from sigmaswarm.filters.schedule import HEADING_GATE, SLIP_GATE
+from sigmaswarm.filters.constants import HEADING_GATE, SLIP_GATE
 
 TWO_PI = 2.0 * math.pi
 
@@ -194,7 +194,7 @@ def measure_heading_planar(w, *, n):
 def update_heading(w, u, z, *, tilted, measure_heading):
     """Update with a heading that is ``latency`` s old; increase S of an outlier.
 
-    See `schedule.HEADING_GATE`.
+    See `constants.HEADING_GATE`.
     """
     shown, theta, stated = u[GZ], z[FIX_THETA], z[FIX_VAR_THETA]
     measure_heading(w)

@@ -9,23 +9,20 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.events import FIX, HEADING, LATERAL, ODOMETER, STANDSTILL, VELOCITY, events_of
 from sigmaswarm.drives.timeline import FIX_THETA, FIX_VAR_THETA, Timeline
 from sigmaswarm.filters import fix_error
-from sigmaswarm.filters.fix_error import FILTERS
-from sigmaswarm.filters.models import THETA, CarModel, lateral_arm, require_driven_by_imu
-from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import (
+from sigmaswarm.filters.constants import (
     GAP_TILT_STD,
     HEADING_GATE,
     MOST_REJECTED,
     SLIP_GATE,
     STANDSTILL_RATE_NOISE,
     gap_covariance,
-    measured_by,
     process_noise_per_step,
-    require_accuracy,
-    require_axes,
-    require_odometer,
-    start_of,
 )
+from sigmaswarm.filters.kernels import FILTERS
+from sigmaswarm.filters.models import THETA, CarModel, lateral_arm, require_driven_by_imu
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.requirements import measured_by, require_accuracy, require_axes, require_odometer
+from sigmaswarm.filters.starts import start_of
 from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
 from sigmaswarm.filters.textbook.adaptive import FuzzyNoise, SageHusa, StrongTracking, StudentT
 from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter, Measurement, Prediction
@@ -38,7 +35,7 @@ class Car:
     """Filter on a drive's time line, in textbook form; a script for FilterPy contains this class.
 
     ``filter`` has the interface of `GaussianFilter`; its ``mean`` and ``covariance`` may be set before a step.
-    ``noise`` has the current diagonals of Q and R. ``measured``: see `schedule.measured_by`.
+    ``noise`` has the current diagonals of Q and R. ``measured``: see `requirements.measured_by`.
     """
 
     def __init__(
