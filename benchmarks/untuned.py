@@ -14,7 +14,7 @@ import numpy as np
 
 from defaults import cases
 from sigmaswarm import FilterParameters, SigmaswarmWarning, evaluate
-from sigmaswarm.drives.sensors import suggest_filter
+from sigmaswarm.drives.suggestion import suggest_filter
 from sigmaswarm.scoring.methods import BASELINE
 from sigmaswarm.tuning.space import search_space
 

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 Origin = tuple[float, float, float]  # latitude (deg), longitude (deg), altitude (m)
+STANDARD_GRAVITY = 9.80665  # m/s2; filters and their exported C have 9.81: see `filters.tilted`
 
 
 @overload

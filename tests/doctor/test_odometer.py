@@ -11,7 +11,7 @@ from sigmaswarm import Drive, Odometer, diagnose, read_drive, repair, simulate
 from sigmaswarm.doctor.checks import odometer as subject
 from sigmaswarm.doctor.evidence import Evidence, gather
 from sigmaswarm.doctor.findings import Diagnosis
-from sigmaswarm.drives.sensors import suggest_filter
+from sigmaswarm.drives.suggestion import suggest_filter
 from support import DRIVES, needs_shared, quickly
 
 Fault = Callable[[Odometer], Odometer]

@@ -28,7 +28,7 @@ from sigmaswarm.reports.study_charts import save_study
 from sigmaswarm.scoring.drifts import rms_drift
 from sigmaswarm.scoring.score import score_estimate
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_pass, outage_windows, tracking_pass
-from sigmaswarm.tuning.racing import MIN_DRIVES
+from sigmaswarm.tuning.racing import MIN_RACED_DRIVES
 from sigmaswarm.tuning.search import TrialRunner
 from sigmaswarm.tuning.space import SearchSpace, search_space
 from sigmaswarm.tuning.tune import tune
@@ -151,7 +151,7 @@ def test_it_races_by_itself_where_training_drives_are_many():
         config = TINY.model_copy(update=asked)
         return Design((), (("", ""),) * len(strata), strata, config).tune_config("pso-ukf", "honest").racing
 
-    enough = math.ceil(MIN_DRIVES / 2 / TINY.train_fraction)
+    enough = math.ceil(MIN_RACED_DRIVES / 2 / TINY.train_fraction)
     assert races(enough)
     assert not races(enough - 2)
     assert not races(enough, per_condition=True)

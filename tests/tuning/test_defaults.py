@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from sigmaswarm.drives.drive import Drive, Odometer
 from sigmaswarm.drives.reader import read_drive
-from sigmaswarm.drives.sensors import has_white_errors, suggest_filter
+from sigmaswarm.drives.sensors import has_white_errors
 from sigmaswarm.drives.split import clip
+from sigmaswarm.drives.suggestion import suggest_filter
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import FilterKind

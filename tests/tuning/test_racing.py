@@ -14,7 +14,7 @@ from sigmaswarm.tuning.batch import run_batch
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.optimizers import OPTIMIZERS
 from sigmaswarm.tuning.problem import CarProblem, car_problem
-from sigmaswarm.tuning.racing import FIRST_DIVISOR, MIN_DRIVES, Leader, leader_at, race, rungs
+from sigmaswarm.tuning.racing import FIRST_DIVISOR, MIN_RACED_DRIVES, Leader, leader_at, race, rungs
 from sigmaswarm.tuning.search import Progress, TrialRunner
 from sigmaswarm.tuning.store import ResultFolder
 from sigmaswarm.tuning.tune import tune as tune_by_default
@@ -213,7 +213,7 @@ def searched(problem: Bowls, folder: ResultFolder | None = None, progress=None, 
 
 def test_among_many_drives_it_begins_with_some():
     assert rungs(30, 350) == [(30, 29), (15, 58), (8, 116), (4, 232), (2, 350)]
-    assert (rungs(30, MIN_DRIVES)[0], rungs(30, MIN_DRIVES - 1)[0]) == ((30, 8), (30, 1))
+    assert (rungs(30, MIN_RACED_DRIVES)[0], rungs(30, MIN_RACED_DRIVES - 1)[0]) == ((30, 8), (30, 1))
 
 
 def test_whoever_is_no_better_than_the_best_stops_when_it_is_plain():
@@ -243,22 +243,22 @@ def test_whoever_is_no_better_than_the_best_stops_when_it_is_plain():
 
 
 def test_without_a_best_and_alone_all_drives_are_seen():
-    costs = np.random.default_rng(1).normal(size=(4, MIN_DRIVES))
+    costs = np.random.default_rng(1).normal(size=(4, MIN_RACED_DRIVES))
     costs[2, 3] = np.inf
-    table, result = raced(costs, range(MIN_DRIVES))
+    table, result = raced(costs, range(MIN_RACED_DRIVES))
     assert result.steps == 4 * table.steps.sum()
     assert result.costs.tolist() == costs.mean(axis=1).tolist()
-    _, failed = raced(np.full((4, MIN_DRIVES), np.inf), range(MIN_DRIVES))
+    _, failed = raced(np.full((4, MIN_RACED_DRIVES), np.inf), range(MIN_RACED_DRIVES))
     assert failed.leader is None
-    best = Leader(-10.0, np.full(MIN_DRIVES, -10.0))
-    alone = race(table, np.zeros((1, 1)), range(MIN_DRIVES), None, best)
+    best = Leader(-10.0, np.full(MIN_RACED_DRIVES, -10.0))
+    alone = race(table, np.zeros((1, 1)), range(MIN_RACED_DRIVES), None, best)
     assert (alone.costs[0], alone.leader) == (costs[0].mean(), best)
 
 
 def test_of_equal_costs_the_first_leads():
-    costs = np.tile(np.random.default_rng(2).normal(size=MIN_DRIVES), (2, 1))
+    costs = np.tile(np.random.default_rng(2).normal(size=MIN_RACED_DRIVES), (2, 1))
     first = Leader(float(costs[0].mean()), costs[0])
-    alone = race(Table(costs), np.zeros((1, 1)), range(MIN_DRIVES), None, first)
+    alone = race(Table(costs), np.zeros((1, 1)), range(MIN_RACED_DRIVES), None, first)
     assert alone.leader is first
 
 

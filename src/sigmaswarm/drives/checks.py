@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.tables import Array, Gps, Imu, Truth
 from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
-from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.geodesy import STANDARD_GRAVITY, wrap_angle
 from sigmaswarm.wording import count_of
 
 MIN_SAMPLES = 100  # smallest number of IMU samples
@@ -22,7 +22,7 @@ MIN_UNSHARED_TIME = 10.0  # s; a longer time without the other sensor at the sta
 # Time without fixes at the start or end of the IMU's time span, as a fraction of the span, above which it is reported.
 # Many logs begin before the first fix.
 MIN_UNSHARED_SHARE = 0.1
-GRAVITY = 9.80665  # m/s2, standard gravity; filters and their exported C have 9.81: see `filters.tilted`
+GRAVITY = STANDARD_GRAVITY
 IMPOSSIBLE_RATE = 3.0  # rad/s; no car makes half a turn in a second
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # number per second
 _MAX_INTERVALS = (2.0, 60.0)  # s between samples and between fixes; longer intervals suggest another unit

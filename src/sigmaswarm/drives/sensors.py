@@ -1,4 +1,4 @@
-"""Choose the default filter of `tune` by the sensors of the logs; compare the vehicles and sensors of logs."""
+"""Properties of logs that determine a filter; compare the vehicles and sensors of logs."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.mounting import NO_ROTATION, Angles, axes_of
-from sigmaswarm.geodesy import rotation_of
+from sigmaswarm.geodesy import STANDARD_GRAVITY, rotation_of
 
 # Ratio of the 95% to the 5% quantile of stated standard deviations above which the standard deviations are informative
 MIN_STD_RATIO = 1.5
@@ -40,19 +39,6 @@ With eight simulated M8 logs of 142 s at 1 Hz, these states increased the 30 s d
 
 MAX_RATE_RATIO = 1.5  # largest ratio of the sampling rates of two drives with the same sensors
 MAX_ANGLE = 10.0  # deg, largest angle between the mountings of two drives with the same mounting
-
-
-@dataclass(frozen=True)
-class SuggestedFilter:
-    """A filter: its model, its measurements other than positions, and the reason for the choice."""
-
-    model: str
-    use: tuple[str, ...]
-    because: str
-
-    @property
-    def options(self) -> str:
-        return f"--model {self.model} --use {' '.join(self.use)}"
 
 
 @dataclass(frozen=True)
@@ -118,46 +104,12 @@ def log_properties(drive: Drive | LogProperties) -> LogProperties:
     )
 
 
-def suggest_filter(drives: Sequence[Drive | LogProperties]) -> SuggestedFilter:
-    """Choose the filter for cars from the sensors that all logs have, without running filters.
-
-    - **tilted12** if every IMU has six axes, with gravity on az. It estimates roll and pitch, so hills and braking are
-      not mistaken for motion. Otherwise **planar8**.
-    - **lateral** and **standstill** always. These constraints determine the heading, which position fixes alone do not
-      determine.
-    - **odometer** if every log has one.
-    - **accuracy** if every receiver states standard deviations, and these vary.
-    - **robust** always. It hardly changes results without outliers, and is needed with outliers.
-
-    The gate is not used, since a gate tuned on one receiver rejects good fixes of another. The receiver's velocity and
-    heading are not used, since no log with truth had them. Latency is not estimated. Scores do not choose the model:
-    the errors of models chosen by held-out likelihood and predictions exceeded those of the best model by 18 to 24% on
-    average, and by 61 to 122% at worst. With one good model for all drives, the errors exceeded those of the best model
-    by 4 to 12%.
-    """
-    logs = [log_properties(drive) for drive in drives]
-    six = bool(logs) and all(log.attitude for log in logs)
-    wheels = bool(logs) and all(log.odometer for log in logs)
-    spreads = [log.spread for log in logs if log.spread]
-    stated = bool(logs) and len(spreads) == len(logs)
-    reasons = ["the IMU has six axes" if six else "an IMU lacks az, gx or gy"]
-    if not six and all(len(log.axes) == 6 for log in logs):
-        reasons = ["az does not show gravity, or gx or gy is constant"]
-    if wheels:
-        reasons.append("there is an odometer")
-    if stated:
-        low, high = min(low for low, _ in spreads), max(high for _, high in spreads)
-        reasons.append(f"the stated standard deviations range from {low:.2g} to {high:.2g} m")
-    use = ("lateral", "standstill", *["odometer"] * wheels, *["accuracy"] * stated, "robust")
-    return SuggestedFilter("tilted12" if six else "planar8", use, ", and ".join(reasons))
-
-
 def has_attitude(drive: Drive) -> bool:
     """Return True if roll and pitch are observable: az, gx and gy exist, az shows gravity, and gx and gy vary."""
     az, gx, gy = drive.imu.az, drive.imu.gx, drive.imu.gy
     if az is None or gx is None or gy is None:
         return False
-    upright = abs(float(np.median(az)) / GRAVITY - 1.0) < GRAVITY_TOLERANCE
+    upright = abs(float(np.median(az)) / STANDARD_GRAVITY - 1.0) < GRAVITY_TOLERANCE
     return upright and bool(np.ptp(gx) > 0) and bool(np.ptp(gy) > 0)
 
 

@@ -39,7 +39,9 @@ from sigmaswarm.geodesy import wrap_angle
 
 MAX_RESTARTS = 1000  # largest number of times in `LiveFilter.restarts`
 MAX_READINGS = 2000  # stored odometer readings: ten seconds at 200 Hz
-MAX_RATE_RATIO = 4  # the monitor covers its full span if the IMU is up to this many times as fast as stated
+MONITORED_RATE_RATIO = (
+    4  # the monitor covers its full span if the IMU is up to this many times as fast as stated
+)
 MAX_HISTORY = 100_000  # largest history and lag in IMU intervals: 100 s at 1 kHz, 0.2 GB
 MAX_WAITING_FIXES = 1000  # approximate number of fixes that can wait during a gap of the IMU
 _NO_NUMBERS = (TypeError, LookupError, OverflowError)
@@ -150,7 +152,7 @@ class LiveFilter:
         samples = max(1, int(np.ceil(span / nominal_interval)))
         # At most one fix per sample
         waiting = MAX_WAITING_FIXES + samples + int(FIX_WINDOW / nominal_interval)
-        monitored = 2 + int(MAX_RATE_RATIO * MONITOR_SPAN / nominal_interval)
+        monitored = 2 + int(MONITORED_RATE_RATIO * MONITOR_SPAN / nominal_interval)
         arrays = LiveArrays(
             filter_state,
             np.zeros(live.N_COUNTS, dtype=np.int64),

@@ -70,7 +70,7 @@ Its square is added to the squared density of the sensor. IMUs at standstill hav
 to 2e-4 rad/s/sqrt(Hz). On six drives, a filter with the densities of data sheets alone drifted 1.3 to 60 times as far
 in 5 s as the tuned filter.
 """
-ACCURACY_FLOOR = 0.1**2  # m2, added to the stated variance of each fix
+ADDED_VARIANCE = 0.1**2  # m2, added to the stated variance of each fix
 
 
 def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParameters:
@@ -102,7 +102,7 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
         model=like.model,
         kind=like.kind,
         process_noise=(*plain.process_noise, *walks),
-        measurement_noise=plain.measurement_noise if like.accuracy_scale is None else (ACCURACY_FLOOR,) * 2,
+        measurement_noise=plain.measurement_noise if like.accuracy_scale is None else (ADDED_VARIANCE,) * 2,
         rear_axle=HALF_A_WHEELBASE if like.lateral_noise is not None else 0.0,
         **{name: value for name, value in TYPICAL_VALUES.items() if getattr(like, name) is not None},
     )
@@ -125,7 +125,7 @@ def _bias_walk(drive: Drive, sensor: str) -> float:
 def _robot_localization(drive: Drive, like: FilterParameters, plain: FilterParameters) -> FilterParameters:
     states = accuracy = None
     if like.accuracy_scale is not None:
-        accuracy, states = 1.0, (ACCURACY_FLOOR,) * 2
+        accuracy, states = 1.0, (ADDED_VARIANCE,) * 2
     return replace(
         plain,
         model=like.model,

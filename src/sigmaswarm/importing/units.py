@@ -8,9 +8,11 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
+from sigmaswarm.geodesy import STANDARD_GRAVITY
+
 UnitDimension = Literal["time", "acceleration", "rate", "angle", "length", "speed"]
 
-G = 9.80665  # m/s2
+G = STANDARD_GRAVITY
 MAX_LENGTH = 40
 
 _DEGREE = math.pi / 180

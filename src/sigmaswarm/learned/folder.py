@@ -50,7 +50,7 @@ class TrainingRecord(BaseModel):
     seed: int
     search: int
     driven_s: float
-    labelled_s: float = 0.0  # training does not use truth
+    labelled_s: float = 0.0  # always 0: training does not use truth
     epochs: int
     loss_before: float
     loss: float  # on the validation data

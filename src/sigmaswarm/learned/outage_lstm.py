@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.tables import Array, Indices
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.errors import InputError
@@ -26,6 +25,7 @@ from sigmaswarm.filters.filter_run import InterruptibleRun
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass
+from sigmaswarm.geodesy import STANDARD_GRAVITY
 from sigmaswarm.learned.cells import Weights, head, lstm, new_weights
 from sigmaswarm.learned.displacements import Displacements, DisplacementStart, to_body_axes
 
@@ -116,7 +116,7 @@ def features_at(line: Timeline, end: Indices, *, axes: Sequence[str], window: fl
                 f"{line.drive.name}: imu.csv has no {axis}, an input of the network; train a network on drives of this "
                 "car"
             )
-        values = values - (GRAVITY if axis == "az" else 0.0)
+        values = values - (STANDARD_GRAVITY if axis == "az" else 0.0)
         mean = _means(time, values, edges)
         variance = _means(time, values**2, edges) - mean**2
         means.append(mean)

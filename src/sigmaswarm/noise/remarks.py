@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.tables import Array, Imu
+from sigmaswarm.geodesy import STANDARD_GRAVITY
 from sigmaswarm.noise.allan import model_parts
 from sigmaswarm.noise.records import DEG_PER_HOUR, HOUR, MGAL, AxisNoise
 from sigmaswarm.noise.spectrum import NoiseFit
@@ -46,10 +46,10 @@ def on_gravity(imu: Imu, part: slice) -> Iterator[str]:
     if imu.az is None:
         return
     force = math.hypot(*(float(np.mean(column[part])) for column in (imu.ax, imu.ay, imu.az)))
-    if not abs(force / GRAVITY - 1) < MAX_GRAVITY_ERROR:
+    if not abs(force / STANDARD_GRAVITY - 1) < MAX_GRAVITY_ERROR:
         yield (
-            f"the accelerometer measures {force:.3g} m/s2 at rest instead of {GRAVITY:.3g}: the unit looks wrong "
-            '(if the value is about 1, the unit is g); convert it with --map "ax=acc_x*9.80665"'
+            f"the accelerometer measures {force:.3g} m/s2 at rest instead of {STANDARD_GRAVITY:.3g}: the unit looks "
+            'wrong (if the value is about 1, the unit is g); convert it with --map "ax=acc_x*9.80665"'
         )
 
 

@@ -19,7 +19,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.gaps import share_known
 from sigmaswarm.drives.outages import hidden_fixes, random_windows
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.drives.sensors import suggest_filter
+from sigmaswarm.drives.suggestion import suggest_filter
 from sigmaswarm.drives.tables import Array, Gps, Mask, Truth
 from sigmaswarm.errors import InputError, SigmaswarmError, SigmaswarmWarning
 from sigmaswarm.filters.models import MODELS, THETA

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sigmaswarm.experiments.study.config import ALL, BASELINE, MAIN_METHOD, PROTOCOL_LABELS
+from sigmaswarm.experiments.study.config import ALL, MAIN_METHOD, NO_PROTOCOL, PROTOCOL_LABELS
 from sigmaswarm.experiments.study.record import Convergence, CurvePoint, Results, ScoreQuantiles
 from sigmaswarm.experiments.study.study import Study
 from sigmaswarm.files import make_folder, staged_files, write_atomically
@@ -32,7 +32,7 @@ from sigmaswarm.scoring.consistency import GATE_95
 from sigmaswarm.scoring.tracks import CLOSE_UP_SIZE, NIS, Columns, Picture
 
 PROTOCOL_COLORS = {
-    BASELINE: SLATE,
+    NO_PROTOCOL: SLATE,
     "paper": STUDY_STYLES["paper-pso-ukf"].color,
     "honest": STUDY_STYLES["honest-pso-ukf"].color,
 }

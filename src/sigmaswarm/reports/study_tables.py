@@ -8,11 +8,11 @@ from typing import Any
 
 from sigmaswarm.experiments.study.config import (
     ALL,
-    BASELINE,
     LONG_OUTAGES,
     MAIN_METHOD,
     METHODS,
     NETWORK_FILTER,
+    NO_PROTOCOL,
 )
 from sigmaswarm.experiments.study.record import (
     CurvePoint,
@@ -29,7 +29,9 @@ from sigmaswarm.tables import Cell, Column, Table
 POSITION, HEADING, DRIFT = "position_rmse_m", "heading_rmse_deg", "outage_drift_m"
 ERRORS = {POSITION: "position RMSE against truth", HEADING: "heading error", DRIFT: "outage drift"}
 # Protocol, method and the corresponding row of the paper, for each row of a table.
-ROWS = [(p, name, method.paper) for name, method in METHODS.items() for p in method.protocols or (BASELINE,)]
+ROWS = [
+    (p, name, method.paper) for name, method in METHODS.items() for p in method.protocols or (NO_PROTOCOL,)
+]
 LIVE_NAMES = {"EKF": "ekf", "adaptive UKF": "adaptive-ukf", "UKF": "ukf"}
 MANUAL_METHOD = "ukf-datasheet"  # manually tuned filter of equation 5
 OUTAGE_LENGTHS = {DRIFT: "5 s", **{measure: f"{length:g} s" for measure, length in LONG_OUTAGES.items()}}
@@ -223,7 +225,7 @@ def objectives_compared(results: Results) -> str:
     summaries = (
         results.summary("paper", MAIN_METHOD, "gps_rmse_m"),
         results.summary("paper", MAIN_METHOD, POSITION),
-        results.summary(BASELINE, "raw-gps", POSITION),
+        results.summary(NO_PROTOCOL, "raw-gps", POSITION),
         results.summary("honest", MAIN_METHOD, POSITION),
     )
     if None in (means := [each and each.mean for each in summaries]):

@@ -10,12 +10,13 @@ import numpy as np
 from scipy.signal import lfilter
 
 from sigmaswarm.drives.drive import Array, Imu
+from sigmaswarm.geodesy import STANDARD_GRAVITY
 from sigmaswarm.simulation.dynamics import GRAVITY
 from sigmaswarm.simulation.environments import by_name
 from sigmaswarm.simulation.motion import Motion
 
 _DEG = math.pi / 180
-_G = 9.80665  # m/s2, the standard gravity of datasheets
+_G = STANDARD_GRAVITY
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.sensors import LogProperties, enough_for_fix_error, log_properties, suggest_filter
+from sigmaswarm.drives.sensors import LogProperties, enough_for_fix_error, log_properties
+from sigmaswarm.drives.suggestion import suggest_filter
 from sigmaswarm.errors import SigmaswarmWarning
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.kernels import FILTERS, kernel_name

@@ -40,7 +40,9 @@ from sigmaswarm.tuning.problem import Problem, duration_share
 
 INFLATION, TILTED_INFLATION, WITH_TRUTH = 0.05, 0.02, 0.01
 """Default allowed cost increases: planar without truth, other models without truth, tilted12 with truth."""
-MIN_DRIVES = 3  # drives with truth from which the standard deviations of the initial biases are determined
+MIN_DRIVES_WITH_TRUTH = (
+    3  # drives with truth from which the standard deviations of the initial biases are determined
+)
 REFERENCE_DURATION, TILTED_DURATION = 100.0, 150.0
 """Total driving times (s) up to which the whole cost increase is allowed: planar models, models with roll and pitch.
 
@@ -77,7 +79,7 @@ def inflate(
     share = allowed * duration_share(problem.data, reference)
     within = np.logical_and.accumulate(problem.relative_increase(costs, costs[0]) <= share)
     last, least = int(within.sum()) - 1 if within.any() else 0, space.least
-    if len(problem.data) >= MIN_DRIVES and parse_objective(problem.config.objective).needs_truth:
+    if len(problem.data) >= MIN_DRIVES_WITH_TRUTH and parse_objective(problem.config.objective).needs_truth:
         least = np.where([one.field == "bias_std" for one in space.dimensions], -np.inf, least)
     if shown := shown_bias(problem.starts()):
         gyro = [name == "gyro_bias_std" for name in space.names]

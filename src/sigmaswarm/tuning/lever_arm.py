@@ -16,7 +16,8 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array, Drive, as_list
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.drives.sensors import log_properties, suggest_filter
+from sigmaswarm.drives.sensors import log_properties
+from sigmaswarm.drives.suggestion import suggest_filter
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.filter_run import FilterRun, Innovations
 from sigmaswarm.filters.models import MODELS, THETA

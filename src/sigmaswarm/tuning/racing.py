@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.tables import Array, Mask
 from sigmaswarm.tuning.problem import Problem
 
-FIRST_DIVISOR = 12  # a race on MIN_DRIVES or more drives starts with 1 / FIRST_DIVISOR of them
-MIN_DRIVES = 96
+FIRST_DIVISOR = 12  # a race on MIN_RACED_DRIVES or more drives starts with 1 / FIRST_DIVISOR of them
+MIN_RACED_DRIVES = 96
 """Smallest number of drives for a race against the leader; 1/12 of fewer drives is too small a sample for a test."""
 Order = Sequence[int] | NDArray[np.int64]
 
@@ -53,7 +53,7 @@ class RaceResult:
 
 def rungs(n_candidates: int, n_drives: int) -> list[tuple[int, int]]:
     """Return numbers of candidates and drives per rung; each rung halves the candidates and doubles the drives."""
-    rungs = [(n_candidates, n_drives // FIRST_DIVISOR if n_drives >= MIN_DRIVES else min(1, n_drives))]
+    rungs = [(n_candidates, n_drives // FIRST_DIVISOR if n_drives >= MIN_RACED_DRIVES else min(1, n_drives))]
     while (drives := rungs[-1][1]) < n_drives:
         rungs.append(((rungs[-1][0] + 1) // 2, min(2 * drives, n_drives)))
     return rungs
@@ -74,11 +74,11 @@ def race(
 ) -> RaceResult:
     """Evaluate points, shape (n, d), on the drives in the given order, and drop the worse half at each rung.
 
-    With `MIN_DRIVES` or more drives, points that are not better than ``leader`` are dropped, too. With so many drives,
-    but without a leader or with only one point, no point is dropped.
+    With `MIN_RACED_DRIVES` or more drives, points that are not better than ``leader`` are dropped, too. With so many
+    drives, but without a leader or with only one point, no point is dropped.
     """
     order = np.asarray(order)
-    many, n, m = len(order) >= MIN_DRIVES, len(points), len(order)
+    many, n, m = len(order) >= MIN_RACED_DRIVES, len(points), len(order)
     rival = leader if many and n > 1 else None
     each, costs = np.empty((n, 0)), np.full(n, np.inf)
     alive, dropped, steps = np.arange(n), list[NDArray[np.int64]](), 0

@@ -17,7 +17,7 @@ from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.optimizers.asktell import AskTell
 from sigmaswarm.tuning.optimizers.budget import Budgeted
 from sigmaswarm.tuning.problem import Problem
-from sigmaswarm.tuning.racing import MIN_DRIVES, Leader, RaceResult, leader_at, race
+from sigmaswarm.tuning.racing import MIN_RACED_DRIVES, Leader, RaceResult, leader_at, race
 from sigmaswarm.tuning.store import (
     ResultFolder,
     TrialHistoryRecord,
@@ -194,7 +194,7 @@ class TrialRunner:
             history = {name: arrays[name] for name in HISTORY}
             TrialHistoryRecord(point=optimizer.global_best, **history)
             failures = int(notes["failures"])
-            races = self.config.racing and len(self.problem.steps) >= MIN_DRIVES
+            races = self.config.racing and len(self.problem.steps) >= MIN_RACED_DRIVES
             if not races or not np.isfinite(optimizer.global_cost):
                 return history, failures, None
             return history, failures, leader_at(self.problem, optimizer.global_best, self.executor)

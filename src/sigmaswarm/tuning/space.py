@@ -44,12 +44,12 @@ The slip is 0.004 to 0.012 on real drives (course relative to the gyro's heading
 likelihood is largest at 0.010 to 0.018: a car takes most turns at similar speeds v, so the likelihood determines only
 rear_axle - slip v^2.
 """
-MIN_WHITE_SHARE = 0.04
+MIN_SEARCHED_WHITE_SHARE = 0.04
 """Lower bound of R, relative to the receiver's variance, for fix-error with a fixed time.
 
 With a smaller R, Student's t treats correlated errors as outliers.
 """
-ACCURACY_FLOOR = (1e-4, 1e3)
+ADDED_VARIANCE_BOUNDS = (1e-4, 1e3)
 """Bounds (m2) of the variance added to the stated variance of each fix."""
 INFLATION_MINIMA = {
     "tilt": 2e-7,
@@ -214,7 +214,9 @@ def _with_prior(dimensions: Sequence[Dimension], interval: float) -> Iterator[Di
 def _with_fixed_time(dimensions: Sequence[Dimension], fix_std: float, weighs: bool) -> Iterator[Dimension]:
     """Omit `FIX_ERROR_TIME`, and set a minimum of R; ``weighs``: True if R depends on the stated variance of a fix."""
     field, least = (
-        ("accuracy_scale", MIN_WHITE_SHARE) if weighs else ("measurement_noise", MIN_WHITE_SHARE * fix_std**2)
+        ("accuracy_scale", MIN_SEARCHED_WHITE_SHARE)
+        if weighs
+        else ("measurement_noise", MIN_SEARCHED_WHITE_SHARE * fix_std**2)
     )
     for one in dimensions:
         if one.field != FIX_ERROR_TIME:
@@ -245,7 +247,7 @@ def _dimensions(
         elif alike[0].bias_of == "gyro" or (described.measures_imu and alike[0].unit.startswith("rad")):
             inflation = 0.0
         yield Dimension(f"q_{name}", "process_noise", len(alike), *bounds, inflation=inflation, least=least)
-    fixes = ACCURACY_FLOOR if "accuracy" in use else described.fix_variance
+    fixes = ADDED_VARIANCE_BOUNDS if "accuracy" in use else described.fix_variance
     for name, entries in (("xy", 2),) if blind else (("x", 1), ("y", 1)):
         yield Dimension(f"r_{name}", "measurement_noise", entries, *fixes)
     if described.measures_imu:

@@ -19,7 +19,7 @@ from sigmaswarm.doctor.windows import integral, moving_mean, smoothed
 from sigmaswarm.doctor.yaw_fit import yaw_windows
 from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.drives.sensors import suggest_filter
+from sigmaswarm.drives.suggestion import suggest_filter
 
 MIN_TURN = np.radians(1.0)  # rad, RMS change of the course within 20 s; smaller changes are due to swaying
 BIAS_LIMITS = (np.radians(0.1), np.radians(1.0))  # rad/s, for a note and for a warning

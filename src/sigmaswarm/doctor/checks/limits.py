@@ -10,8 +10,9 @@ from sigmaswarm.doctor.clock_search import MAX_OFFSET
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding
 from sigmaswarm.drives.alignment import REPAIR_FINDINGS, StartFailure, find_start
-from sigmaswarm.drives.sensors import FIXES_FOR_FIX_ERROR, has_lasting_errors, stated_spread, suggest_filter
+from sigmaswarm.drives.sensors import FIXES_FOR_FIX_ERROR, has_lasting_errors, stated_spread
 from sigmaswarm.drives.split import part_of
+from sigmaswarm.drives.suggestion import suggest_filter
 from sigmaswarm.wording import count_of
 
 CIRCLE = 2 * np.pi  # rad, smallest range of the course of a car that drives in circles

@@ -22,7 +22,7 @@ from sigmaswarm.tuning.options import Scale
 from sigmaswarm.wording import first_mistake
 
 ALL = "all"  # group of all conditions; also the name of an unknown maneuver or environment
-BASELINE = "untuned"  # protocol of methods without tuning
+NO_PROTOCOL = "untuned"  # protocol of methods without tuning
 ProtocolName = Literal["paper", "honest"]
 
 

@@ -39,7 +39,7 @@ from sigmaswarm.scoring.remote import AnyBatchScorer, RemoteBatchScorer, map_pre
 from sigmaswarm.simulation.conditions import simulate_many, simulated_source
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.defaults import default_filter_options, objective_for
-from sigmaswarm.tuning.racing import MIN_DRIVES
+from sigmaswarm.tuning.racing import MIN_RACED_DRIVES
 from sigmaswarm.tuning.search import Trial
 
 if TYPE_CHECKING:
@@ -147,11 +147,11 @@ class Design:
 
     @cached_property
     def _races(self) -> bool:
-        """The option ``racing``; by default, True if every tuning has at least `MIN_DRIVES` training drives."""
+        """The option ``racing``; by default, True if every tuning has at least `MIN_RACED_DRIVES` training drives."""
         if self.config.racing is not None:
             return self.config.racing
         train = set(self.split(0)[0])
-        return min(len(train.intersection(self.members(group))) for group in self.groups) >= MIN_DRIVES
+        return min(len(train.intersection(self.members(group))) for group in self.groups) >= MIN_RACED_DRIVES
 
     @cached_property
     def _default_options(self) -> dict[str, Any]:

@@ -25,7 +25,7 @@ import polars as pl
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.experiments.study.config import ALL, BASELINE, PROTOCOL_LABELS, Protocol, StudyConfig
+from sigmaswarm.experiments.study.config import ALL, NO_PROTOCOL, PROTOCOL_LABELS, Protocol, StudyConfig
 from sigmaswarm.files import nan_to_none, write_json
 from sigmaswarm.records import load_record
 from sigmaswarm.scoring.tracks import Tracks, load_tracks
@@ -211,9 +211,9 @@ class Results(_Part):
     paper: dict[str, Any]
     rivals: RivalResults | None = None
 
-    def label(self, method: str, protocol: str = BASELINE) -> str:
+    def label(self, method: str, protocol: str = NO_PROTOCOL) -> str:
         name = self.methods.get(method, method)
-        return name if protocol == BASELINE else f"{name} ({PROTOCOL_LABELS.get(protocol, protocol)})"
+        return name if protocol == NO_PROTOCOL else f"{name} ({PROTOCOL_LABELS.get(protocol, protocol)})"
 
     def means(self, measure: str) -> list[VariantSummary]:
         wanted = (measure, ALL, ALL)

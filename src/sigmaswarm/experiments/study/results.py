@@ -21,9 +21,9 @@ from sigmaswarm.experiments.statistics import (
 )
 from sigmaswarm.experiments.study.config import (
     ALL,
-    BASELINE,
     MAIN_METHOD,
     NETWORK_FILTER,
+    NO_PROTOCOL,
     PAPER_RESULTS,
     PROTOCOLS,
 )
@@ -118,7 +118,7 @@ def summarize(values: Array, strata: Sequence[str], test_per_train: float, draws
 
 def _comparisons(scores: ScoreTable, draws: Draws) -> Iterator[PairedComparison]:
     for protocol in PROTOCOLS:
-        others = [v for v in scores.values if v[0] in (BASELINE, protocol) and v[1] != MAIN_METHOD]
+        others = [v for v in scores.values if v[0] in (NO_PROTOCOL, protocol) and v[1] != MAIN_METHOD]
         for measure in _compared(scores):
             yield from _against(scores, (protocol, MAIN_METHOD), measure, others, draws)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.experiments.study.config import ALL, BASELINE, MAIN_METHOD, ProtocolName
+from sigmaswarm.experiments.study.config import ALL, MAIN_METHOD, NO_PROTOCOL, ProtocolName
 from sigmaswarm.experiments.study.design import Design, Filters, Task
 from sigmaswarm.experiments.study.networks import Networks, score_networks
 from sigmaswarm.experiments.study.record import Variant
@@ -96,12 +96,12 @@ def score_all(
     values: dict[Variant, dict[str, Array]] = {}
     for name, method in design.config.methods.items():
         if name in ("imu-only", "raw-gps", "fixes-alone"):
-            values[BASELINE, name] = _unfiltered(name, design)
+            values[NO_PROTOCOL, name] = _unfiltered(name, design)
         elif not method.protocols:
             drives: dict[FilterParameters, list[int]] = {}
             for i, by_hand in enumerate(design.map_prepared(partial(manual, method=name))):
                 drives.setdefault(by_hand, []).append(i)
-            values[BASELINE, name] = score((own, [by_hand]) for by_hand, own in drives.items())
+            values[NO_PROTOCOL, name] = score((own, [by_hand]) for by_hand, own in drives.items())
     for variant in dict.fromkeys(task.variant for task in parameters):
         own = {(task.group, task.trial): p for task, p in parameters.items() if task.variant == variant}
         sets = ([own[group, trial] for trial in range(len(test))] for group in design.groups)
