@@ -22,6 +22,7 @@ def test_run_writes_the_mixture_and_what_the_swarm_said(sigmaswarm, drives: Path
     whole = run_bank(read_drive(drive), p)
     np.testing.assert_allclose(table["x"].to_numpy(), whole.mean[:, 0], rtol=1e-12)
     np.testing.assert_allclose(table["std_theta"].to_numpy(), np.sqrt(whole.covariance[:, 4, 4]), rtol=1e-9)
+    assert told["said"] == told["warnings"]
     said = pl.read_csv(told["swarm"])
     assert np.ptp(np.diff(said["t"].to_numpy())) < 0.1  # once a second
     np.testing.assert_allclose(said.select(pl.sum_horizontal("^weight_.*$")).to_series(), 1.0)

@@ -36,7 +36,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.exports.check import check_export
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.filters.bank.live import LiveFilterBank
-from sigmaswarm.filters.bank.spread import FIXED_OFFSETS
+from sigmaswarm.filters.bank.offsets import FIXED_OFFSETS
 from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS

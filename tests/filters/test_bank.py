@@ -27,9 +27,9 @@ from sigmaswarm.drives.gyro_bias import GyroBiasEvidence
 from sigmaswarm.drives.prepared import prepare_drive
 from sigmaswarm.filters.bank.live import LiveFilterBank
 from sigmaswarm.filters.bank.mixture import Mixture
+from sigmaswarm.filters.bank.offsets import FIXED_OFFSETS, START, OffsetPrior, R
 from sigmaswarm.filters.bank.run import BankRun, run_bank
 from sigmaswarm.filters.bank.search import FilterEvidence, LoggedSteps, search
-from sigmaswarm.filters.bank.spread import FIXED_OFFSETS, START, OffsetPrior, R
 from sigmaswarm.filters.compiled import layout, swarm
 from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.kernel_array import KernelArray
@@ -170,10 +170,11 @@ def test_each_lane_is_a_filter_and_the_mixture_theirs(option: str):
         gps=replace(drive().gps, std_x=np.full(len(drive().gps), 0.5), std_y=np.full(len(drive().gps), 0.6)),
     )
     found = fed(LiveFilterBank, p, searches=False)
+    assert found.spread is found.prior  # deprecated name
     states, weights = found.lanes()
     evidence, means, covariances = np.zeros(LANES), [], []
     for lane in range(LANES):
-        own = found.spread.parameters(found.offsets[lane])
+        own = found.prior.parameters(found.offsets[lane])
         run = run_filter(seen, own, initial=start())
         means.append(run.mean[-1])
         covariances.append(run.covariance[-1])
@@ -184,17 +185,17 @@ def test_each_lane_is_a_filter_and_the_mixture_theirs(option: str):
             evidence[lane] = evidence[lane] * math.exp((before - t) / swarm.EVIDENCE_LASTS) - loss
             before = t
     np.testing.assert_allclose(found._numbers[swarm.EVIDENCE], evidence, rtol=1e-8)
-    log = swarm.EVIDENCE_COUNTS * evidence - found.spread.penalty(found.offsets)
+    log = swarm.EVIDENCE_COUNTS * evidence - found.prior.penalty(found.offsets)
     expected = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
     np.testing.assert_allclose(weights, expected, rtol=1e-6)
     means, covariances = np.array(means), np.array(covariances)
     means[:, 4] = means[0, 4] + wrap_angle(means[:, 4] - means[0, 4])
     mean = expected @ means
-    spread = sum(w * np.outer(m - mean, m - mean) for w, m in zip(expected, means, strict=True))
+    prior = sum(w * np.outer(m - mean, m - mean) for w, m in zip(expected, means, strict=True))
     mixed = found.state
     np.testing.assert_allclose(mixed.mean, mean, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(
-        mixed.covariance, np.einsum("l,lij->ij", expected, covariances) + spread, rtol=1e-6
+        mixed.covariance, np.einsum("l,lij->ij", expected, covariances) + prior, rtol=1e-6
     )
     assert states.shape[1] == LANES
 
@@ -216,12 +217,12 @@ def test_the_heading_of_a_mixture_goes_around_the_circle():
 @given(hnp.arrays(float, 13, elements=st.floats(-2.0, 2.0)))
 def test_the_kernels_constants_are_those_of_the_parameters(offsets: np.ndarray):
     for model, option in (("planar8", WEIGHED["both"]), ("tilted12", ALL), ("planar5", {})):
-        spread = OffsetPrior(parameters(model, **option))
-        own = KernelArray((spread.tuning,)).constants(0.01)[:, :1]
-        by = np.resize(offsets, len(spread.names))
-        packed = KernelArray((spread.parameters(by),)).constants(0.01)[:, 0]
-        np.testing.assert_allclose(spread.constants(own, by[np.newaxis])[:, 0], packed, rtol=1e-12)
-    assert spread.constants(own, np.zeros((1, len(spread.names))))[:, 0].tobytes() == own[:, 0].tobytes()
+        prior = OffsetPrior(parameters(model, **option))
+        own = KernelArray((prior.tuning,)).constants(0.01)[:, :1]
+        by = np.resize(offsets, len(prior.names))
+        packed = KernelArray((prior.parameters(by),)).constants(0.01)[:, 0]
+        np.testing.assert_allclose(prior.constants(own, by[np.newaxis])[:, 0], packed, rtol=1e-12)
+    assert prior.constants(own, np.zeros((1, len(prior.names))))[:, 0].tobytes() == own[:, 0].tobytes()
 
 
 def resumed(saved: bytes, stream: list[tuple[float, bool, int]]) -> bytes:
@@ -292,10 +293,10 @@ def test_a_search_finds_what_loses_less_and_the_same_each_time():
     logged = filter._logged_steps(0, int(filter._numbers[swarm.LOGGED]))
     begins, told = filter._snapshots[0].lanes[:, 0], FilterEvidence(0.0, start().time)
     steps = LoggedSteps(p.model, logged, np.array([1.0, 0.5, 1.2]))
-    zero = np.zeros(len(filter.spread.names))
+    zero = np.zeros(len(filter.prior.names))
     wrong = zero.copy()
-    wrong[filter.spread.names.index(R)] = 2.0
-    population = filter.spread.first(np.random.default_rng(1))
+    wrong[filter.prior.names.index(R)] = 2.0
+    population = filter.prior.first(np.random.default_rng(1))
 
     def evidence_of(offsets: np.ndarray) -> float:
         """As a swarm has it that began with these offsets."""
@@ -307,18 +308,18 @@ def test_a_search_finds_what_loses_less_and_the_same_each_time():
         return float(own._numbers[swarm.EVIDENCE][8])
 
     def found():
-        return search(filter.spread, steps, begins, told, wrong, population, drive().nominal_interval, (3,))
+        return search(filter.prior, steps, begins, told, wrong, population, drive().nominal_interval, (3,))
 
     first, again = found(), found()
     assert first is not None and again is not None
     assert first.known.evidence > evidence_of(wrong) + 10.0  # a hundred times R
-    assert abs(first.offsets[filter.spread.names.index(R)]) < 1.0
+    assert abs(first.offsets[filter.prior.names.index(R)]) < 1.0
     assert first.offsets.tobytes() == again.offsets.tobytes()
     assert first.lane.tobytes() == again.lane.tobytes()
     assert first.known == again.known
     assert first.known.evidence == pytest.approx(evidence_of(first.offsets), rel=1e-9)
     few = LoggedSteps(p.model, logged[:300], np.zeros(3))
-    assert search(filter.spread, few, begins, told, zero, population, 0.01, (0,)) is None
+    assert search(filter.prior, few, begins, told, zero, population, 0.01, (0,)) is None
 
 
 @pytest.mark.parametrize(
@@ -330,13 +331,13 @@ def test_the_fixed_lanes_stay(kind: str):
     assert last.n_searches >= 2
     states = Mixture.of(last.lanes()[0][np.newaxis].repeat(LANES, 0), np.eye(LANES), p.model)
     for lane in range(len(FIXED_OFFSETS)):  # what goes on beside them does not touch them
-        alone = run_filter(drive(), last.spread.parameters(last.offsets[lane]), initial=start())
+        alone = run_filter(drive(), last.prior.parameters(last.offsets[lane]), initial=start())
         np.testing.assert_allclose(wrap_angle(states.mean[lane] - alone.mean[-1]), 0.0, atol=1e-9)
         np.testing.assert_allclose(states.covariance[lane], alone.covariance[-1], rtol=1e-7, atol=1e-13)
     np.testing.assert_array_equal(first.offsets[: len(FIXED_OFFSETS)], last.offsets[: len(FIXED_OFFSETS)])
     assert not np.array_equal(first.offsets[len(FIXED_OFFSETS) :], last.offsets[len(FIXED_OFFSETS) :])
     assert np.isfinite(last.offsets).all()
-    assert (last.offsets[len(FIXED_OFFSETS) :, last.spread.names.index(START)] == 0.0).any()
+    assert (last.offsets[len(FIXED_OFFSETS) :, last.prior.names.index(START)] == 0.0).any()
 
 
 def test_it_says_that_the_receiver_is_another_one():
@@ -350,12 +351,9 @@ def test_it_says_that_the_receiver_is_another_one():
     true = np.column_stack([np.interp(t, seen.truth.time, c) for c in (seen.truth.x, seen.truth.y)])
     rmse = {name: float(np.sqrt(np.square(of - true).sum(axis=1).mean())) for name, of in error.items()}
     assert rmse["swarm"] < 0.75 * rmse["tuning"]
-    r = (
-        run.log.settled[run.bank.spread.names.index(R)]
-        + run.log.settled[run.bank.spread.names.index("scale")]
-    )
+    r = run.log.settled[run.bank.prior.names.index(R)] + run.log.settled[run.bank.prior.names.index("scale")]
     assert 0.8 < r < 2.6  # 4 m is 1.75 decades of 0.5 m to 0.6 m
-    assert any("a different receiver" in sentence for sentence in run.bank.spread.warnings(run.log.settled))
+    assert any("a different receiver" in sentence for sentence in run.bank.prior.warnings(run.log.settled))
     nis = {"swarm": run.innovations.nis.mean(), "tuning": run_innovations(seen, p).nis.mean()}
     assert abs(math.log(nis["swarm"] / 2)) < 0.5 * abs(math.log(nis["tuning"] / 2))
 
@@ -537,11 +535,11 @@ def test_what_it_settles_on_starts_as_the_tuning_does():
 
 
 def test_what_all_variances_have_in_common_is_said_once():
-    spread = OffsetPrior(parameters("planar8", **ALL))
-    by = dict.fromkeys(spread.names, 0.0)
+    prior = OffsetPrior(parameters("planar8", **ALL))
+    by = dict.fromkeys(prior.names, 0.0)
 
     def said(**of: float) -> tuple[str, ...]:
-        return spread.warnings(np.array([*(by | of).values()]))
+        return prior.warnings(np.array([*(by | of).values()]))
 
     assert said() == ()
     (common,) = said(scale=1.0)

@@ -16,7 +16,7 @@ from sigmaswarm.cli.app import app
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.config import StudyConfig
 from sigmaswarm.experiments.study.design import Design, Task
-from sigmaswarm.experiments.study.record import read_spreads
+from sigmaswarm.experiments.study.record import read_quantiles
 from sigmaswarm.experiments.study.scores import MAX_TRACK_POINTS, tracked_drives
 from sigmaswarm.experiments.study.study import Study, run_study, shown_trial
 from sigmaswarm.filters.presets import DEFAULTS
@@ -158,14 +158,14 @@ def test_boxes_are_of_one_value_a_drive(study: Study):
     means = [
         np.mean([float(r["value"]) for r in rows if r["drive"] == d]) for d in {r["drive"] for r in rows}
     ]
-    (spread,) = [
+    (quantiles,) = [
         s
-        for s in read_spreads(study.folder)
+        for s in read_quantiles(study.folder)
         if (s.protocol, s.method, s.measure) == ("honest", "pso-ekf", "outage_drift_m")
     ]
-    found = [spread.low, spread.first, spread.median, spread.third, spread.high]
+    found = [quantiles.low, quantiles.first, quantiles.median, quantiles.third, quantiles.high]
     assert found == pytest.approx(np.quantile(means, [0.05, 0.25, 0.5, 0.75, 0.95]))
-    assert spread.failed == 0
+    assert quantiles.failed == 0
     drift = axes_of(section(study.folder, "Spread over drives, and consistency").charts[2])
     place = [label.get_text() for label in drift.get_yticklabels()].index("PSO-EKF (tuned with truth)")
     (box,) = (
@@ -182,8 +182,8 @@ def test_drives_that_a_filter_failed_on_are_counted(tmp_path: Path):
         f"honest,{t},pso-ukf,d{d},all,all,nis,{v}" for t, d, v in ((0, 1, 1.0), (1, 1, 3.0), (0, 2, "inf"))
     ]
     (tmp_path / "scores.csv").write_text("\n".join(lines) + "\n")
-    (spread,) = read_spreads(tmp_path)
-    assert (spread.median, spread.failed) == (2.0, 1)
+    (quantiles,) = read_quantiles(tmp_path)
+    assert (quantiles.median, quantiles.failed) == (2.0, 1)
 
 
 def test_a_filter_that_does_not_know_its_errors_is_named(study: Study, copy: Path):

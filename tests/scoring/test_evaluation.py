@@ -112,12 +112,12 @@ def test_drifts_are_of_many_placements_and_say_how_many_and_what_chance_makes(ev
     assert told.outages == sum(map(len, ends))
     for method in ("tuned", "untuned", "imu_only"):
         assert len(told.each[method]) == 8
-        low, high = told.spread(method) or (np.nan, np.nan)
+        low, high = told.drift_range(method) or (np.nan, np.nan)
         assert low < evaluation.value(name, method, "outage_drift_m") < high
     first = BatchScorer([drive], outages=True).scores([GOOD]).outage_drift[0, 0]
     assert told.each["tuned"][0] == pytest.approx(first, rel=1e-12)
     said = evaluate(drive, GOOD).record.describe_drift("outage_drift_m")
-    low, high = told.spread("tuned") or (np.nan, np.nan)
+    low, high = told.drift_range("tuned") or (np.nan, np.nan)
     of = f"The drift is the RMS error over {told.outages} outages in 8 random placements"
     few = ". All outages are on one short stretch; the drift on another stretch may be far larger"
     assert said == f"{of}; for a single placement it is {low:.3g} to {high:.3g} m{few}"

@@ -24,7 +24,7 @@ class Bowl:
     def __init__(self, weights, optimum, logarithmic):
         lowest, highest = (1e-4, 1e4) if logarithmic else (-4.0, 4.0)
         names = [f"p{i}" for i in range(len(weights))]
-        dimensions = [Dimension(name, "", 0, lowest, highest, spread=logarithmic) for name in names]
+        dimensions = [Dimension(name, "", 0, lowest, highest, logarithmic=logarithmic) for name in names]
         self.space = Bounds(tuple(dimensions), "log10")
         self.weights, self.optimum = np.array(weights), np.array(optimum)
 

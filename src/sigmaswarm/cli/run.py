@@ -193,7 +193,7 @@ def _lines(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixe
     if (layout := out / LAYOUT_FILE).exists():
         yield f"Foxglove: import {layout} as a layout"
     if options.bank:
-        yield from (f"the filter bank: {sentence}" for sentence in summary["said"])
+        yield from (f"the filter bank: {sentence}" for sentence in summary["warnings"])
         yield from (f"wrote {summary['swarm']}", f"wrote {summary['settled']}")
     earlier = first - float(drive.imu.time[0])
     if earlier > 5.0:  # s; a start in motion usually needs less
@@ -218,11 +218,17 @@ def _check_bank_files(out: Path, others: Sequence[Path | None]) -> None:
 def _save_bank(run: Any, out: Path) -> dict[str, Any]:
     from sigmaswarm.files import write_atomically
 
-    log, spread = run.log, run.bank.spread
+    log, prior = run.log, run.bank.prior
+    warnings = [*prior.warnings(log.settled)]
     log_file, filter_file = _bank_files(out)
     write_atomically(log_file, log.to_frame().write_csv())
-    spread.parameters(log.settled).save(filter_file)
-    return {"swarm": str(log_file), "settled": str(filter_file), "said": [*spread.warnings(log.settled)]}
+    prior.parameters(log.settled).save(filter_file)
+    return {
+        "swarm": str(log_file),
+        "settled": str(filter_file),
+        "warnings": warnings,
+        "said": warnings,  # deprecated key
+    }
 
 
 def _place(text: str) -> tuple[float, float, float]:

@@ -49,8 +49,8 @@ class LogProperties:
     ----------
     interval, fix_interval : median time between two IMU samples, and between two fixes, s
     axes : the axes of the IMU
-    attitude, spread, white, lasting, receiver_std : results of `has_attitude`, `stated_spread`, `has_white_errors`,
-        `has_lasting_errors` and `receiver_std`
+    attitude, std_quantiles, white, lasting, receiver_std : results of `has_attitude`, `stated_std_quantiles`,
+        `has_white_errors`, `has_lasting_errors` and `receiver_std`
     odometer, accuracy, velocity, heading : True if the log has wheel speeds; stated standard deviations; speeds and
         courses; headings
     driven : time from the first fix more than 20 m away from the start to the last fix, s; 0 if there is none
@@ -66,7 +66,7 @@ class LogProperties:
     odometer: bool
     accuracy: bool
     velocity: bool
-    spread: tuple[float, float] | None
+    std_quantiles: tuple[float, float] | None
     white: bool
     driven: float
     receiver_std: tuple[float, float]
@@ -91,7 +91,7 @@ def log_properties(drive: Drive | LogProperties) -> LogProperties:
         odometer=drive.odometer is not None,
         accuracy=gps.std is not None,
         velocity=gps.velocity is not None,
-        spread=stated_spread(drive),
+        std_quantiles=stated_std_quantiles(drive),
         white=has_white_errors(drive),
         driven=float(gps.time[-1] - away[0]) if len(away) else 0.0,
         receiver_std=receiver_std(drive),
@@ -113,7 +113,7 @@ def has_attitude(drive: Drive) -> bool:
     return upright and bool(np.ptp(gx) > 0) and bool(np.ptp(gy) > 0)
 
 
-def stated_spread(drive: Drive) -> tuple[float, float] | None:
+def stated_std_quantiles(drive: Drive) -> tuple[float, float] | None:
     """Return the 5% and 95% quantiles of the stated standard deviations, m; None without them or if they are alike."""
     if (std := drive.gps.std) is None:
         return None
@@ -152,8 +152,8 @@ def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
     remove the motion and correlated errors.
     """
     third = np.diff(position, n=3)
-    spread = np.concatenate([third.real, third.imag])
-    return float(np.median(np.abs(spread)) / 0.6745 / np.sqrt(20.0)) if len(third) else 0.0
+    parts = np.concatenate([third.real, third.imag])
+    return float(np.median(np.abs(parts)) / 0.6745 / np.sqrt(20.0)) if len(third) else 0.0
 
 
 def has_white_errors(drive: Drive) -> bool:

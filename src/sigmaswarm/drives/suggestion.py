@@ -40,15 +40,15 @@ def suggest_filter(drives: Sequence[Drive | LogProperties]) -> SuggestedFilter:
     logs = [log_properties(drive) for drive in drives]
     six = bool(logs) and all(log.attitude for log in logs)
     wheels = bool(logs) and all(log.odometer for log in logs)
-    spreads = [log.spread for log in logs if log.spread]
-    stated = bool(logs) and len(spreads) == len(logs)
+    quantiles = [log.std_quantiles for log in logs if log.std_quantiles]
+    stated = bool(logs) and len(quantiles) == len(logs)
     reasons = ["the IMU has six axes" if six else "an IMU lacks az, gx or gy"]
     if not six and all(len(log.axes) == 6 for log in logs):
         reasons = ["az does not show gravity, or gx or gy is constant"]
     if wheels:
         reasons.append("there is an odometer")
     if stated:
-        low, high = min(low for low, _ in spreads), max(high for _, high in spreads)
+        low, high = min(low for low, _ in quantiles), max(high for _, high in quantiles)
         reasons.append(f"the stated standard deviations range from {low:.2g} to {high:.2g} m")
     use = ("lateral", "standstill", *["odometer"] * wheels, *["accuracy"] * stated, "robust")
     return SuggestedFilter("tilted12" if six else "planar8", use, ", and ".join(reasons))

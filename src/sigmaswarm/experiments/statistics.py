@@ -54,7 +54,7 @@ def _mean_known(values: Array, axis: int) -> Array:
         return np.asarray(np.nanmean(values, axis=axis))
 
 
-def spread(values: Array) -> float:
+def std(values: Array) -> float:
     """Return the standard deviation; NaN for fewer than two values, or if any is not finite."""
     return float(np.std(values, ddof=1)) if len(values) > 1 and np.isfinite(values).all() else math.nan
 
@@ -66,7 +66,7 @@ def trial_interval(values: Array) -> Interval:
     """
     if not len(values):
         return math.nan, math.nan
-    return _around_mean(values, 1.96 * spread(values) / math.sqrt(len(values)))
+    return _around_mean(values, 1.96 * std(values) / math.sqrt(len(values)))
 
 
 def corrected_interval(values: Array, test_per_train: float) -> Interval:
@@ -74,7 +74,7 @@ def corrected_interval(values: Array, test_per_train: float) -> Interval:
     n = len(values)
     if n < 2:
         return math.nan, math.nan
-    error = spread(values) * math.sqrt(1 / n + test_per_train)
+    error = std(values) * math.sqrt(1 / n + test_per_train)
     return _around_mean(values, float(stats.t.ppf((1 + LEVEL) / 2, n - 1)) * error)
 
 

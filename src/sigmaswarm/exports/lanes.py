@@ -6,7 +6,7 @@ import numpy as np
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.features import NUMBERS, listed
-from sigmaswarm.filters.bank.spread import OffsetPrior
+from sigmaswarm.filters.bank.offsets import OffsetPrior
 from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.models import MODELS, NOISE_OF, SENSORS
 from sigmaswarm.filters.parameters import FilterParameters

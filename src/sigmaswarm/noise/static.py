@@ -93,13 +93,13 @@ def _calm_blocks(imu: Imu, starts: NDArray[np.int_], size: int, fresh: Mask) -> 
             mean += values[starts + k] / size
         for k in range(size):
             squares += (values[starts + k] - mean) ** 2 / size
-        spread = np.sqrt(squares)
+        std = np.sqrt(squares)
         jumps = (np.abs(np.diff(mean)) > MIN_MEAN_CHANGE[axis[0]]) & ~fresh[1:]
         calm[1:] &= ~jumps
         calm[:-1] &= ~jumps
-        calm &= spread <= max(MAX_STD_RATIO * np.percentile(spread, 10), STATIC_STD[axis[0]])
+        calm &= std <= max(MAX_STD_RATIO * np.percentile(std, 10), STATIC_STD[axis[0]])
         if axis[0] == "a":
-            calm &= spread <= MOTION_STD
+            calm &= std <= MOTION_STD
     return calm
 
 

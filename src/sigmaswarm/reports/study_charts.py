@@ -94,9 +94,9 @@ def _ends(interval: tuple[float | None, float | None]) -> str:
     return "–" if low is None or high is None else f"{low:.3g} to {high:.3g}"
 
 
-def spread_chart(
+def quantile_chart(
     results: Results,
-    spreads: Sequence[ScoreQuantiles],
+    quantiles: Sequence[ScoreQuantiles],
     measure: str,
     mark: float | None = None,
     *,
@@ -106,10 +106,12 @@ def spread_chart(
 
     ``all_rows`` includes methods without this measure.
     """
-    rows = [s for s in spreads if s.measure == measure and s.high > 0]
+    rows = [s for s in quantiles if s.measure == measure and s.high > 0]
     if not rows:
         return None
-    names = list(dict.fromkeys(results.label(s.method, s.protocol) for s in (spreads if all_rows else rows)))
+    names = list(
+        dict.fromkeys(results.label(s.method, s.protocol) for s in (quantiles if all_rows else rows))
+    )
 
     def draw(ax: Axes) -> None:
         if mark is not None:
@@ -291,9 +293,9 @@ def study_figures(study: Study) -> dict[str, Figure]:
         ``convergence`` (the paper's Fig. 2), ``trajectory`` (the paper's Fig. 3), ``boxes`` (errors over drives),
         ``errors`` (over time) and ``nis``. With rivals also ``learning-curve``.
     """
-    results, spreads, picture = study.results, study.record.spreads, study.picture
+    results, quantiles, picture = study.results, study.record.quantiles, study.picture
     courses = [convergence_chart(results, name, [MAIN_METHOD], log=False) for name in results.protocols]
-    boxes = [spread_chart(results, spreads, measure, all_rows=True) for measure in tables.ERRORS]
+    boxes = [quantile_chart(results, quantiles, measure, all_rows=True) for measure in tables.ERRORS]
     curves = curve_charts(results)
     return {
         "convergence": figure_of(*(c for c in courses if c), size=(10, 4)),

@@ -10,7 +10,7 @@ from sigmaswarm.experiments.study.record import Results, StudyRecord
 from sigmaswarm.reports import study_tables as tables
 from sigmaswarm.reports.figures import Chart
 from sigmaswarm.reports.page import KeyFigure, Report, Section, TrackView
-from sigmaswarm.reports.study_charts import convergence_chart, curve_charts, means_chart, spread_chart
+from sigmaswarm.reports.study_charts import convergence_chart, curve_charts, means_chart, quantile_chart
 from sigmaswarm.reports.study_tables import DRIFT, ERRORS, HEADING, POSITION, comparison
 from sigmaswarm.reports.style import STUDY_STYLES
 
@@ -52,7 +52,7 @@ def _sections(record: StudyRecord) -> Iterator[Section]:
     results = record.results
     yield _tables(results)
     yield _intervals(results)
-    yield _spread(record)
+    yield _quantiles(record)
     if record.tracks:
         yield _tracks(record)
     yield _comparisons(results)
@@ -173,10 +173,10 @@ def _intervals(results: Results) -> Section:
     return Section("Intervals of the means", text, charts=_known(charts))
 
 
-def _spread(record: StudyRecord) -> Section:
-    results, spreads = record.results, record.spreads
-    charts = [spread_chart(results, spreads, measure) for measure in ERRORS]
-    charts += [spread_chart(results, spreads, "nis", mark=CONSISTENT_NIS)]
+def _quantiles(record: StudyRecord) -> Section:
+    results, quantiles = record.results, record.quantiles
+    charts = [quantile_chart(results, quantiles, measure) for measure in ERRORS]
+    charts += [quantile_chart(results, quantiles, "nis", mark=CONSISTENT_NIS)]
     text = (
         "Each drive has one value, the mean over its trials. Box: quartiles. Whiskers: 5 to 95% of the drives.",
         "The mean NIS of a consistent filter is 2. A filter with a larger value is overconfident, a filter with a "

@@ -26,7 +26,7 @@ class DriftRecord(BaseModel):
     outages: int
     each: dict[str, list[float | None]]
 
-    def spread(self, method: str) -> tuple[float, float] | None:
+    def drift_range(self, method: str) -> tuple[float, float] | None:
         """Return the lowest and the highest drift of a single placement, m."""
         known = [v for v in self.each.get(method, []) if v is not None]
         return (min(known), max(known)) if known else None

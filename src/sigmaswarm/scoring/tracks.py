@@ -15,8 +15,8 @@ from sigmaswarm.drives.gaps import is_known
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import atomic_file, read_arrays
+from sigmaswarm.filters.bank.offsets import START
 from sigmaswarm.filters.bank.run import BankRun
-from sigmaswarm.filters.bank.spread import START
 from sigmaswarm.filters.filter_run import EstimateChunk, FilterRun
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters

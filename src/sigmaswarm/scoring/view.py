@@ -98,7 +98,7 @@ class EvaluationView:
                 cells: list[Cell] = []
                 for m in known:
                     one, value = by_measure.get(m), self.scores.drives[drive].get(method, {}).get(m)
-                    cells += [one and float(one.outages), value, one and one.spread(method)]
+                    cells += [one and float(one.outages), value, one and one.drift_range(method)]
                 rows.append((drive, self.names[method], *cells))
         strong = frozenset(i for i, row in enumerate(rows) if row[1] == self.names["tuned"])
         caption = "RMS drifts over all random placements of the outages"
@@ -164,9 +164,9 @@ class EvaluationView:
                 if m and (value := mean_of(m, measure))
             ]
             compared = f", {' and '.join(comparisons)}," if comparisons else ""
-            spread = self.scores.describe_drift(measure)
+            described = self.scores.describe_drift(measure)
             text = f"The tuned filter {what.format(f'{tuned:.3g}')}{compared} on {drives}."
-            return f"{text}{self._not_better()}{f' {spread}.' if spread else ''}"
+            return f"{text}{self._not_better()}{f' {described}.' if described else ''}"
         if any(mean_of("tuned", measure) is not None for measure in DRIFTS):
             return f"On {drives}, no outage of {self.setup.outage_length_s:g} s fits; use a longer part of a drive."
         return f"On {drives}, the tuned filter failed, or there is no truth, so scores are missing."
@@ -295,10 +295,10 @@ class EvaluationView:
 
     def drifts(self) -> tuple[str, ...]:
         return tuple(
-            f"{measure.title} of the tuned filter: {drift:.3g} m. {spread}."
+            f"{measure.title} of the tuned filter: {drift:.3g} m. {described}."
             for m, measure in self.measures.items()
             if (drift := self.scores.mean_of("tuned", m)) is not None
-            and (spread := self.scores.describe_drift(m))
+            and (described := self.scores.describe_drift(m))
         )
 
     # ---- notebooks and print ----

@@ -49,10 +49,10 @@ class Dimension:
     """One tuned parameter: its field of `FilterParameters`, and its range.
 
     - ``entries``: number of entries that the parameter sets in a field that is a tuple; 0 if the field is a number.
-    - ``spread``: True if the range spans powers of ten.
+    - ``logarithmic``: True if the range spans powers of ten.
     - ``inflation``: decades by which the parameter grows per decade of the inflation factor (`tuning.inflation`).
     - ``least``: lower limit after inflation.
-    - ``typical``: mean and standard deviation of the prior (if ``spread``, in decades); None: no prior.
+    - ``typical``: mean and standard deviation of the prior (if ``logarithmic``, in decades); None: no prior.
     """
 
     name: str
@@ -60,7 +60,7 @@ class Dimension:
     entries: int
     lowest: float
     highest: float
-    spread: bool = True
+    logarithmic: bool = True
     inflation: float = 0.0
     least: float = -math.inf
     typical: tuple[float, float] | None = None
@@ -87,12 +87,12 @@ class Bounds:
         return np.array([d.highest for d in self.dimensions], dtype=np.float64)
 
     @cached_property
-    def _spread(self) -> Mask:
-        return np.array([d.spread for d in self.dimensions])
+    def _spans_decades(self) -> Mask:
+        return np.array([d.logarithmic for d in self.dimensions])
 
     @cached_property
     def logarithmic(self) -> Mask:
-        return self._spread & (self.scale == "log10")
+        return self._spans_decades & (self.scale == "log10")
 
     @cached_property
     def low(self) -> Array:
@@ -123,7 +123,7 @@ class Bounds:
         ten have no prior and do not contribute.
         """
         known = np.array([d.typical is not None for d in self.dimensions]) & (
-            self.logarithmic | ~self._spread
+            self.logarithmic | ~self._spans_decades
         )
         typical, std = np.array([d.typical or (1.0, np.inf) for d in self.dimensions]).T
         off = (points - self._encode(typical)) / std

@@ -78,7 +78,7 @@ def model_problem(logs: Sequence[Log], model: Model, config: SearchConfig) -> Mo
             f"choose one of {', '.join(MODEL_OBJECTIVES)}"
         )
     targets = [truth_rmse(log, model) for log in logs] if config.objective == "truth-rmse" else None
-    own = [Dimension(t.name, "", 0, t.lowest, t.highest, spread=t.logarithmic) for t in model.parameters]
+    own = [Dimension(t.name, "", 0, t.lowest, t.highest, logarithmic=t.logarithmic) for t in model.parameters]
     space = Bounds((*(SCALING if model.kind == "ukf" else ()), *own), config.scale)
     return ModelProblem(config, space, [*map(_described, logs)], model, logs, Runner(model, logs), targets)
 

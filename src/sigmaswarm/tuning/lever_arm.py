@@ -250,14 +250,14 @@ def _deviations(
     Each is `STD_FACTOR` times the larger one of the model's estimate and the sandwich estimate from blocks of the
     drives (White, 1980).
     """
-    spread, inverse = before.copy(), np.linalg.inv(information)
+    scatter, inverse = before.copy(), np.linalg.inv(information)
     for time, nu, columns, weight in whitened:
         scores = np.einsum("f,fik,fi->fk", weight, columns, nu - columns @ step)
         block = ((time - time[0]) / BLOCK_LENGTH).astype(np.intp)
         sums = np.zeros((block[-1] + 1, len(step)))
         np.add.at(sums, block, scores)
-        spread += sums.T @ sums
-    both = np.diag(inverse), np.diag(inverse @ spread @ inverse)
+        scatter += sums.T @ sums
+    both = np.diag(inverse), np.diag(inverse @ scatter @ inverse)
     forward, left, *_ = (STD_FACTOR * np.sqrt(np.maximum(*both))).tolist()
     return forward, left
 

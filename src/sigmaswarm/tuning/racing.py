@@ -113,8 +113,8 @@ def race(
 def _ahead(each: Array, costs: Array, rival: Leader, drives: NDArray[np.int64]) -> Mask:
     """Select candidates that are better than the leader by more than a standard error of the difference."""
     with np.errstate(invalid="ignore"):  # a failed candidate has infinite costs
-        spread = (each - rival.each[drives]).std(axis=1, ddof=1)
-    return costs + spread / np.sqrt(len(drives)) < rival.cost
+        std = (each - rival.each[drives]).std(axis=1, ddof=1)
+    return costs + std / np.sqrt(len(drives)) < rival.cost
 
 
 def _in_order(each: Array, order: NDArray[np.int64]) -> Array:

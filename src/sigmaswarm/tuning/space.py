@@ -25,9 +25,9 @@ OPTIONS: tuple[Option, ...] = get_args(Option)
 
 
 SCALING = (
-    Dimension("alpha", "alpha", 0, 1e-3, 1.0, spread=False),
-    Dimension("beta", "beta", 0, 0.0, 3.0, spread=False),
-    Dimension("kappa", "kappa", 0, 0.0, 5.0, spread=False),
+    Dimension("alpha", "alpha", 0, 1e-3, 1.0, logarithmic=False),
+    Dimension("beta", "beta", 0, 0.0, 3.0, logarithmic=False),
+    Dimension("kappa", "kappa", 0, 0.0, 5.0, logarithmic=False),
 )
 """Scaling parameters of the sigma points, with the paper's bounds."""
 FIX_ERROR_TIME = "fix_error_time"
@@ -92,10 +92,10 @@ NOISE_ONLY_OPTIONS = ("lateral", "odometer")
 KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
     **dict.fromkeys(
         ("adaptive-ukf", "strong-tracking-ukf"),
-        (Dimension("forgetting", "forgetting", 0, 0.9, 0.9999, spread=False),),
+        (Dimension("forgetting", "forgetting", 0, 0.9, 0.9999, logarithmic=False),),
     ),
     "fuzzy-ukf": (
-        Dimension("forgetting", "forgetting", 0, 0.5, 0.999, spread=False),
+        Dimension("forgetting", "forgetting", 0, 0.5, 0.999, logarithmic=False),
         Dimension("fuzzy_width_ratio", "fuzzy_widths", 1, 0.1, 1.0),
         Dimension("fuzzy_width_trend", "fuzzy_widths", 1, 0.1, 1.0),
         Dimension("fuzzy_gain_r", "fuzzy_gains", 1, 1.0, 100.0),
@@ -260,9 +260,9 @@ def _dimensions(
     for option in (option for option in OPTIONS if option in use):
         wanted = [name for name, search in SEARCHED.items() if search.option == option]
         for field in wanted[:1] if described.measures_imu and option in NOISE_ONLY_OPTIONS else wanted:
-            _, *bounds, spread = SEARCHED[field]
+            _, *bounds, logarithmic = SEARCHED[field]
             for name in ENTRIES.get(field, (field,)):
-                yield Dimension(name, field, int(field in ENTRIES), *bounds, spread=spread)
+                yield Dimension(name, field, int(field in ENTRIES), *bounds, logarithmic=logarithmic)
 
 
 def searched_name(name: str, known: Container[str], model: str) -> str:

@@ -10,7 +10,7 @@ from sigmaswarm.doctor.clock_search import MAX_OFFSET
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding
 from sigmaswarm.drives.alignment import REPAIR_FINDINGS, StartFailure, find_start
-from sigmaswarm.drives.sensors import FIXES_FOR_FIX_ERROR, has_lasting_errors, stated_spread
+from sigmaswarm.drives.sensors import FIXES_FOR_FIX_ERROR, has_lasting_errors, stated_std_quantiles
 from sigmaswarm.drives.split import part_of
 from sigmaswarm.drives.suggestion import suggest_filter
 from sigmaswarm.wording import count_of
@@ -82,7 +82,7 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
     reasons = dict.fromkeys(chosen.use, "")  # "": the default for cars, without a reason in the log
     if drive.odometer is not None:
         reasons["odometer"] = "odometer.csv contains the wheel speed"
-    if stated := stated_spread(drive):
+    if stated := stated_std_quantiles(drive):
         reasons["accuracy"] = (
             f"the receiver's standard deviations range from {stated[0]:.2g} to {stated[1]:.2g} m"
         )

@@ -248,21 +248,21 @@ class ScoreQuantiles(_Part):
     failed: int
 
 
-def spreads_of(scores: pl.DataFrame | pl.LazyFrame) -> list[ScoreQuantiles]:
+def quantiles_of(scores: pl.DataFrame | pl.LazyFrame) -> list[ScoreQuantiles]:
     keys = ["protocol", "method", "measure"]
     value = pl.col("value").filter(pl.col("value").is_finite())
     drives = scores.lazy().group_by([*keys, "drive"], maintain_order=True).agg(pl.col("value").mean())
-    spreads = drives.group_by(keys, maintain_order=True).agg(
+    quantiles = drives.group_by(keys, maintain_order=True).agg(
         *[value.quantile(q, "linear").alias(name) for name, q in QUANTILES.items()],
         (~pl.col("value").is_finite()).sum().alias("failed"),
     )
-    return [ScoreQuantiles(**row) for row in spreads.drop_nulls().collect().to_dicts()]
+    return [ScoreQuantiles(**row) for row in quantiles.drop_nulls().collect().to_dicts()]
 
 
-def read_spreads(folder: Path) -> list[ScoreQuantiles]:
+def read_quantiles(folder: Path) -> list[ScoreQuantiles]:
     path = folder / "scores.csv"
     try:
-        return spreads_of(pl.scan_csv(path, glob=False, schema_overrides={"value": pl.Float64()}))
+        return quantiles_of(pl.scan_csv(path, glob=False, schema_overrides={"value": pl.Float64()}))
     except (pl.exceptions.PolarsError, OSError):
         raise InputError(f"{path}: not readable; repeat `sigmaswarm study` with --resume") from None
 
@@ -283,13 +283,13 @@ class _TuningConfig(BaseModel):
 class StudyRecord:
     """Content of the folder of a study.
 
-    ``spreads`` are from scores.csv, ``versions`` from the tunings. ``live``: processing times of live filters per IMU
+    ``quantiles`` are from scores.csv, ``versions`` from the tunings. ``live``: processing times of live filters per IMU
     sample without and with a fix, medians and ranges, ms. ``rival_times``: training time of a trial (s) and processing
     time of an IMU sample (us) of each variant.
     """
 
     results: Results
-    spreads: list[ScoreQuantiles]
+    quantiles: list[ScoreQuantiles]
     live: Times
     rival_times: Times
     tracks: list[Tracks]
@@ -302,7 +302,7 @@ class StudyRecord:
         configs = sorted(folder.glob("trials/*/config.json"))
         return cls(
             load_record(Results, folder / "results.json"),
-            read_spreads(folder),
+            read_quantiles(folder),
             times.live_filter,
             times.rivals,
             load_tracks(tracks) if tracks.exists() else [],

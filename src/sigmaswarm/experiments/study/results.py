@@ -15,7 +15,7 @@ from sigmaswarm.experiments.statistics import (
     improvement,
     rank_biserial,
     signed_rank,
-    spread,
+    std,
     trial_interval,
     trial_means,
 )
@@ -107,7 +107,7 @@ def summarize(values: Array, strata: Sequence[str], test_per_train: float, draws
     each = each[~np.isnan(each)]
     return ScoreStatistics(
         mean=float(np.mean(each)) if len(each) else None,
-        sd=spread(each),
+        sd=std(each),
         trial_interval=trial_interval(each),
         corrected_t_interval=corrected_interval(each, test_per_train),
         bootstrap_interval=crossed_bootstrap(values, strata, draws),

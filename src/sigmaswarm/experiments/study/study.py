@@ -31,7 +31,7 @@ from sigmaswarm.experiments.grid import Report, run_grid
 from sigmaswarm.experiments.study.config import MAIN_METHOD, ProtocolName, StudyConfig, read_config
 from sigmaswarm.experiments.study.design import Design, Filters, Task, Trials, designs_elsewhere, make_design
 from sigmaswarm.experiments.study.networks import score_networks, train_all, trainings
-from sigmaswarm.experiments.study.record import Results, StudyRecord, spreads_of
+from sigmaswarm.experiments.study.record import Results, StudyRecord, quantiles_of
 from sigmaswarm.experiments.study.results import results_of, rival_results
 from sigmaswarm.experiments.study.scores import record_tracks, score_all
 from sigmaswarm.experiments.study.timings import Stopwatch, rival_times, stored_time, write_timings
@@ -217,7 +217,7 @@ def _run(
     watch.lap("scoring")
     times = rival_times(folder, design, points, whole) if design.config.rivals else {}
     live = write_timings(folder, design, watch, times)
-    record = StudyRecord(results, spreads_of(scores.to_frame()), live, times, tracks, versions())
+    record = StudyRecord(results, quantiles_of(scores.to_frame()), live, times, tracks, versions())
     return Study(folder, design, trials, points, _write_best(folder, trials, points), record, picture)
 
 

@@ -14,6 +14,7 @@ from sigmaswarm.drives.gyro_bias import UP
 from sigmaswarm.drives.tables import Array, Indices
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.bank.mixture import Mixture, is_definite
+from sigmaswarm.filters.bank.offsets import FIXED_OFFSETS, START, OffsetPrior
 from sigmaswarm.filters.bank.search import (
     FUZZY_FACTORS,
     FilterEvidence,
@@ -21,7 +22,6 @@ from sigmaswarm.filters.bank.search import (
     PendingSearch,
     SearchResult,
 )
-from sigmaswarm.filters.bank.spread import FIXED_OFFSETS, START, OffsetPrior
 from sigmaswarm.filters.compiled import live, swarm
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, R, at, state_rows
 from sigmaswarm.filters.compiled.memory import Memory
@@ -77,7 +77,7 @@ class LiveFilterBank(LiveFilter):
 
     Attributes
     ----------
-    spread : OffsetPrior
+    prior : OffsetPrior
         Prior distribution and names of the offsets from the tuned parameters.
     offsets : ndarray, shape (16, d)
         Offsets of the filters in decades; for the rear axle in m.
@@ -112,9 +112,9 @@ class LiveFilterBank(LiveFilter):
         )
         self._seed, self._searches, self.n_searches = seed, searches, 0
         self._counted = LANES
-        self.spread = OffsetPrior(parameters)
-        self.offsets = self.spread.first(np.random.default_rng([seed, 0]))
-        self._population = self.offsets * self.spread.lasting
+        self.prior = OffsetPrior(parameters)
+        self.offsets = self.prior.first(np.random.default_rng([seed, 0]))
+        self._population = self.offsets * self.prior.lasting
         self._kernel = parameters.kernel
         self._settled = len(self._memory.arrays.history)  # late fixes change at most this many samples
         self._memory = self._with_lanes(nominal_interval)
@@ -151,17 +151,17 @@ class LiveFilterBank(LiveFilter):
         """Start the filters ``lanes``; set the evidence of all filters to 0, and that of failed filters to -inf."""
         rows = self._rows_of(self._numbers)
         rows[:, lanes] = self._started(start)[:, lanes]
-        rows[CONSTANT_ROWS, lanes] = self.spread.constants(self._own_constants, self.offsets[lanes])
+        rows[CONSTANT_ROWS, lanes] = self.prior.constants(self._own_constants, self.offsets[lanes])
         sound = np.isfinite(rows[state_rows(self._kernel)]).all(axis=0) & (rows[R.OK] == 1.0)
         self._numbers[swarm.EVIDENCE] = np.where(sound, 0.0, -np.inf)
-        self._numbers[swarm.PENALTY] = self.spread.penalty(self.offsets)
+        self._numbers[swarm.PENALTY] = self.prior.penalty(self.offsets)
         self._numbers[swarm.PENALTY][self._counted :] = np.inf
         self._numbers[swarm.FIXED_AT] = start.time
         swarm.weigh(self._filter_state)
 
     def _started(self, start: InitialState) -> Array:
         """Return the kernel rows (N_KEPT, LANES) of all filters at a start: see `compiled.layout`."""
-        sets = tuple(self.spread.parameters(self.offsets[lane]) for lane in range(LANES))
+        sets = tuple(self.prior.parameters(self.offsets[lane]) for lane in range(LANES))
         return KernelArray(sets).start([start], [self._interval])[0]
 
     def count_only(self, lanes: int) -> None:
@@ -233,7 +233,7 @@ class LiveFilterBank(LiveFilter):
         lever = self._filter_state[live.LEVER].copy()
         steps = LoggedSteps(self._kernel, self._logged_steps(begins.logged, settled.logged), lever)
         return PendingSearch.begun(
-            *(settled.logged, leads, self.spread, steps, begins.lanes[:, ancestor]),
+            *(settled.logged, leads, self.prior, steps, begins.lanes[:, ancestor]),
             *(FilterEvidence(float(begins.evidence[ancestor]), begins.fixed_at), self.offsets[leads].copy()),
             *(self._population, self._interval, (self._seed, self._n_begun)),
         )
@@ -270,8 +270,8 @@ class LiveFilterBank(LiveFilter):
         state, followed = steps.followed(result.lane, result.known)
         offsets, states, known = [result.offsets], [state], [followed.evidence]
         for parent in parents:
-            jitter = COPY_STD * self.spread.std * rng.standard_normal(len(self.spread.names))
-            offsets.append((self.offsets[parent] + jitter) * self.spread.lasting)
+            jitter = COPY_STD * self.prior.std * rng.standard_normal(len(self.prior.names))
+            offsets.append((self.offsets[parent] + jitter) * self.prior.lasting)
             states.append(rows[:, parent].copy())
             known.append(float(evidence[parent]))
         lost = ~np.isfinite(evidence) | (rows[R.OK] != 1.0)
@@ -285,9 +285,9 @@ class LiveFilterBank(LiveFilter):
             snapshot.ancestors[worst] = ancestors[[led, *parents]]
             snapshot.ancestors[failed] = ancestors[leads]
         new = [*worst, *failed]  # the other filters may have adapted their constants
-        rows[CONSTANT_ROWS, new] = self.spread.constants(self._own_constants, self.offsets[new])
+        rows[CONSTANT_ROWS, new] = self.prior.constants(self._own_constants, self.offsets[new])
         rows[np.ix_(np.array(FUZZY_FACTORS), np.array(new))] = 1.0
-        numbers[swarm.PENALTY] = self.spread.penalty(self.offsets)
+        numbers[swarm.PENALTY] = self.prior.penalty(self.offsets)
         self._population = result.population
         self.n_searches += 1
         filter_state, counts, _, fixes, speeds, history, checkpoints, _ = self._memory.arrays
@@ -383,6 +383,11 @@ class LiveFilterBank(LiveFilter):
         return self.bank_restarts
 
     @property
+    def spread(self) -> OffsetPrior:
+        """Deprecated name of ``prior``."""
+        return self.prior
+
+    @property
     def weights(self) -> Array:
         """Weights of the filters, (16,); their sum is 1, or 0 if all filters have failed."""
         return self._numbers[swarm.WEIGHT].copy()
@@ -396,17 +401,17 @@ class LiveFilterBank(LiveFilter):
     @property
     def leader(self) -> FilterParameters:
         """Parameters of the filter with the largest weight."""
-        return self.spread.parameters(self.offsets[int(np.argmax(self.weights))])
+        return self.prior.parameters(self.offsets[int(np.argmax(self.weights))])
 
     @property
     def moved(self) -> Array:
         """Weighted mean of the offsets from the tuned parameters, (d,)."""
-        return self.weights @ self.offsets * self.spread.lasting
+        return self.weights @ self.offsets * self.prior.lasting
 
     @property
     def settled(self) -> FilterParameters:
         """Tuned parameters plus the mean offsets `moved`, to be saved for this car."""
-        return self.spread.parameters(self.moved)
+        return self.prior.parameters(self.moved)
 
     @property
     def n_fixes(self) -> int:

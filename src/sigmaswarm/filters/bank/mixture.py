@@ -37,8 +37,8 @@ class Mixture:
         from_leader[out], covariance[out] = 0.0, 0.0
         middle = np.einsum("kl,kln->kn", weights, from_leader)
         off = from_leader - middle[:, np.newaxis]
-        spread = np.einsum("kl,kln,klm->knm", weights, off, off)
-        together = np.einsum("kl,klnm->knm", weights, covariance) + spread
+        between = np.einsum("kl,kln,klm->knm", weights, off, off)
+        together = np.einsum("kl,klnm->knm", weights, covariance) + between
         return cls(mean[np.arange(len(mean)), leader] + middle, together)
 
 

@@ -33,7 +33,7 @@ _BATCH_SIZE = 500  # samples per computation of mixtures
 class BankLog:
     """Log of a filter bank, with one row per second."""
 
-    names: tuple[str, ...]  # names of the d offsets: see `spread`
+    names: tuple[str, ...]  # names of the d offsets: see `offsets`
     time: Array  # (k,), s
     weights: Array  # (k, LANES)
     moved: Array  # (k, d), mean offsets from the tuned parameters, in decades or (rear axle) m
@@ -150,7 +150,7 @@ class BankRun:
     @property
     def log(self) -> BankLog:
         time, weights, moved = (np.array(column) for column in zip(*self._log, strict=True))
-        return BankLog(self.bank.spread.names, time, weights, moved, self.bank.spread.groups)
+        return BankLog(self.bank.prior.names, time, weights, moved, self.bank.prior.groups)
 
     @property
     def innovations(self) -> Innovations:

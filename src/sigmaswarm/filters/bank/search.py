@@ -16,7 +16,7 @@ import numpy as np
 from sigmaswarm.drives.events import FIX, ODOMETER
 from sigmaswarm.drives.tables import Array, Mask
 from sigmaswarm.drives.timeline import FIRST_AXIS, Q_SCALE
-from sigmaswarm.filters.bank.spread import OffsetPrior
+from sigmaswarm.filters.bank.offsets import OffsetPrior
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, SUM_ROWS, WIDEST, R
 from sigmaswarm.filters.compiled.run import (
     NO_INNOVATIONS,
@@ -167,7 +167,7 @@ class SearchResult:
 
 
 def search(
-    spread: OffsetPrior,
+    prior: OffsetPrior,
     steps: LoggedSteps,
     start: Array,
     known: FilterEvidence,
@@ -184,24 +184,24 @@ def search(
     rng = np.random.default_rng(seed)
     if steps.n_scored < MIN_SCORED_FIXES:
         return None
-    own = KernelArray((spread.tuning,)).constants(nominal_interval)[:, :1]
+    own = KernelArray((prior.tuning,)).constants(nominal_interval)[:, :1]
 
     def begun(offsets: Array) -> Array:
         lanes = np.repeat(with_zero_sums(start[:, np.newaxis]), len(offsets), axis=1)
-        lanes[CONSTANT_ROWS] = spread.constants(own, offsets)
+        lanes[CONSTANT_ROWS] = prior.constants(own, offsets)
         return lanes
 
     def costs(offsets: Array) -> Array:
         lanes = begun(offsets)
         losses = steps.run(lanes)
         losses[(lanes[R.OK] != 1.0) | ~np.isfinite(losses)] = np.inf
-        return EVIDENCE_COUNTS * losses + spread.penalty(offsets)
+        return EVIDENCE_COUNTS * losses + prior.penalty(offsets)
 
     offsets = population.copy()
     offsets[-1] = leader
     cost = costs(offsets)
     for _ in range(GENERATIONS):
-        trial = _trials(offsets, spread, rng)
+        trial = _trials(offsets, prior, rng)
         trial_cost = costs(trial)
         better: Mask = trial_cost < cost
         offsets[better], cost[better] = trial[better], trial_cost[better]
@@ -212,7 +212,7 @@ def search(
     return SearchResult(offsets[best], lane, known, offsets)
 
 
-def _trials(offsets: Array, spread: OffsetPrior, rng: np.random.Generator) -> Array:
+def _trials(offsets: Array, prior: OffsetPrior, rng: np.random.Generator) -> Array:
     """Return a trial for each member: its crossover with another member plus the scaled difference of two more."""
     n, d = offsets.shape
     others = np.array([rng.permutation(np.delete(np.arange(n), i))[:3] for i in range(n)])
@@ -221,7 +221,7 @@ def _trials(offsets: Array, spread: OffsetPrior, rng: np.random.Generator) -> Ar
     crossed = rng.random((n, d)) < CROSSOVER
     crossed[np.arange(n), rng.integers(d, size=n)] = True
     trial = np.where(crossed, moved, offsets)
-    return np.clip(trial, -MAX_OFFSET * spread.std, MAX_OFFSET * spread.std) * spread.lasting
+    return np.clip(trial, -MAX_OFFSET * prior.std, MAX_OFFSET * prior.std) * prior.lasting
 
 
 @cache

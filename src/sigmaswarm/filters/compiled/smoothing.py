@@ -37,7 +37,7 @@ def _transition_times(move, p, ap, *, n, coefficients, transition):
             ap[k, c] = moved[k]
 
 
-def _spread(state, p, *, n, first):
+def _unpack_covariance(state, p, *, n, first):
     """Write the covariance (n, n) to ``p`` from its upper triangle, stored column by column in ``state``."""
     at = first
     for b in range(n):
@@ -102,20 +102,20 @@ def _turned(q, x, y, z, out):
 
 
 def _step_back(
-    before, noted, behind, work, *, n, n_state, first, tilted, phi, transition_times, spread, solve
+    before, noted, behind, work, *, n, n_state, first, tilted, phi, transition_times, unpack_covariance, solve
 ):
     """Smooth one step: replace the smoothed state after the step, ``behind`` (n_state,), by the one before the step."""
     prior = noted[n_state : 2 * n_state]
     p, change, x, s = work[0], work[1], work[2], work[3]
     error, shift = work[4, 0], work[4, 1]
-    spread(before, p)
+    unpack_covariance(before, p)
     transition_times(noted[2 * n_state :], p, x)
     if phi:
         for b in (n - 2, n - 1):
             for a in range(n):
                 x[b, a] = noted[2 * n_state + phi] * p[b, a]
-    spread(prior, s)
-    spread(behind, change)
+    unpack_covariance(prior, s)
+    unpack_covariance(behind, change)
     for a in range(n):
         error[a] = behind[a] - prior[a]
         for b in range(n):
@@ -180,7 +180,7 @@ def _kernel_of(name):
         step_back = _plain(
             _step_back, n=n, n_state=len(state_rows(name)), first=first, tilted=tilted, phi=phi_place(name),
             transition_times=transition_times,
-            spread=_plain(_spread, n=n, first=first), solve=_plain(_solve, n=n),
+            unpack_covariance=_plain(_unpack_covariance, n=n, first=first), solve=_plain(_solve, n=n),
         )  # fmt: skip
         return {"n": n, "step_back": step_back}
 

@@ -165,7 +165,7 @@ def _put_loop(module: ir.Module, loop: _Loop, width: int) -> ir.Function:
     builder = ir.IRBuilder(entry)
     rows, lanes, *numbers = function.args
     values = {
-        name: _spread(builder, vector, number) for name, number in zip(loop.shared, numbers, strict=True)
+        name: _broadcast(builder, vector, number) for name, number in zip(loop.shared, numbers, strict=True)
     }
     builder.branch(body)
     builder.position_at_end(body)
@@ -193,7 +193,7 @@ def _put_loop(module: ir.Module, loop: _Loop, width: int) -> ir.Function:
     return function
 
 
-def _spread(builder: ir.IRBuilder, vector: ir.VectorType, number: Any) -> Any:
+def _broadcast(builder: ir.IRBuilder, vector: ir.VectorType, number: Any) -> Any:
     undefined = ir.Constant(vector, ir.Undefined)
     first = builder.insert_element(undefined, number, ir.IntType(32)(0))
     places = ir.Constant(ir.VectorType(ir.IntType(32), vector.count), [0] * vector.count)

@@ -71,8 +71,8 @@ def offspring(
     first, second = parents[_winners(costs, 2 * pairs, rng).reshape(pairs, 2).T]
     low, high = np.minimum(first, second), np.maximum(first, second)
     u = rng.random(first.shape)
-    left = 0.5 * (low + high - _spread(u, low - bounds[0], high - low, eta))
-    right = 0.5 * (low + high + _spread(u, bounds[1] - high, high - low, eta))
+    left = 0.5 * (low + high - _children_distance(u, low - bounds[0], high - low, eta))
+    right = 0.5 * (low + high + _children_distance(u, bounds[1] - high, high - low, eta))
     swap = rng.random(first.shape) < 0.5
     crossed = (rng.random(first.shape) < 0.5) & (rng.random((pairs, 1)) < crossover)
     one = np.where(crossed, np.where(swap, right, left), first)
@@ -88,7 +88,7 @@ def _winners(costs: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]
     return np.where(costs[one] <= costs[other], one, other)
 
 
-def _spread(u: Array, room: Array, distance: Array, eta: float) -> Array:
+def _children_distance(u: Array, room: Array, distance: Array, eta: float) -> Array:
     """Return the distance between two children: beta times the distance between their parents."""
     alpha = 2 - (1 + 2 * room / np.maximum(distance, 1e-200)) ** -(eta + 1)
     ua = u * alpha
