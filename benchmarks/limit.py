@@ -102,13 +102,13 @@ def count() -> None:
 def kernel_call(fixes: bool = True):
     """A call of `run_lanes` over ten minutes with one parameter set in all lanes, its steps, and the lanes."""
     drive = simulate("urban", duration=600.0, seed=1)
-    replay = tracking_pass(prepare_drive(drive))
-    steps, sample, driving, flags, *others, ends = replay.arrays(frozenset())
+    drive_pass = tracking_pass(prepare_drive(drive))
+    steps, sample, driving, flags, *others, ends = drive_pass.arrays(frozenset())
     if not fixes:
         flags, ends = flags & ~np.uint16(events.FIX), np.zeros_like(ends)
     arrays = (steps, sample, driving, flags, *others, ends)
     n_lanes = layout.most_lanes("planar5")
-    rows = start_passes([replay], KernelArray((baseline(drive),) * n_lanes))[0]
+    rows = start_passes([drive_pass], KernelArray((baseline(drive),) * n_lanes))[0]
 
     def call():
         run.run_lanes(

@@ -209,14 +209,14 @@ def speed() -> str:
         for one, use in ((replace(drive, odometer=None), PLAIN), (drive, PLAIN), (drive, WHEELS)):
             space = search_space(model, "log10", one.nominal_interval, kind=kind, use=use)
             points = np.random.default_rng(0).uniform(space.low, space.high, (32, len(space.names)))
-            sets, replay = space.decode(points), tracking_pass(PreparedDrive(one))
-            run_passes([replay], sets)
+            sets, drive_pass = space.decode(points), tracking_pass(PreparedDrive(one))
+            run_passes([drive_pass], sets)
             turns = []
             for _ in range(15):
                 begin = time.thread_time()
-                run_passes([replay], sets)
+                run_passes([drive_pass], sets)
                 turns.append(time.thread_time() - begin)
-            figures.append(1e9 * min(turns) / len(sets) / len(replay.timeline.dt))
+            figures.append(1e9 * min(turns) / len(sets) / len(drive_pass.timeline.dt))
         lines.append(f"| {model} {kind} | " + " | ".join(f"{f:.1f}" for f in figures) + " |")
     return "\n".join(lines)
 

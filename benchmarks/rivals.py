@@ -91,13 +91,13 @@ def measured(drive: Drive, parameters: FilterParameters, learned: LearnedNetwork
         if learned is None
         else partial(learned.run, parameters=parameters, recover=True)
     )
-    replay = tracking_pass(ready)
-    make(replay).finished()  # compiles
+    drive_pass = tracking_pass(ready)
+    make(drive_pass).finished()  # compiles
     errors, began = PieceErrors(drive.truth, ready.initial), time.process_time()
-    run = make(replay)
+    run = make(drive_pass)
     for piece in run:
         errors.add(piece.time, piece.mean)
-    took = 1e6 * (time.process_time() - began) / len(replay.timeline.imu_time)
+    took = 1e6 * (time.process_time() - began) / len(drive_pass.timeline.imu_time)
     score = errors.score
     drifts = []
     for length in LENGTHS:

@@ -52,16 +52,16 @@ def accuracy(drives: Path) -> None:
 
 def speed(drives: Path) -> None:
     """Print the time of 30 x 50 filters, as if over ten minutes at 100 Hz."""
-    replay = whole_pass(sigmaswarm.read_drive(drives / "kitti-09-30-0033"))
-    space = search_space(MODEL, "log10", replay.timeline.nominal_interval, kind="ekf", use=USE)
+    drive_pass = whole_pass(sigmaswarm.read_drive(drives / "kitti-09-30-0033"))
+    space = search_space(MODEL, "log10", drive_pass.timeline.nominal_interval, kind="ekf", use=USE)
     points = space.low + (space.high - space.low) * 0.5
     array = KernelArray(space.decode(points[None].repeat(1500, axis=0)))
     parts = [array.part(range(k, min(k + 32, 1500))) for k in range(0, 1500, 32)]
     with ThreadPoolExecutor(cores()) as pool:
-        list(pool.map(lambda part: run_array([replay], part), parts[:2]))
+        list(pool.map(lambda part: run_array([drive_pass], part), parts[:2]))
         begin, busy = time.perf_counter(), time.process_time()
-        list(pool.map(lambda part: run_array([replay], part), parts))
-    share = 60_000 / len(replay.timeline.dt)
+        list(pool.map(lambda part: run_array([drive_pass], part), parts))
+    share = 60_000 / len(drive_pass.timeline.dt)
     wall, busy = share * (time.perf_counter() - begin), share * (time.process_time() - busy)
     print(f"1500 filters, ten minutes at 100 Hz: {wall:.2f} s on {cores()} cores; {busy:.2f} s of one core")
 

@@ -176,13 +176,13 @@ def ten_hours() -> None:
     """Ten hours at 100 Hz, planar8, handed out in pieces as `sigmaswarm run --smooth` does."""
     drive = driven_again(simulate("urban", duration=600.0, imu_rate=100.0, gps_rate=5.0, seed=1), 60)
     p = careful(drive)
-    replay = whole_pass(drive)
+    drive_pass = whole_pass(drive)
 
     def peak() -> float:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
     before, begun, cpu = peak(), time.perf_counter(), time.process_time()
-    samples = sum(len(piece.time) for piece in SmootherRun(replay, p, recover=True))
+    samples = sum(len(piece.time) for piece in SmootherRun(drive_pass, p, recover=True))
     took, cpu = time.perf_counter() - begun, time.process_time() - cpu
     print(
         f"{samples:,} samples: {took:.1f} s ({cpu:.1f} s of processor time, {cpu / samples * 1e6:.2f} us a sample)"

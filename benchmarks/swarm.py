@@ -174,10 +174,10 @@ def measured(
     """Position (m), heading (deg), drift (m), mean NIS."""
     ready = prepare_drive(drive)
 
-    def run(replay: FilterPass) -> BankRun | FilterRun:
+    def run(drive_pass: FilterPass) -> BankRun | FilterRun:
         if method == "fleet":
-            return FilterRun(replay, tuned, recover=True)
-        return BankRun(replay, tuned, seed=seed, recover=True, **CHANGES[method])
+            return FilterRun(drive_pass, tuned, recover=True)
+        return BankRun(drive_pass, tuned, seed=seed, recover=True, **CHANGES[method])
 
     found = run(tracking_pass(ready))
     errors = PieceErrors(drive.truth, ready.initial)

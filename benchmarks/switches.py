@@ -155,9 +155,9 @@ def drift(ready: Sequence[PreparedDrive], parameters: FilterParameters, length: 
     for one in ready:
         for seed in WINDOWS[length]:
             if len(outage_windows(one.drive, one.initial, length=length, seed=seed)):
-                replay = outage_pass(one, length=length, seed=seed)
-                squares += float(run_passes([replay], [parameters])["SQ_POSITION"][0, 0])
-                count += replay.targets.n_positions
+                drive_pass = outage_pass(one, length=length, seed=seed)
+                squares += float(run_passes([drive_pass], [parameters])["SQ_POSITION"][0, 0])
+                count += drive_pass.targets.n_positions
                 one.forget()
     return float(np.sqrt(squares / count)) if count else float("nan")
 

@@ -165,8 +165,8 @@ def consistency(
     nees, nis = [], 0.0
     for j in range(runs):
         own = replace(line, fixes=np.hstack([fixes[:, j], np.zeros((len(fixes), 4))]))
-        replay = FilterPass(own, initial, Targets.none(own))
-        recording = FilterRun(replay, wrong)
+        drive_pass = FilterPass(own, initial, Targets.none(own))
+        recording = FilterRun(drive_pass, wrong)
         run = recording.whole()
         assert run.sound.all()
         nis += recording.sums["NIS"][0, 0]

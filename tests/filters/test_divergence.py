@@ -202,9 +202,9 @@ def test_looking_changes_no_bit(samples: int):
     from sigmaswarm.filters.filter_run import FilterRun
     from sigmaswarm.filters.run import whole_pass
 
-    replay = whole_pass(make_drive(duration=40.0, seed=3))
-    plain = FilterRun(replay, SET)
-    watched = FilterRun(replay, SET, recover=True, samples=samples)
+    drive_pass = whole_pass(make_drive(duration=40.0, seed=3))
+    plain = FilterRun(drive_pass, SET)
+    watched = FilterRun(drive_pass, SET, recover=True, samples=samples)
     a, b = plain.whole(), watched.whole()
     np.testing.assert_array_equal(a.mean, b.mean)
     np.testing.assert_array_equal(a.covariance, b.covariance)
@@ -216,8 +216,8 @@ def test_a_restart_does_not_depend_on_the_pieces():
     from sigmaswarm.filters.filter_run import FilterRun
     from sigmaswarm.filters.run import whole_pass
 
-    replay = whole_pass(*turned(drive_of("simulated")))
-    runs = [FilterRun(replay, SET, recover=True, samples=n) for n in (77, 10_000)]
+    drive_pass = whole_pass(*turned(drive_of("simulated")))
+    runs = [FilterRun(drive_pass, SET, recover=True, samples=n) for n in (77, 10_000)]
     a, b = (run.whole() for run in runs)
     assert runs[0].restarts == runs[1].restarts != []
     np.testing.assert_array_equal(a.mean, b.mean)

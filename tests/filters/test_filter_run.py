@@ -32,7 +32,7 @@ forecasts = partial(forecast_pass, seed=0)
 
 
 @cache
-def replay_of(make, of=tracking_pass) -> FilterPass:
+def pass_of(make, of=tracking_pass) -> FilterPass:
     return of(prepare_drive(make()))
 
 
@@ -55,24 +55,24 @@ def as_bits(recording: FilterRun) -> dict[str, bytes]:
 )
 def test_pieces_of_any_length_give_the_whole_runs_bits(model: str, kind: str, option: str):
     p = parameters(model, kind=kind, **OPTIONS[option])
-    for replay, lengths in (
-        (replay_of(equipped), (1, -1)),
-        (replay_of(two_receivers), (7,)),
-        (replay_of(equipped, forecasts), (1000,)),
+    for drive_pass, lengths in (
+        (pass_of(equipped), (1, -1)),
+        (pass_of(two_receivers), (7,)),
+        (pass_of(equipped, forecasts), (1000,)),
     ):
-        n = len(replay.timeline.imu_time)
-        whole = as_bits(FilterRun(replay, p, samples=n))
+        n = len(drive_pass.timeline.imu_time)
+        whole = as_bits(FilterRun(drive_pass, p, samples=n))
         for samples in (length % n for length in lengths):
-            in_pieces = as_bits(FilterRun(replay, p, samples=samples))
+            in_pieces = as_bits(FilterRun(drive_pass, p, samples=samples))
             assert [name for name in whole if whole[name] != in_pieces[name]] == [], samples
-        sums = run_passes([replay], [p])
+        sums = run_passes([drive_pass], [p])
         assert all(np.asarray(column).tobytes() == whole[name] for name, column in vars(sums).items())
 
 
 @pytest.mark.parametrize("option", OPTIONS)
 def test_run_filter_and_run_innovations_are_its_pieces(option: str):
     p, drive = parameters("planar8", **OPTIONS[option]), equipped()
-    recording = FilterRun(replay_of(equipped), p, samples=300)
+    recording = FilterRun(pass_of(equipped), p, samples=300)
     whole, estimate, said = recording.whole(), run_filter(drive, p), run_innovations(drive, p)
     assert recording.failure is None
     for name in ("time", "mean", "covariance"):
@@ -100,7 +100,7 @@ def test_a_failure_in_one_piece_is_one_in_all_that_follow(samples: int):
 
 
 def test_sums_of_an_unfinished_recording_are_refused():
-    recording = FilterRun(replay_of(equipped), parameters("planar5"), samples=100)
+    recording = FilterRun(pass_of(equipped), parameters("planar5"), samples=100)
     next(iter(recording))
     with pytest.raises(RuntimeError, match="all pieces"):
         _ = recording.sums
@@ -109,15 +109,15 @@ def test_sums_of_an_unfinished_recording_are_refused():
 
 
 def peak_of_pieces(drive: Drive) -> int:
-    """Bytes that a recording asks for beyond its replay."""
+    """Bytes that a recording asks for beyond its pass."""
     start = initial_state(drive)
     line = build_timeline(drive, start.time)
-    replay, p = FilterPass(line, start, Targets.none(line)), parameters("planar8")
-    replay.arrays(frozenset())
-    for _ in FilterRun(replay, p, samples=500):  # compiled, and all that is kept is there
+    drive_pass, p = FilterPass(line, start, Targets.none(line)), parameters("planar8")
+    drive_pass.arrays(frozenset())
+    for _ in FilterRun(drive_pass, p, samples=500):  # compiled, and all that is kept is there
         pass
     tracemalloc.start()
-    for _ in FilterRun(replay, p, samples=500):
+    for _ in FilterRun(drive_pass, p, samples=500):
         pass
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
@@ -150,9 +150,9 @@ def residuals(nu: np.ndarray, s: np.ndarray, p: FilterParameters) -> np.ndarray:
 @pytest.mark.parametrize(("model", "kind", "option"), EVERY_FILTER)
 @pytest.mark.parametrize("of", [tracking_pass, forecasts], ids=["tracking", "forecast"])
 def test_what_is_recorded_adds_up_to_the_sums(model: str, kind: str, option: str, of):
-    p, replay = parameters(model, kind=kind, **OPTIONS[option]), replay_of(equipped, of)
-    recording = FilterRun(replay, p, samples=100)
-    whole, line, targets = recording.whole(), replay.timeline, replay.targets
+    p, drive_pass = parameters(model, kind=kind, **OPTIONS[option]), pass_of(equipped, of)
+    recording = FilterRun(drive_pass, p, samples=100)
+    whole, line, targets = recording.whole(), drive_pass.timeline, drive_pass.targets
     said = recording.innovations
     nu, s = said.innovation, said.covariance
     hidden = line.hides[line.hides | line.updates]
@@ -167,7 +167,7 @@ def test_what_is_recorded_adds_up_to_the_sums(model: str, kind: str, option: str
         weight, x, y, theta, counts, _ = targets.columns
         later = np.searchsorted(targets.end[line.sampled], np.arange(len(weight)), side="right")
         times = np.concatenate([[line.start], whole.time])
-        means = np.vstack([replay.initial.mean[:5], whole.mean[:, :5]])
+        means = np.vstack([drive_pass.initial.mean[:5], whole.mean[:, :5]])
         at = times[later] + weight * np.diff(times)[later]
         east, north = (np.interp(at, times, means[:, i]) for i in (0, 1))
         turn = np.interp(at, times, np.unwrap(means[:, 4])) - theta

@@ -172,10 +172,10 @@ def test_a_hidden_fix_is_forecast_with_the_aged_error_and_leaves_the_filter_alon
     moved.fixes[at] += 3.0  # its stated variance, too
     ends = []
     for each in (line, moved):
-        replay, array = FilterPass(each, ready.initial, Targets.none(each)), KernelArray([p])
-        rows = start_passes([replay], array)[0]
+        drive_pass, array = FilterPass(each, ready.initial, Targets.none(each)), KernelArray([p])
+        rows = start_passes([drive_pass], array)[0]
         innovations = np.empty((len(each.fixes), 5))
-        run_steps(replay, array, rows, new_cursor(), len(each.dt), innovations=innovations)
+        run_steps(drive_pass, array, rows, new_cursor(), len(each.dt), innovations=innovations)
         ends.append((rows[: len(FILTERS[p.kernel].states), 0], innovations))
     np.testing.assert_array_equal(ends[0][0], ends[1][0])
     nu, s_xx = ends[1][1][at, 0] - ends[0][1][at, 0], ends[1][1][at, 2] - ends[0][1][at, 2]

@@ -31,9 +31,9 @@ def test_it_is_the_filter_of_filterpy(drive: Drive, stated: bool):
     """Position, velocity and covariance at every IMU sample, between fixes and at them."""
     gps = drive.gps if stated else replace(drive.gps, std_x=None, std_y=None)
     ready = PreparedDrive(replace(drive, gps=gps))
-    replay = tracking_pass(ready)
-    found = join_chunks(FixesAlone(replay, NOISE))
-    line, start = replay.timeline, replay.initial
+    drive_pass = tracking_pass(ready)
+    found = join_chunks(FixesAlone(drive_pass, NOISE))
+    line, start = drive_pass.timeline, drive_pass.initial
     kf = KalmanFilter(dim_x=4, dim_z=2)
     kf.x = np.array(start.mean[:4])
     r = NOISE.fix * (1.0 if stated else UNSTATED)
@@ -87,12 +87,14 @@ def test_the_noise_of_several_drives_is_their_median():
 
 def test_during_an_outage_it_goes_straight_on(drive: Drive):
     """Hidden fixes do not move it: the velocity stays what it was."""
-    replay = outage_pass(PreparedDrive(drive), length=5.0)
-    found = join_chunks(FixesAlone(replay, NOISE))
-    gaps = np.flatnonzero(np.diff(replay.timeline.fix_time) > 4.5)
+    drive_pass = outage_pass(PreparedDrive(drive), length=5.0)
+    found = join_chunks(FixesAlone(drive_pass, NOISE))
+    gaps = np.flatnonzero(np.diff(drive_pass.timeline.fix_time) > 4.5)
     assert len(gaps)
     for i in gaps:
-        inside = (found.time > replay.timeline.fix_time[i]) & (found.time < replay.timeline.fix_time[i + 1])
+        inside = (found.time > drive_pass.timeline.fix_time[i]) & (
+            found.time < drive_pass.timeline.fix_time[i + 1]
+        )
         assert np.ptp(found.mean[inside, 2:4], axis=0).max() == 0.0
 
 

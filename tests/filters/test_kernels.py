@@ -40,7 +40,7 @@ compiled = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compi
 
 
 @cache
-def short_replay() -> FilterPass:
+def short_pass() -> FilterPass:
     drive = make_drive(duration=12, jitter=0.3, seed=3)
     return tracking_pass(prepare_drive(drive))
 
@@ -53,7 +53,7 @@ def many_sets() -> tuple[FilterParameters, ...]:
 
 @cache
 def all_sums() -> np.ndarray:
-    return as_bits(run_passes([short_replay()], many_sets()))
+    return as_bits(run_passes([short_pass()], many_sets()))
 
 
 PLANAR8 = FilterParameters(0.5, 2.0, 1.0, (1e-4,) * 5 + (1e-9,) * 3, (1.0, 1.0), "planar8")
@@ -144,7 +144,7 @@ def velocity_after(driving: list[list[float]], headings: np.ndarray) -> np.ndarr
 
 @compiled
 def test_a_kernel_that_is_kept_is_not_written_out():
-    run_passes([short_replay()], [many_sets()[0]])  # so that it is kept
+    run_passes([short_pass()], [many_sets()[0]])  # so that it is kept
     kernel = run.run_kernel("planar5")
     if kernel._cache.cache_path is None:
         pytest.skip("no folder for machine code")
@@ -192,7 +192,7 @@ def machine_code(model: ModelName) -> str:
 @compiled
 @pytest.mark.parametrize("parameters", [many_sets()[0], PLANAR8], ids=["planar5", "planar8"])
 def test_loops_over_lanes_are_vector_instructions(parameters: FilterParameters):
-    run_passes([short_replay()], [parameters])  # so that it has a signature
+    run_passes([short_pass()], [parameters])  # so that it has a signature
     instructions = Counter(re.findall(r"\s(v?f?n?m?[a-z]+\d*[ps]d)\s", machine_code(parameters.model)))
     for operation in ("mul", "madd", "sqrt", "div"):  # madd: fused, vfmadd231pd and its like
         packed, scalar = (
@@ -212,7 +212,7 @@ def test_loops_over_lanes_are_vector_instructions(parameters: FilterParameters):
 @compiled
 @pytest.mark.parametrize("parameters", [many_sets()[0], PLANAR8], ids=["planar5", "planar8"])
 def test_vectors_are_as_wide_as_the_processor_s(parameters: FilterParameters):
-    run_passes([short_replay()], [parameters])
+    run_passes([short_pass()], [parameters])
     registers = Counter(re.findall(r"\s(?:v\w+pd)\s.*?(zmm|ymm|xmm)", machine_code(parameters.model)))
     assert registers["zmm"] > 8 * (registers["ymm"] + registers["xmm"])
 
@@ -223,7 +223,7 @@ def test_vectors_are_as_wide_as_the_processor_s(parameters: FilterParameters):
 @compiled
 @given(order=st.lists(st.integers(0, 39), min_size=1, max_size=50))
 def test_a_sets_result_does_not_depend_on_place_or_company(order: list[int]):
-    sums = as_bits(run_passes([short_replay()], [many_sets()[i] for i in order]))
+    sums = as_bits(run_passes([short_pass()], [many_sets()[i] for i in order]))
     assert sums.tobytes() == all_sums()[order].tobytes()
 
 
@@ -248,10 +248,10 @@ def test_other_kinds_in_the_company_change_no_bit():
     sets = many_sets()[:12]
     kinds = ("ukf", "adaptive-ukf", "strong-tracking-ukf", "ekf", "fuzzy-ukf")
     mixed = [replace(p, kind=kinds[i % 5], forgetting=0.9) for i, p in enumerate(sets)]
-    together = as_bits(run_passes([short_replay()], mixed))
-    alone = np.vstack([as_bits(run_passes([short_replay()], [p])) for p in mixed])
+    together = as_bits(run_passes([short_pass()], mixed))
+    alone = np.vstack([as_bits(run_passes([short_pass()], [p])) for p in mixed])
     assert together.tobytes() == alone.tobytes()
-    plain = as_bits(run_passes([short_replay()], sets))
+    plain = as_bits(run_passes([short_pass()], sets))
     for i in (1, 2, 3, 4):  # each kind has something to do
         assert np.any(plain[i::5] != together[i::5]), kinds[i]
 

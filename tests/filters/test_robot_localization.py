@@ -240,10 +240,10 @@ def test_a_run_over_a_drive_agrees_with_the_textbook(imu_noise: tuple[float, ...
     drive = replace(drive, gps=replace(drive.gps, heading=yaw, std_heading=std))
     p = replace(P, imu_noise=imu_noise, gate=1.0, **changes)
     found = run_filter(drive, p, initial=start, recover=False)
-    replay = whole_pass(drive, start)
-    line, array = replay.timeline, KernelArray((p,))
+    drive_pass = whole_pass(drive, start)
+    line, array = drive_pass.timeline, KernelArray((p,))
     mean, covariance = unpack_states(
-        array.start([replay.initial], [line.nominal_interval])[0][state_rows(NAME)], NAME
+        array.start([drive_pass.initial], [line.nominal_interval])[0][state_rows(NAME)], NAME
     )
     filter = TextbookRobotLocalization(p, mean[0], covariance[0])
     flags, rows = events_of(line, measured_by(p))
@@ -384,10 +384,10 @@ def test_an_estimate_has_no_subnormal_numbers() -> None:
     """Each takes a hundred cycles; without fixes, measurements of vy = 0 shrink vy and ay to 5e-324 in a minute."""
     noise = (1e-8, 1e-8, 4e-7, 5e-7, 4e-7, 2e-5, 1.3, 0.5)
     parameters = replace(P, process_noise=noise, imu_noise=(6e-3, 2.0), lateral_noise=0.07, gate=1e-9)
-    replay, array = tracking_pass(prepare_drive(make_drive(duration=90))), KernelArray((parameters,))
-    rows = start_passes([replay], array)[0]
+    drive_pass, array = tracking_pass(prepare_drive(make_drive(duration=90))), KernelArray((parameters,))
+    rows = start_passes([drive_pass], array)[0]
     rows[R.B] = 1.0
-    run_steps(replay, array, rows, run.new_cursor(), len(replay.timeline.dt))
+    run_steps(drive_pass, array, rows, run.new_cursor(), len(drive_pass.timeline.dt))
     numbers = np.abs(rows[[*state_rows(NAME)], 0])
     assert not np.any((numbers > 0) & (numbers < np.finfo(float).tiny))
     assert abs(rows[R.B, 0]) < 1e-300

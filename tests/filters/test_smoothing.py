@@ -213,10 +213,10 @@ def test_the_last_estimate_is_the_filters_and_no_other_is_less_sure():
 )
 def test_no_bit_depends_on_how_often_the_filter_leaves_a_mark(model: str, kind: str, make):
     p = parameters(model, kind=kind, **OPTIONS["all"])
-    replay = whole_pass(make(), began())
-    whole = next(iter(SmootherRun(replay, p, samples=100_000)))
+    drive_pass = whole_pass(make(), began())
+    whole = next(iter(SmootherRun(drive_pass, p, samples=100_000)))
     for samples in (1, 7, 300, len(whole.time) - 1):
-        pieces = list(SmootherRun(replay, p, samples=samples if samples > 1 else 50))
+        pieces = list(SmootherRun(drive_pass, p, samples=samples if samples > 1 else 50))
         for name in ("time", "mean", "covariance", "sound"):
             joined = np.concatenate([getattr(piece, name) for piece in pieces])
             assert joined.tobytes() == getattr(whole, name).tobytes(), (samples, name)

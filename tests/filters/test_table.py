@@ -111,8 +111,8 @@ def test_a_table_is_a_sequence_of_sets():
 def test_sets_of_several_kinds_come_back_in_their_order():
     table = table_of("planar8", "ukf", ("lateral",), 40)
     mixed = [replace(p, lateral_noise=None) if i % 3 else p for i, p in enumerate(table)]
-    replay = tracking_pass(prepare_drive(make_drive(duration=12)))
-    together = run_passes([replay, replay], mixed)
+    drive_pass = tracking_pass(prepare_drive(make_drive(duration=12)))
+    together = run_passes([drive_pass, drive_pass], mixed)
     for i in (0, 1, 20, 39):
-        alone = run_passes([replay], [mixed[i]])
+        alone = run_passes([drive_pass], [mixed[i]])
         assert together["NIS"][1, i] == alone["NIS"][0, 0]

@@ -205,15 +205,15 @@ def test_the_unscented_filter_is_close_to_the_extended_one():
 
 def test_the_quaternion_keeps_its_norm_for_an_hour():
     drive = town()
-    replay = whole_pass(drive)
-    line = replay.timeline
+    drive_pass = whole_pass(drive)
+    line = drive_pass.timeline
     hour = int(np.ceil(3600 / line.dt.sum()))
     chunk = KernelArray((parameters(**ALL),))
-    rows = start_passes([replay], chunk)[0]
+    rows = start_passes([drive_pass], chunk)[0]
     place = np.zeros(4)
     for _ in range(hour):
         place[:] = 0.0
-        run_steps(replay, chunk, rows, place, len(line.dt))
+        run_steps(drive_pass, chunk, rows, place, len(line.dt))
     quaternion = rows[[getattr(R, name) for name in QUATERNION]]
     assert np.max(np.abs(np.linalg.norm(quaternion, axis=0) - 1)) < 1e-12
 
@@ -242,10 +242,10 @@ def test_it_finds_the_slope_and_the_gyros_biases():
 @compiled
 def test_kinds_in_one_batch_change_no_bit():
     sets = [parameters(kind=kind, **ALL) for kind in ("ekf", "ukf", "ekf", "adaptive-ukf", "fuzzy-ukf")]
-    replay = whole_pass(town())
-    together = run_passes([replay], sets)
+    drive_pass = whole_pass(town())
+    together = run_passes([drive_pass], sets)
     for i, p in enumerate(sets):
-        alone = run_passes([replay], [p])
+        alone = run_passes([drive_pass], [p])
         assert together["NIS"][0, i] == alone["NIS"][0, 0]
         assert together["LOG_DET"][0, i] == alone["LOG_DET"][0, 0]
     assert len({*together["NIS"][0]}) == 4
@@ -350,9 +350,9 @@ def test_targets_that_do_not_know_it_say_so(target: str, tmp_path):
 
 def test_the_textbooks_noise_follows_the_time_line():
     drive = town()
-    replay = whole_pass(drive)
-    car = TextbookCar(replay.timeline, parameters(), replay.initial)
+    drive_pass = whole_pass(drive)
+    car = TextbookCar(drive_pass.timeline, parameters(), drive_pass.initial)
     before = car.filter.covariance.copy()
     car.step(0)
     grown = np.diag(car.filter.covariance - before)[8:]
-    np.testing.assert_allclose(grown[2:], np.array(Q[10:]) * replay.timeline.q_scale[0], rtol=1e-6)
+    np.testing.assert_allclose(grown[2:], np.array(Q[10:]) * drive_pass.timeline.q_scale[0], rtol=1e-6)

@@ -82,15 +82,15 @@ def test_an_infinite_inflation_leaves_the_filter_alone():
 
 
 def displaced(
-    p: FilterParameters, replay: FilterPass, first: int = 1500
+    p: FilterParameters, drive_pass: FilterPass, first: int = 1500
 ) -> tuple[FilterRun, DisplacementStart, int, Displacements]:
     """A run over the 100 samples of a displacement, its start, the step behind it, and its update."""
-    begins, stop = (int(np.flatnonzero(replay.timeline.sampled)[k]) + 1 for k in (first, first + 100))
-    run = FilterRun(replay, p)
+    begins, stop = (int(np.flatnonzero(drive_pass.timeline.sampled)[k]) + 1 for k in (first, first + 100))
+    run = FilterRun(drive_pass, p)
     run._steps_to(begins, np.empty((0, 0, 0)))
     start = DisplacementStart(run._rows[0].copy(), run._place.copy())
     run._steps_to(stop, np.empty((0, 0, 0)))
-    return run, start, stop, Displacements(replay, p)
+    return run, start, stop, Displacements(drive_pass, p)
 
 
 @pytest.mark.parametrize(
@@ -111,14 +111,14 @@ def test_a_displacement_is_absorbed_as_by_a_filter_that_keeps_a_clone(
 ):
     """The textbook's filter, run from states moved a little, one by one, and the joint update written out."""
     p = parameters(model, kind=kind, lateral_noise=lateral_noise)
-    replay = whole_pass(silent())
-    line, first = replay.timeline, int(np.flatnonzero(replay.timeline.sampled)[1200]) + 1
-    run, begin, stop, on = displaced(p, replay, 1200)
+    drive_pass = whole_pass(silent())
+    line, first = drive_pass.timeline, int(np.flatnonzero(drive_pass.timeline.sampled)[1200]) + 1
+    run, begin, stop, on = displaced(p, drive_pass, 1200)
     (x0, p0), (x1, p1) = on._state(begin.rows), on._state(run._rows[0])
     plus, minus = on._plus, on._minus
 
     def moved_on(state: np.ndarray) -> np.ndarray:
-        car = TextbookCar(line, p, replay.initial)
+        car = TextbookCar(line, p, drive_pass.initial)
         car.filter.mean, car.filter.covariance = state.copy(), p0.copy()
         for step in range(first, stop):
             car.step(step)
@@ -253,7 +253,7 @@ def test_cells_are_those_of_the_books():
 
 
 def test_hidden_fixes_count_as_an_outage_too():
-    """A replay that hides fixes from the filter, to score its forecasts, has the outage of a drive without them."""
+    """A pass that hides fixes from the filter, to score its forecasts, has the outage of a drive without them."""
     drive, p = make_drive(duration=60.0), parameters("planar8")
     ready = PreparedDrive(drive)
     line = ready.timeline(hidden_fixes(drive.gps.time, [[20.0, 40.0]]))

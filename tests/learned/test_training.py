@@ -43,22 +43,22 @@ def test_the_filter_that_is_trained_through_is_the_compiled_one(model: str, opti
 
     from sigmaswarm.learned.noise_filter import FilterConstants, columns_of, run
 
-    p, replay = parameters(model, kind="ekf", **option), whole_pass(sparse(equipped()))
+    p, drive_pass = parameters(model, kind="ekf", **option), whole_pass(sparse(equipped()))
     weights = new_weights(np.random.default_rng(0), 3, FEATURES, 5, 2)
-    through = jax.jit(partial(run, FilterConstants.of(replay, p)))
+    through = jax.jit(partial(run, FilterConstants.of(drive_pass, p)))
     for head in (0.0, 0.5):
         weights["head"] = head * np.random.default_rng(1).normal(size=(5, 2))
-        compiled = NoiseRun(replay, p, weights)
+        compiled = NoiseRun(drive_pass, p, weights)
         mean = compiled.whole().mean
         with double_precision():
-            columns, _ = columns_of(replay, p)
-            told = through(weights, *start_of(replay.initial, p), columns)
+            columns, _ = columns_of(drive_pass, p)
+            told = through(weights, *start_of(drive_pass.initial, p), columns)
         said, means = (np.asarray(array) for array in told)
         fixes = said[:, 5] > 0
         np.testing.assert_allclose(said[fixes, :2], compiled.innovations.innovation, atol=1e-9)
         s = compiled.innovations.covariance.reshape(-1, 4)[:, [0, 1, 3]]
         np.testing.assert_allclose(said[fixes, 2:5], s, rtol=1e-9, atol=1e-9)
-        off = means[replay.timeline.sampled] - mean
+        off = means[drive_pass.timeline.sampled] - mean
         off[:, THETA] = wrap_angle(off[:, THETA])
         np.testing.assert_allclose(off, 0.0, atol=1e-9)
 

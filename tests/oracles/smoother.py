@@ -22,9 +22,9 @@ def smooth_textbook(
     heading_first: bool = True,
 ) -> Estimate:
     """Smooth the textbook filter; parameters as in `run_textbook`. The estimate ends if the filter fails."""
-    replay = whole_pass(drive, initial)
-    line = replay.timeline
-    car = TextbookCar(line, parameters, replay.initial, heading_first=heading_first)
+    drive_pass = whole_pass(drive, initial)
+    line = drive_pass.timeline
+    car = TextbookCar(line, parameters, drive_pass.initial, heading_first=heading_first)
     tilts = car.model.tilts
     retraction = {"plus": tilts.plus, "minus": tilts.minus} if tilts else {}
     found = smooth_steps(car, len(line.dt), **retraction)
@@ -34,5 +34,5 @@ def smooth_textbook(
     failure = failure_at(line, line.end[found.failed]) if found.failed >= 0 else None
     covariance = tilts.as_angles(mean, covariance) if tilts else covariance
     n = parameters.n_states
-    start = InitialState(found.mean[0, :n], found.covariance[0, :n, :n], replay.initial.time)
+    start = InitialState(found.mean[0, :n], found.covariance[0, :n, :n], drive_pass.initial.time)
     return Estimate(line.imu_time[: len(sampled)], mean[:, :n], covariance[:, :n, :n], start, failure)

@@ -143,8 +143,8 @@ def test_innovations_and_their_likelihood_are_the_textbooks(kind: str):
 )
 def test_forecasts_are_the_textbooks_without_the_hidden_fixes(kind: str):
     parameters = SETS[kind]
-    replay = forecast_pass(prepare_drive(DRIVE), seed=5)
-    hidden = np.isin(DRIVE.gps.time, replay.timeline.end[replay.timeline.hides])
+    drive_pass = forecast_pass(prepare_drive(DRIVE), seed=5)
+    hidden = np.isin(DRIVE.gps.time, drive_pass.timeline.end[drive_pass.timeline.hides])
     assert 20 < hidden.sum() < len(DRIVE.gps) / 2
     nu, s, hides = by_textbook(DRIVE, parameters, hidden)
     expected = math.sqrt(np.square(nu[hides]).sum(axis=1).mean())
@@ -160,8 +160,8 @@ def test_forecasts_are_the_textbooks_without_the_hidden_fixes(kind: str):
 
 def test_a_hidden_fix_is_not_seen():
     gps = DRIVE.gps
-    replay = forecast_pass(prepare_drive(DRIVE), seed=1)
-    hidden = np.isin(gps.time, replay.timeline.end[replay.timeline.hides])
+    drive_pass = forecast_pass(prepare_drive(DRIVE), seed=1)
+    hidden = np.isin(gps.time, drive_pass.timeline.end[drive_pass.timeline.hides])
     moved = replace(DRIVE, gps=replace(gps, x=gps.x + 1000.0 * hidden))
     far, near = (
         BatchScorer([d], outages=False, forecasts=True, outage_seed=1).scores([PLANAR5])[0, 0]

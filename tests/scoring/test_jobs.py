@@ -37,12 +37,12 @@ def makespan(jobs: list[Job], workers: int) -> float:
 )
 def test_every_replay_meets_every_set_once_and_in_order(lengths: list[list[int]], n_sets: int, workers: int):
     jobs = jobs_for(passes(*lengths), n_sets, "planar8", workers)
-    met = [(job.name, r, s) for job in jobs for r in job.replays for s in job.sets]
+    met = [(job.name, r, s) for job in jobs for r in job.drives for s in job.sets]
     assert set(Counter(met).values()) == {1}
     assert len(met) == n_sets * sum(map(len, lengths))
     assert all(1 <= len(job.sets) <= (MAX_SETS if workers == 1 else most_lanes("planar8")) for job in jobs)
     # `BatchScorer` joins them in this order: the sets of a part side by side, the parts one after the other
-    assert jobs == sorted(jobs, key=lambda job: (job.name, job.replays.start, job.sets.start))
+    assert jobs == sorted(jobs, key=lambda job: (job.name, job.drives.start, job.sets.start))
 
 
 @pytest.mark.parametrize(("workers", "sets"), [(1, 30), (2, LANES), (8, WIDEST)])

@@ -89,20 +89,20 @@ class FilterRun:
 
     def __init__(
         self,
-        replay: FilterPass,
+        drive_pass: FilterPass,
         parameters: FilterParameters,
         *,
         samples: int = CHUNK_SAMPLES,
         recover: bool = False,
     ) -> None:
-        self._replay, self._array, self._samples = replay, KernelArray((parameters,)), samples
-        self.initial = replay.initial
-        self._rows, self._place = start_passes([replay], self._array), new_cursor()
+        self._pass, self._array, self._samples = drive_pass, KernelArray((parameters,)), samples
+        self.initial = drive_pass.initial
+        self._rows, self._place = start_passes([drive_pass], self._array), new_cursor()
         self._state = state_rows(parameters.kernel)
-        self._innovations = np.empty((len(replay.timeline.fixes), 5))
-        self._checks = check_times(replay.timeline) if recover else None
+        self._innovations = np.empty((len(drive_pass.timeline.fixes), 5))
+        self._checks = check_times(drive_pass.timeline) if recover else None
         if self._checks is not None:
-            line = replay.timeline
+            line = drive_pass.timeline
             fix_times = line.fix_time[self._checks.fix]  # end of each check's alignment
             self._ends = np.searchsorted(line.alignments.time, fix_times, side="right") - 1
         self._monitor = DivergenceMonitor()
@@ -125,7 +125,7 @@ class FilterRun:
         return self
 
     def _run(self) -> Iterator[tuple[Array, Array, Mask]]:
-        line = self._replay.timeline
+        line = self._pass.timeline
         ends = np.flatnonzero(line.sampled) + 1
         record = np.empty((min(self._samples, len(ends)), len(self._state) + 1, 1))
         for first in range(0, len(ends), self._samples):
@@ -173,7 +173,7 @@ class FilterRun:
         return row + 1 + int(due[0]) if len(due) else len(stops)
 
     def _steps_to(self, stop: int, record: Array) -> None:
-        run_steps(self._replay, self._array, self._rows[0], self._place, stop, record, self._innovations)
+        run_steps(self._pass, self._array, self._rows[0], self._place, stop, record, self._innovations)
 
     def _check(self, steps: Indices, record: Array) -> tuple[int, InitialState | None]:
         """Check the filter at the recorded steps, up to the first divergence.
@@ -187,7 +187,7 @@ class FilterRun:
         rows = np.searchsorted(steps, times.step[first:last])
         means, covariances = state_estimate(record[rows, :-1, 0].T, self._array.kernel)
         sound = np.flatnonzero(np.isfinite(means).all(axis=1))  # the filter has failed in other rows
-        ends = self._replay.timeline.end[times.step[first:last][sound]].tolist()
+        ends = self._pass.timeline.end[times.step[first:last][sound]].tolist()
         if not ends:
             return len(steps) - 1, None
         k, start = self._monitor.take_all(
@@ -196,7 +196,7 @@ class FilterRun:
         return len(steps) - 1 if k is None else int(rows[sound[k]]), start
 
     def _check_at(self, k: int, mean: Array, covariance: Array) -> StateCheck:
-        line, times = self._replay.timeline, self._checks
+        line, times = self._pass.timeline, self._checks
         assert times is not None
         alignments, step, fix, ends = line.alignments, times.step[k], times.fix[k], int(self._ends[k])
         time, end = float(line.fix_time[fix]), float(line.end[step])
@@ -216,7 +216,7 @@ class FilterRun:
         )
 
     def _at_fix(self, step: int) -> InitialState:
-        line, time = self._replay.timeline, float(self._replay.timeline.end[step])
+        line, time = self._pass.timeline, float(self._pass.timeline.end[step])
         fix = int(np.searchsorted(line.fix_time, time, side="right")) - 1
         theta = float(self._estimate()[0][THETA])
         return state_at_fix(time, line.fixes[fix, :2], self._variance_of(fix), theta, line.lever)
@@ -228,11 +228,11 @@ class FilterRun:
 
     def _variance_of(self, fix: int) -> Array:
         rx, ry, scale = self._rows[0, [R.RX, R.RY, R.ACCURACY], 0]
-        return np.array([rx, ry]) + scale * self._replay.timeline.fixes[fix, 4:6]
+        return np.array([rx, ry]) + scale * self._pass.timeline.fixes[fix, 4:6]
 
     def _reset(self, start: InitialState) -> None:
         """Reset the filter to a start; keep the sums."""
-        fresh = self._array.start([start], [self._replay.timeline.nominal_interval])[0]
+        fresh = self._array.start([start], [self._pass.timeline.nominal_interval])[0]
         added_up = slice(R.SQ_POSITION, R.OK + 1)
         fresh[added_up] = self._rows[0, added_up]
         self._rows[0] = fresh
@@ -244,12 +244,12 @@ class FilterRun:
         mean[:, THETA] = wrap_angle(mean[:, THETA])
         mean[~sound], covariance[~sound] = np.nan, np.nan
         if self.failure is None and not sound.all():
-            self.failure = failure_at(self._replay.timeline, time[np.argmin(sound)])
+            self.failure = failure_at(self._pass.timeline, time[np.argmin(sound)])
         return EstimateChunk(time, mean, covariance, sound, lost)
 
     @property
     def sums(self) -> KernelSums:
-        """Sums of `run_passes` for this replay and parameter set, shape (1, 1); available after the last piece."""
+        """Sums of `run_passes` for this pass and parameter set, shape (1, 1); available after the last piece."""
         self._need_all()
         return self._array.sums(self._rows)
 
@@ -257,7 +257,7 @@ class FilterRun:
     def innovations(self) -> Innovations:
         """Innovations of all fixes, including hidden ones; available after the last piece."""
         self._need_all()
-        rows, time = self._innovations, self._replay.timeline.fix_time
+        rows, time = self._innovations, self._pass.timeline.fix_time
         return Innovations(time, rows[:, :2], rows[:, [2, 3, 3, 4]].reshape(-1, 2, 2))
 
     def _need_all(self) -> None:

@@ -92,28 +92,28 @@ class FilterPass:
         return self._arrays[used]
 
 
-def run_passes(replays: Sequence[FilterPass], parameter_sets: Sequence[FilterParameters]) -> KernelSums:
-    """Run one filter per parameter set over each replay. The sums of a set do not depend on the other sets."""
-    sums = KernelSums.empty(len(replays), len(parameter_sets))
+def run_passes(passes: Sequence[FilterPass], parameter_sets: Sequence[FilterParameters]) -> KernelSums:
+    """Run one filter per parameter set over each pass. The sums of a set do not depend on the other sets."""
+    sums = KernelSums.empty(len(passes), len(parameter_sets))
     for places, table in group_tables(parameter_sets):
-        sums.put(slice(None), places, run_array(replays, KernelArray(table)))
+        sums.put(slice(None), places, run_array(passes, KernelArray(table)))
     return sums
 
 
-def run_array(replays: Sequence[FilterPass], array: KernelArray) -> KernelSums:
-    rows = start_passes(replays, array)
-    for replay, block in zip(cycle(replays), rows, strict=False):
-        run_steps(replay, array, block, run.new_cursor(), len(replay.timeline.dt))
+def run_array(passes: Sequence[FilterPass], array: KernelArray) -> KernelSums:
+    rows = start_passes(passes, array)
+    for drive_pass, block in zip(cycle(passes), rows, strict=False):
+        run_steps(drive_pass, array, block, run.new_cursor(), len(drive_pass.timeline.dt))
     return array.sums(rows)
 
 
-def start_passes(replays: Sequence[FilterPass], array: KernelArray) -> Array:
-    """Return the rows of an array's filters at the start of each replay, in the format of `KernelArray.start`."""
-    return array.start([r.initial for r in replays], [r.timeline.nominal_interval for r in replays])
+def start_passes(passes: Sequence[FilterPass], array: KernelArray) -> Array:
+    """Return the rows of an array's filters at the start of each pass, in the format of `KernelArray.start`."""
+    return array.start([r.initial for r in passes], [r.timeline.nominal_interval for r in passes])
 
 
 def run_steps(
-    replay: FilterPass,
+    drive_pass: FilterPass,
     array: KernelArray,
     rows: Array,
     place: Array,
@@ -121,25 +121,25 @@ def run_steps(
     record: Array = run.NO_RECORD,
     innovations: Array = run.NO_INNOVATIONS,
 ) -> None:
-    """Run a block of filters over the steps of a replay from ``place`` to ``stop``: see `compiled.run.run_lanes`."""
-    require_readable(replay, array)
-    drive = replay.arrays(array.reads[-1])
+    """Run a block of filters over the steps of a pass from ``place`` to ``stop``: see `compiled.run.run_lanes`."""
+    require_readable(drive_pass, array)
+    drive = drive_pass.arrays(array.reads[-1])
     run.run_lanes(array.kernel, drive, rows, place, stop, record, innovations)
 
 
-def require_readable(replay: FilterPass, array: KernelArray) -> None:
-    if array.reads in replay.readable:
+def require_readable(drive_pass: FilterPass, array: KernelArray) -> None:
+    if array.reads in drive_pass.readable:
         return
     model, accuracy, measured = array.reads
-    require_axes(replay.timeline.drive, model)
+    require_axes(drive_pass.timeline.drive, model)
     if accuracy:
-        require_accuracy(replay.timeline)
+        require_accuracy(drive_pass.timeline)
     if "odometer" in measured:
-        require_odometer(replay.timeline.drive)
-    replay.readable.add(array.reads)
+        require_odometer(drive_pass.timeline.drive)
+    drive_pass.readable.add(array.reads)
 
 
 def join_sums(parts: Sequence[KernelSums]) -> KernelSums:
-    """Join the sums of different sets over the same replays."""
+    """Join the sums of different sets over the same passes."""
     numbers, failed = zip(*((part.numbers, part.failed) for part in parts), strict=True)
     return KernelSums(np.concatenate(numbers, axis=-1), np.concatenate(failed, axis=-1))

@@ -137,8 +137,8 @@ def run_filter(
     AlignmentError
         If ``initial`` is not given and the drive has no start.
     """
-    replay = whole_pass(drive, initial, as_recorded=as_recorded)
-    return estimate_of(FilterRun(replay, parameters, recover=recover), recover=recover)
+    drive_pass = whole_pass(drive, initial, as_recorded=as_recorded)
+    return estimate_of(FilterRun(drive_pass, parameters, recover=recover), recover=recover)
 
 
 def run_innovations(
@@ -152,8 +152,8 @@ def run_innovations(
 
     Innovations after a failure are NaN or meaningless; `run_filter` reports the failure.
     """
-    replay = whole_pass(drive, initial, as_recorded=as_recorded)
-    return FilterRun(replay, parameters).finished().innovations
+    drive_pass = whole_pass(drive, initial, as_recorded=as_recorded)
+    return FilterRun(drive_pass, parameters).finished().innovations
 
 
 def whole_pass(
@@ -230,10 +230,14 @@ def run_textbook(
     Estimate
         ``failure`` is set if the filter failed.
     """
-    replay = whole_pass(drive, initial)
-    line = replay.timeline
+    drive_pass = whole_pass(drive, initial)
+    line = drive_pass.timeline
     car = TextbookCar(
-        line, parameters, replay.initial, heading_first=heading_first, redraw_sigma_points=redraw_sigma_points
+        line,
+        parameters,
+        drive_pass.initial,
+        heading_first=heading_first,
+        redraw_sigma_points=redraw_sigma_points,
     )
     rows = np.where(line.sampled, np.cumsum(line.sampled) - 1, -1)
     run = run_steps(car, rows.tolist(), n_rows=len(line.imu_time))
@@ -242,7 +246,7 @@ def run_textbook(
     tilts = car.model.tilts
     covariance = tilts.as_angles(run.mean, run.covariance) if tilts else run.covariance
     n = parameters.n_states
-    return Estimate(line.imu_time, run.mean[:, :n], covariance[:, :n, :n], replay.initial, failure)
+    return Estimate(line.imu_time, run.mean[:, :n], covariance[:, :n, :n], drive_pass.initial, failure)
 
 
 def run_imu_only(drive: Drive | PreparedDrive, *, initial: InitialState | None = None) -> Estimate:

@@ -64,8 +64,8 @@ def smooth(
     AlignmentError
         If ``initial`` is not given and the drive has no start.
     """
-    replay = whole_pass(drive, initial, as_recorded=as_recorded)
-    return estimate_of(SmootherRun(replay, parameters, recover=recover), recover=recover)
+    drive_pass = whole_pass(drive, initial, as_recorded=as_recorded)
+    return estimate_of(SmootherRun(drive_pass, parameters, recover=recover), recover=recover)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,10 +87,10 @@ class _Forward(FilterRun):
     checkpoints.
     """
 
-    def __init__(self, replay: FilterPass, parameters: FilterParameters, **options: Any) -> None:
+    def __init__(self, drive_pass: FilterPass, parameters: FilterParameters, **options: Any) -> None:
         require_driven_by_imu(parameters.model, "smoothing")
-        super().__init__(replay, parameters, **options)
-        require_readable(replay, self._array)
+        super().__init__(drive_pass, parameters, **options)
+        require_readable(drive_pass, self._array)
         self.checkpoints: list[tuple[Array, Array, DivergenceMonitor]] = []
         self._measured = measured_by(parameters)
         self._kernel: Any = logging_kernel(parameters.kernel)
@@ -110,7 +110,7 @@ class _Forward(FilterRun):
         return super()._run_to(stops, record)
 
     def again(self, number: int, samples: int) -> _ForwardLog:
-        (rows, place, monitor), sampled = self.checkpoints[number], self._replay.timeline.sampled
+        (rows, place, monitor), sampled = self.checkpoints[number], self._pass.timeline.sampled
         self._rows[0] = rows[:, np.newaxis]  # all columns are the same filter
         self._place[:] = place
         self._monitor = deepcopy(monitor)
@@ -125,11 +125,11 @@ class _Forward(FilterRun):
     def _steps_to(self, stop: int, record: Array) -> None:
         first = int(self._place[NEXT_STEP])
         logged = self._logged[first - self._first : stop - self._first]
-        steps, sample, driving, flags, *rest = self._replay.arrays(self._measured)
+        steps, sample, driving, flags, *rest = self._pass.arrays(self._measured)
         # The kernel records the steps with the flag IMU: here all of them.
         drive = (steps, sample, driving, flags | IMU, *rest)
         self._kernel(drive, self._rows[0], self._place, stop, logged, NO_INNOVATIONS)
-        at, n = np.flatnonzero(self._replay.timeline.sampled[first:stop]), len(self._state)
+        at, n = np.flatnonzero(self._pass.timeline.sampled[first:stop]), len(self._state)
         record[:, :n], record[:, n] = logged[at, :n], logged[at, -1]
 
     def _reset(self, start: InitialState) -> None:
@@ -145,10 +145,10 @@ class SmootherRun:
     the pieces, which is the distance between checkpoints.
     """
 
-    def __init__(self, replay: FilterPass, parameters: FilterParameters, **options: Any) -> None:
-        self._line = replay.timeline
+    def __init__(self, drive_pass: FilterPass, parameters: FilterParameters, **options: Any) -> None:
+        self._line = drive_pass.timeline
         self._kernel = parameters.kernel
-        self._forward = forward = _Forward(replay, parameters, **options)
+        self._forward = forward = _Forward(drive_pass, parameters, **options)
         # Numbers of samples and of sound samples of each piece
         self._sizes = [(len(piece.time), int(piece.sound.sum())) for piece in forward]
         self.restarts: list[float] = []
@@ -156,10 +156,10 @@ class SmootherRun:
         self._behind = [np.empty(0)] * len(self._sizes)  # the smoothed state after each piece
         self._kept: tuple[int, Array, Mask] | None = None
         self._n = parameters.n_states
-        self.initial = replay.initial
+        self.initial = drive_pass.initial
         if self._sizes[0][1]:
             mean, covariance = self._estimate(self._back()[np.newaxis])
-            self.initial = InitialState(mean[0], covariance[0], replay.initial.time)
+            self.initial = InitialState(mean[0], covariance[0], drive_pass.initial.time)
 
     def __iter__(self) -> Iterator[EstimateChunk]:
         first = 0

@@ -35,8 +35,8 @@ class DisplacementStart(NamedTuple):
 
 
 class Displacements:
-    def __init__(self, replay: FilterPass, parameters: FilterParameters) -> None:
-        self._replay = replay
+    def __init__(self, drive_pass: FilterPass, parameters: FilterParameters) -> None:
+        self._pass = drive_pass
         self._model = parameters.kernel
         n = len(FILTERS[self._model].states)
         self._array = KernelArray((parameters,) * (n + 1))
@@ -99,7 +99,7 @@ class Displacements:
         rows = np.repeat(begin.rows[:, :1], LANES, axis=1)
         rows[R.SIN_COS_VALID] = 0.0
         rows[:N_STATE] = pack_states(moved, np.broadcast_to(p0, (LANES, n, n)), self._model)
-        run_steps(self._replay, self._array, rows, begin.place.copy(), stop)
+        run_steps(self._pass, self._array, rows, begin.place.copy(), stop)
         means, _ = unpack_states(rows[state_rows(self._model)], self._model)
         return np.array([self._minus(mean, means[0]) for mean in means[1 : n + 1]]).T / step
 

@@ -77,14 +77,14 @@ class LearnedNetwork:
         return self.record.kind
 
     def run(
-        self, replay: FilterPass, parameters: FilterParameters, *, recover: bool = False
+        self, drive_pass: FilterPass, parameters: FilterParameters, *, recover: bool = False
     ) -> "OutageRun | NoiseRun":
         net = self.record.network
         if self.kind == outage_lstm.NAME:
             inflation = np.inf if net.inflation is None else net.inflation
             network = OutageLstm(tuple(net.axes), net.window, self.weights, inflation, net.unsure)
-            return OutageRun(replay, parameters, network, recover=recover)
-        return NoiseRun(replay, parameters, self.weights, recover=recover)
+            return OutageRun(drive_pass, parameters, network, recover=recover)
+        return NoiseRun(drive_pass, parameters, self.weights, recover=recover)
 
     def save(self, folder: Path) -> list[Path]:
         paths = [folder / WEIGHTS_FILE, folder / LEARNED_FILE]

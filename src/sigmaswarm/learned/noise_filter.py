@@ -36,9 +36,9 @@ standstill; x and y of the fix, m; the stated variances of x and y, m2.
 """
 
 
-def columns_of(replay: FilterPass, parameters: FilterParameters) -> tuple[Array, Array]:
-    """Return the steps of a replay for `run`, (k, N_COLUMNS), and their end times, (k,) s."""
-    line = replay.timeline
+def columns_of(drive_pass: FilterPass, parameters: FilterParameters) -> tuple[Array, Array]:
+    """Return the steps of a pass for `run`, (k, N_COLUMNS), and their end times, (k,) s."""
+    line = drive_pass.timeline
     flags = events_of(line, measured_by(parameters)).flags
     fixes = line.fixes if len(line.fixes) else np.zeros((1, 6))
     fix = fixes[np.maximum(np.cumsum(line.updates | line.hides) - 1, 0)]
@@ -56,8 +56,8 @@ class FilterConstants:
     parameters: FilterParameters
 
     @classmethod
-    def of(cls, replay: FilterPass, parameters: FilterParameters) -> "FilterConstants":
-        line = replay.timeline
+    def of(cls, drive_pass: FilterPass, parameters: FilterParameters) -> "FilterConstants":
+        line = drive_pass.timeline
         return cls(process_noise_per_step(parameters, line.nominal_interval), line.lever[:2], parameters)
 
 

@@ -52,22 +52,22 @@ def nis_of(nu: Any, s: Any) -> tuple[Any, Any]:
 
 
 class NoiseRun(InterruptibleRun):
-    """Run of a filter over a replay with a network that scales Q and R.
+    """Run of a filter over a drive with a network that scales Q and R.
 
     ``scales``: factors on R and Q after each fix. With a new network, the results equal those of `FilterRun`.
     """
 
     def __init__(
         self,
-        replay: FilterPass,
+        drive_pass: FilterPass,
         parameters: FilterParameters,
         weights: Mapping[str, Array],
         **options: Any,
     ) -> None:
-        super().__init__(replay, parameters, **options)
+        super().__init__(drive_pass, parameters, **options)
         self.scales: list[tuple[float, float]] = []
         self._weights, self._h = weights, np.zeros(weights["hidden"].shape[0])
-        line = replay.timeline
+        line = drive_pass.timeline
         self._q = slice(Q0, Q0 + parameters.n_states)
         self._own_q, self._own_r = self._rows[0, self._q].copy(), self._rows[0, [R.RX, R.RY]].copy()
         steps, samples_at = np.flatnonzero(line.updates), np.flatnonzero(line.sampled)

@@ -47,13 +47,13 @@ def segments_of(
     for group, validates in [(drives, False), (validation, True)] if validation else [(drives, None)]:
         before = len(parts)
         for drive in group:
-            replay = whole_pass(drive)
-            settings = FilterConstants.of(replay, ekf)
-            columns, ends = columns_of(replay, ekf)
-            estimate = FilterRun(replay, ekf).whole()
+            drive_pass = whole_pass(drive)
+            settings = FilterConstants.of(drive_pass, ekf)
+            columns, ends = columns_of(drive_pass, ekf)
+            estimate = FilterRun(drive_pass, ekf).whole()
             last = float(estimate.time[-1])
-            since = last - VALIDATION_SHARE * (last - replay.initial.time)
-            for start in np.arange(replay.initial.time, last - length, length):
+            since = last - VALIDATION_SHARE * (last - drive_pass.initial.time)
+            for start in np.arange(drive_pass.initial.time, last - length, length):
                 sample = int(np.searchsorted(estimate.time, start))
                 span = [estimate.time[sample], estimate.time[sample] + length]
                 first, stop = np.searchsorted(ends, span, side="right")

@@ -229,23 +229,23 @@ def new_network(
 
 
 class OutageRun(InterruptibleRun):
-    """Run of a filter over a replay with forecasts of displacements in outages.
+    """Run of a filter over a drive with forecasts of displacements in outages.
 
     Without outages, the results equal those of `FilterRun`. ``accepted`` and ``rejected`` count displacements.
     """
 
     def __init__(
         self,
-        replay: FilterPass,
+        drive_pass: FilterPass,
         parameters: FilterParameters,
         network: OutageLstm,
         *,
         windows: Windows | None = None,
         **options: Any,
     ) -> None:
-        super().__init__(replay, parameters, **options)
+        super().__init__(drive_pass, parameters, **options)
         self.accepted = self.rejected = 0
-        self._displacements = Displacements(replay, parameters)
+        self._displacements = Displacements(drive_pass, parameters)
         self._network = network
         self._begin: dict[int, DisplacementStart] = {}
         self._velocity: dict[int, Array] = {}
@@ -254,7 +254,7 @@ class OutageRun(InterruptibleRun):
         self._marks = np.empty(0, dtype=np.intp)
         if np.isfinite(network.inflation):
             if windows is None:
-                windows = outage_windows(replay.timeline, axes=network.axes, window=network.window)
+                windows = outage_windows(drive_pass.timeline, axes=network.axes, window=network.window)
             self._forecasts = network.forecasts(windows)
             self._marks = np.unique(np.concatenate([windows.begin, windows.end, windows.first, windows.over]))
         self._begins = {forecast.begin for forecast in self._forecasts.values()}

@@ -77,7 +77,7 @@ def tracks_of(
 
 
 def cases_of(tracks: Sequence[Track], seed: int) -> list[tuple[FilterPass, float]]:
-    """Place outages on validation data several times; return the replays and the starts of the validation data, s."""
+    """Place outages on validation data several times; return the passes and the starts of the validation data, s."""
     cases: list[tuple[FilterPass, float]] = []
     for number, track in enumerate(tracks):
         drive, initial = track.ready.drive, track.ready.initial
@@ -214,7 +214,8 @@ def calibrate(
     standard error, in which only the outages of one set count as independent.
     """
     windows = [
-        outage_windows(replay.timeline, axes=network.axes, window=network.window) for replay, _ in cases
+        outage_windows(drive_pass.timeline, axes=network.axes, window=network.window)
+        for drive_pass, _ in cases
     ]
 
     def losses(inflation: float, unsure: float) -> Array:
@@ -240,9 +241,9 @@ def forecast_losses(
 ) -> Array:
     """Return the mean negative log-likelihood of each outage's hidden fixes, nats: see `Score.forecast_t`."""
     losses: list[float] = []
-    for (replay, held_back_from), known in zip(cases, windows, strict=True):
-        line = replay.timeline
-        innovations = OutageRun(replay, parameters, network, windows=known).finished().innovations
+    for (drive_pass, held_back_from), known in zip(cases, windows, strict=True):
+        line = drive_pass.timeline
+        innovations = OutageRun(drive_pass, parameters, network, windows=known).finished().innovations
         fixes = line.hides | line.updates
         hidden = line.hides[fixes] & (line.fix_time > held_back_from)
         outage = np.cumsum(line.updates)[fixes]

@@ -189,11 +189,11 @@ class BatchScorer:
         # The longest jobs start first, so that all workers end at about the same time.
         work.sort(key=lambda item: item[0].work, reverse=True)
         tasks = [
-            (self._passes[job.name][job.replays.start : job.replays.stop], array) for job, _, array in work
+            (self._passes[job.name][job.drives.start : job.drives.stop], array) for job, _, array in work
         ]
         sums = {name: KernelSums.empty(len(self.drives), len(parameter_sets)) for name in self._passes}
         for (job, places, _), part in zip(work, run_jobs(run_array, tasks, executor), strict=True):
-            sums[job.name].put(slice(job.replays.start, job.replays.stop), places, part)
+            sums[job.name].put(slice(job.drives.start, job.drives.stop), places, part)
         return sums
 
 

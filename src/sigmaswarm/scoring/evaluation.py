@@ -434,19 +434,19 @@ def _tracked(
 
     As a separate function, it frees its memory before the next pass.
     """
-    replay = tracking_pass(ready)
+    drive_pass = tracking_pass(ready)
     further = options.optional_runs(filters["tuned"])
-    further[FIXES] = partial(FixesAlone, noise=options.fixes_alone or fit_noise(replay))
-    recorded = {m: tracker.record(m, replay, p, recover=True) for m, p in filters.items()}
+    further[FIXES] = partial(FixesAlone, noise=options.fixes_alone or fit_noise(drive_pass))
+    recorded = {m: tracker.record(m, drive_pass, p, recover=True) for m, p in filters.items()}
     restarts = {m: tuple(recording.restarts) for m, recording in recorded.items()}
     sums = join_sums([recording.sums for recording in recorded.values()])
-    whole = scores_from_sums({"tracking": [replay]}, {"tracking": sums})
+    whole = scores_from_sums({"tracking": [drive_pass]}, {"tracking": sums})
     scores = {
         m: replace(whole[i, 0], position_median=score.position_median, position_95=score.position_95)
         for i, (m, score) in enumerate(tracker.scores.items())
     }
     for method, make in further.items():
-        run = make(replay)
+        run = make(drive_pass)
         tracker.follow(method, run)
         scores[method] = tracker.scores[method]
         if method != FIXES:  # the filter of the fixes alone is never reset

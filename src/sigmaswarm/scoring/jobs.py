@@ -19,10 +19,10 @@ MIN_JOB_STEPS = 20_000  # filter steps; passes with fewer steps share a job unle
 
 @dataclass(frozen=True)
 class Job:
-    """A range of replays of the pass ``name`` and a range of parameter sets."""
+    """A range of drives of the pass ``name``, and a range of parameter sets."""
 
     name: str
-    replays: range
+    drives: range
     sets: range
     steps: int
 
@@ -32,7 +32,7 @@ class Job:
 
 
 def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, kernel: str, workers: int) -> list[Job]:
-    """Divide a batch into jobs; ``steps`` contains the number of steps of each replay, by pass."""
+    """Divide a batch into jobs; ``steps`` contains the number of steps on each drive, by pass."""
     total = sum(map(sum, steps.values()))
     parts = list(_parts(steps, total if workers == 1 else min(MIN_JOB_STEPS, total / workers)))
     most = MAX_SETS if workers == 1 else most_lanes(kernel)
@@ -48,7 +48,7 @@ def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, kernel: str, worke
 
 
 def _parts(steps: Mapping[str, Sequence[int]], least: float) -> Iterator[Job]:
-    """Group consecutive replays of each pass into parts of at least ``least`` steps; the last part may be shorter."""
+    """Group consecutive drives of each pass into parts of at least ``least`` steps; the last part may be shorter."""
     for name, lengths in steps.items():
         first, total = 0, 0
         for last, length in enumerate(lengths):

@@ -97,10 +97,10 @@ class Tracker:
             self._keep("truth", [{"time": truth.time, "x": truth.x, "y": truth.y}], len(truth))
 
     def record(
-        self, series: str, replay: FilterPass, parameters: FilterParameters, *, recover: bool = False
+        self, series: str, drive_pass: FilterPass, parameters: FilterParameters, *, recover: bool = False
     ) -> FilterRun:
-        recording = FilterRun(replay, parameters, recover=recover)
-        self._follow(series, recording, replay.initial)
+        recording = FilterRun(drive_pass, parameters, recover=recover)
+        self._follow(series, recording, drive_pass.initial)
         if recording.failure is None:
             nu = recording.innovations
             self._keep(series + NIS, [{"time": nu.time, "nis": nu.nis}], len(nu.time))

@@ -298,5 +298,5 @@ def _run(ready: PreparedDrive, p: FilterParameters, at: Values, values: Values) 
     lever = np.array([*(values[name] for name in ARM), line.lever[2]])
     moved = replace(line, lever=lever, driving=driving)
     p = replace(p, **{name: value for name, value in values.items() if hasattr(p, name)})
-    replay = FilterPass(moved, replace(start, mean=mean), Targets.none(moved))
-    return FilterRun(replay, p).finished().innovations
+    drive_pass = FilterPass(moved, replace(start, mean=mean), Targets.none(moved))
+    return FilterRun(drive_pass, p).finished().innovations

@@ -178,13 +178,13 @@ def score_networks(
 def _score(
     trained: TrainedNetwork, ready: PreparedDrive, long: Mapping[str, float], seed: int
 ) -> dict[str, float]:
-    replay, truth = tracking_pass(ready), ready.drive.truth
+    drive_pass, truth = tracking_pass(ready), ready.drive.truth
     assert truth is not None
-    run = trained.run(replay)
+    run = trained.run(drive_pass)
     errors = PieceErrors(truth, ready.initial)
     for piece in run:
         errors.add(piece.time, piece.mean)
-    sums = scores_from_sums({"tracking": [replay]}, {"tracking": run.sums})[0, 0]
+    sums = scores_from_sums({"tracking": [drive_pass]}, {"tracking": run.sums})[0, 0]
     scores = {
         "position_rmse_m": errors.score.position_rmse,
         "gps_rmse_m": sums.fix_rmse,

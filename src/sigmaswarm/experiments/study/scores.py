@@ -128,9 +128,9 @@ def _passes(design: Design) -> list[_Pass]:
     passes = [_Pass(design.scorer(outages=True), all_drives, SCORE_OF_MEASURE)]
     ready, seed = design.prepared, design.config.seed
     for measure, length in design.config.long_outages.items():
-        replays = BatchScorer(ready, outages=True, outage_length=length, outage_seed=seed)
+        scorer = BatchScorer(ready, outages=True, outage_length=length, outage_seed=seed)
         fits = [len(outage_windows(r.drive, r.initial, length=length, seed=seed)) > 0 for r in ready]
-        passes.append(_Pass(replays, np.array(fits), {measure: SCORE_OF_MEASURE["outage_drift_m"]}))
+        passes.append(_Pass(scorer, np.array(fits), {measure: SCORE_OF_MEASURE["outage_drift_m"]}))
     return passes
 
 
@@ -224,10 +224,10 @@ def _followed(
     ready: PreparedDrive, tuned: Mapping[str, FilterParameters], *, drawn: bool
 ) -> tuple[Tracks, Picture | None]:
     name = ready.drive.name
-    replay, tracker = tracking_pass(ready), Tracker(ready, MAX_TRACK_POINTS, picture=drawn)
+    drive_pass, tracker = tracking_pass(ready), Tracker(ready, MAX_TRACK_POINTS, picture=drawn)
     by_hand = {method: manual(ready, method) for method in MANUAL_FILTERS}
     for series, one in {**tuned, **by_hand}.items():
-        tracker.record(series, replay, one)
+        tracker.record(series, drive_pass, one)
     tracker.keep_estimate("imu_only", run_imu_only(ready))
     return tracker.tracks(name), tracker.picture(name) if drawn else None
 

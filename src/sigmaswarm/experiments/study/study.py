@@ -242,8 +242,8 @@ def _tune_all(
 ) -> Trials:
     configs = design.configs
     outages = {v: parse_objective(config.objective).needs_outages for v, config in configs.items()}
-    replays = {needed: design.scorer(outages=needed) for needed in set(outages.values())}
-    problems = {v: CarProblem(configs[v], spaces[v], [], replays[outages[v]]) for v in configs}
+    scorers = {needed: design.scorer(outages=needed) for needed in set(outages.values())}
+    problems = {v: CarProblem(configs[v], spaces[v], [], scorers[outages[v]]) for v in configs}
     folders = _result_folders(design, out)
     splits = [set(design.split(trial)[0]) for trial in range(design.config.trials)]
 

@@ -78,11 +78,11 @@ def rival_times(out: Path, design: Design, parameters: Filters, networks: Networ
 def _sample_us(own: TrainedNetwork | FilterParameters, ready: PreparedDrive) -> float:
     took = 0.0
     for _ in range(2):
-        replay = tracking_pass(ready)
+        drive_pass = tracking_pass(ready)
         began = time.process_time()
-        run = own.run(replay) if isinstance(own, TrainedNetwork) else FilterRun(replay, own)
+        run = own.run(drive_pass) if isinstance(own, TrainedNetwork) else FilterRun(drive_pass, own)
         run.finished()
-        took = 1e6 * (time.process_time() - began) / len(replay.timeline.imu_time)
+        took = 1e6 * (time.process_time() - began) / len(drive_pass.timeline.imu_time)
     return took
 
 

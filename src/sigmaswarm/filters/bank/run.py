@@ -71,7 +71,7 @@ class BankRun:
 
     def __init__(
         self,
-        replay: FilterPass,
+        drive_pass: FilterPass,
         parameters: FilterParameters,
         *,
         seed: int = 0,
@@ -79,12 +79,12 @@ class BankRun:
         recover: bool = False,
         as_recorded: bool = False,
     ) -> None:
-        require_readable(replay, KernelArray((parameters,)))
-        self._line, self.initial = replay.timeline, replay.initial
+        require_readable(drive_pass, KernelArray((parameters,)))
+        self._line, self.initial = drive_pass.timeline, drive_pass.initial
         self._model = parameters.kernel
         self.bank = LiveFilterBank(
             parameters,
-            replay.initial,
+            drive_pass.initial,
             nominal_interval=self._line.nominal_interval,
             lever_arm=self._line.lever.tolist(),
             seed=seed,
@@ -206,6 +206,8 @@ def run_bank(
     AlignmentError
         If ``initial`` is not given and the drive has no start.
     """
-    replay = whole_pass(drive, initial, as_recorded=as_recorded)
-    run = BankRun(replay, parameters, seed=seed, searches=searches, recover=recover, as_recorded=as_recorded)
+    drive_pass = whole_pass(drive, initial, as_recorded=as_recorded)
+    run = BankRun(
+        drive_pass, parameters, seed=seed, searches=searches, recover=recover, as_recorded=as_recorded
+    )
     return estimate_of(run, recover=recover)
