@@ -106,7 +106,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         for drive in drives(arguments.drives):
             for model in MODELS if drive.imu.az is not None else ("planar5", "planar8"):
-                for kind in (kind for kind in KINDS if kind in MODELS[model].kinds):
+                for kind in (kind for kind in KINDS if kind in MODELS[model].filter_types):
                     p = tuned(model, kind, drive.nominal_interval)
                     folder = Path(name) / f"{drive.name}-{model}-{kind}"
                     twin_, double, script, metres = parity(drive, p, folder, quick=arguments.quick)

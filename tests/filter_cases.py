@@ -37,7 +37,7 @@ def stands_for_all(model: str, kind: str, option: str) -> bool:
 
 
 def parameters(model: str, **more) -> FilterParameters:
-    more = {"kind": MODELS[model].kinds[0], **more}
+    more = {"kind": MODELS[model].filter_types[0], **more}
     if more.get("kind") == "strong-tracking-ukf":
         more = {"forgetting": 0.5, **more}  # so that it has something to do on a drive that is as modelled
     if more.get("kind") == "fuzzy-ukf":

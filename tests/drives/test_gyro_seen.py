@@ -34,7 +34,7 @@ def biased(drive: Drive, off: np.ndarray) -> Drive:
 
 def tuned(model: str, std: float = GOOD_GYRO) -> FilterParameters:
     q = tuple(0.01 * density for density in PER_SECOND[: len(MODELS[model].states)])
-    kind = MODELS[model].kinds[0]
+    kind = MODELS[model].filter_types[0]
     p = FilterParameters(0.5, 2.0, 0.0, q, (1.0, 1.0), model, kind=kind, nominal_interval=0.01)
     return replace(p, bias_std=(0.1, std))
 

@@ -178,7 +178,9 @@ def consistency(
     return Consistency(early, late, nis / (2 * fixes[..., 0].size), runs * n, 2 * fixes[..., 0].size)
 
 
-EVERY_FILTER = [(model, kind) for model in STATES for kind in MODELS[model].kinds if kind in ("ukf", "ekf")]
+EVERY_FILTER = [
+    (model, kind) for model in STATES for kind in MODELS[model].filter_types if kind in ("ukf", "ekf")
+]
 
 
 @pytest.mark.parametrize(

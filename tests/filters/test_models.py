@@ -53,7 +53,7 @@ def test_rows_are_numbered_by_their_names_without_gaps():
 
 @EACH_DRIVEN
 def test_constants_stand_in_the_rows_of_their_names(name: str):
-    kind = MODELS[name].kinds[min(2, len(MODELS[name].kinds) - 1)]
+    kind = MODELS[name].filter_types[min(2, len(MODELS[name].filter_types) - 1)]
     p = parameters(name, gate=7.0, latency=0.125, velocity_noise=0.3, lateral_noise=0.4, rear_axle=1.25,
                    tire_slip=0.004, standstill_noise=0.6, odometer_noise=0.7, odometer_scale=0.5, odometer_latency=0.2,
                    kind=kind, forgetting=0.875)  # fmt: skip
@@ -100,7 +100,7 @@ def test_units_densities_and_box_are_those_of_the_states(name: str):
     assert said["states"] == [s.name for s in states]
     assert said["process_noise"][2] == "m2/s2 per nominal IMU step"
     assert [text.split()[1] for text in densities(p).values()] == [f"{s.unit}/sqrt(s)" for s in states]
-    space = search_space(name, "log10", kind=MODELS[name].kinds[0])
+    space = search_space(name, "log10", kind=MODELS[name].filter_types[0])
     entries = sum(d.entries for d in space.dimensions if d.field == "process_noise")
     assert entries == len(states)
 

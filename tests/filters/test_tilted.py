@@ -168,7 +168,7 @@ def test_the_covariance_of_angles_is_that_of_the_error():
 # --- Filters -----------------------------------------------------------------------------------------------
 
 
-UNSCENTED = MODELS["tilted12"].kinds[1:]
+UNSCENTED = MODELS["tilted12"].filter_types[1:]
 CASES = {
     "plain": {},
     "all": ALL,

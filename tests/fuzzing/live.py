@@ -29,7 +29,7 @@ OPTIONS = (
 def hostile_parameters(rng: np.random.Generator) -> FilterParameters:
     """A filter of any kind and option, half of them with noise far outside the bounds of a tuning."""
     model = str(rng.choice(LIVE))
-    n, kinds = len(MODELS[model].states), MODELS[model].kinds
+    n, kinds = len(MODELS[model].states), MODELS[model].filter_types
     exponents = rng.uniform(-13, 3, n + 2) if rng.random() < 0.5 else rng.uniform(-6, -2, n + 2)
     noise = (10.0**exponents).tolist()
     while True:

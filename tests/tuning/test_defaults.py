@@ -236,7 +236,7 @@ def test_what_is_chosen_goes_with_what_was_asked(
     drive = stating(PLAIN, 1.0, 9.0) if states else PLAIN
     asked = {"objective": objective} | ({} if kind is None else {"kind": kind})
     found, _ = default_filter_options(asked, [six(drive) if axes else drive])
-    kinds = MODELS[found["model"]].kinds
+    kinds = MODELS[found["model"]].filter_types
     assert kind is None or kind in kinds
     assert incompatibility(kind or kinds[0], found["use"]) is None
     assert not ("robust" in found["use"] and "innovation-nll" in objective)

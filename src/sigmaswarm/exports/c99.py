@@ -70,7 +70,7 @@ def c99(
             "the interval in [filter] of the filter's file"
         )
     model = MODELS[parameters.model]
-    kinds = ("ekf",) if model.tilts else model.kinds
+    kinds = ("ekf",) if model.tilts else model.filter_types
     if parameters.kind not in kinds:
         raise InputError(
             f"{parameters.model} is not available as {parameters.kind} in C; use kind {' or '.join(kinds)}"

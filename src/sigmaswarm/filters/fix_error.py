@@ -66,7 +66,7 @@ def with_fix_error(model: CarModel) -> CarModel:
         heading=heading,
         rates_at_rest=AugmentedMeasurement(model.rates_at_rest),
         tilts=_tilts(model.tilts) if model.tilts else None,
-        kinds=("ekf",) if model.tilts else ("ukf", "ekf"),
+        filter_types=("ekf",) if model.tilts else ("ukf", "ekf"),
         fix_error=True,
     )
 

@@ -85,10 +85,10 @@ class KernelArray:
     def __init__(self, parameter_sets: Sequence[FilterParameters]) -> None:
         table = ParameterTable.of(parameter_sets)
         self.like, self._first, self.size = table.like, 0, len(table)
-        kinds = FILTERS[self.kernel].kinds
-        if self.like.kind not in kinds:
+        filter_types = FILTERS[self.kernel].filter_types
+        if self.like.kind not in filter_types:
             raise InputError(
-                f"{self.like.model} is not compiled as {self.like.kind}; use kind {' or '.join(kinds)}, "
+                f"{self.like.model} is not compiled as {self.like.kind}; use kind {' or '.join(filter_types)}, "
                 "or run_textbook"
             )
         # A full block may begin at any set.

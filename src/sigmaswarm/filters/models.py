@@ -205,16 +205,16 @@ class State:
 class CarModel:
     """A process model for cars. The measurements of a model with roll and pitch have a ``jacobian``.
 
-    ``kinds`` are the compiled filter types; the first one is the default. ``measures_imu``: as in robot-localization,
-    acceleration and yaw rate are states that the IMU measures with `FilterParameters.imu_noise`, and the velocity is in
-    the body frame. A model with ``measures_imu`` supports neither smoothing nor live filters.
+    ``filter_types`` are the compiled filter types; the first one is the default. ``measures_imu``: as in
+    robot-localization, acceleration and yaw rate are states that the IMU measures with `FilterParameters.imu_noise`,
+    and the velocity is in the body frame. A model with ``measures_imu`` supports neither smoothing nor live filters.
     """
 
     states: tuple[State, ...]
     process: Callable[[Array, float, Array], Array]  # f(state, dt, imu) -> state
     fix_variance: tuple[float, float]  # bounds of R per axis, m2
     imu: tuple[str, ...] = ("ax", "ay", "gz")  # axes that the process reads
-    blind: bool = True  # east and north share their noise in the search
+    isotropic: bool = True  # east and north share their noise in the search
     position: Callable[[Sequence[float], float], Any] = gps_position
     velocity: Callable[[Array], Array] = velocity
     lateral: Callable[[float, float], Any] = lateral_velocity
@@ -225,7 +225,7 @@ class CarModel:
     measures_imu: bool = False
     options: tuple[str, ...] | None = None  # supported measurements and features; None: all
     fix_error: bool = False  # the last two states are the correlated fix error: see `fix_error`
-    kinds: tuple[FilterKind, ...] = ("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf")
+    filter_types: tuple[FilterKind, ...] = ("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -305,7 +305,7 @@ _ROBOT = (
 )
 
 MODELS: dict[str, CarModel] = {
-    "planar5": CarModel(_plane(VARIANCE), planar5, VARIANCE, blind=False),
+    "planar5": CarModel(_plane(VARIANCE), planar5, VARIANCE, isotropic=False),
     "planar8": CarModel((_X, _Y, _VX, _VY, _HEADING, *_BIASES), planar8, CITY_VARIANCE),
     "tilted12": CarModel(
         _TILTED,
@@ -319,7 +319,7 @@ MODELS: dict[str, CarModel] = {
         heading=tilted.Heading,
         rates_at_rest=tilted.States((7, 10, 11)),
         tilts=Tilts(tilted.plus, tilted.minus, tilted.nearest, tilted.transition, tilted.as_angles),
-        kinds=("ekf", "ukf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"),
+        filter_types=("ekf", "ukf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"),
     ),
     "robot-localization": CarModel(
         _ROBOT,
@@ -327,7 +327,7 @@ MODELS: dict[str, CarModel] = {
         CITY_VARIANCE,
         measures_imu=True,
         options=("lateral", "odometer", "heading", "gate", "imu-gate", "accuracy"),
-        kinds=("ekf",),
+        filter_types=("ekf",),
     ),
 }
 """Models by name. planar5 is the paper's model with the paper's bounds."""

@@ -58,7 +58,7 @@ BANK_TEXT = (
 def evaluation_report(folder: Path) -> Report:
     file = TuningRecord.read(folder)
     view = read_view(folder, file)
-    scores, setup, nees = view.scores, view.setup, not view.blind
+    scores, setup, nees = view.scores, view.setup, not view.without_truth
     drives = load_tracks(folder / TRACKS_FILE)
     if not list(scores.drives) == [d.name for d in setup.data] == [t.name for t in drives]:
         raise InputError(
@@ -77,7 +77,7 @@ def evaluation_report(folder: Path) -> Report:
     remarks += [r for r in (file.result.remarks if file.result else ()) if r not in NOT_VALIDATED_TEXTS]
     return Report(
         title=f"Evaluation of {filter_name(file)}",
-        lead=(view.result(), *(view.coverage() if view.blind else ()), what_was_tuned(file)),
+        lead=(view.result(), *(view.coverage() if view.without_truth else ()), what_was_tuned(file)),
         figures=_figures(view),
         remarks=tuple(sort_remarks(remarks)),
         sections=(
@@ -132,7 +132,7 @@ def _figures(view: EvaluationView) -> tuple[KeyFigure, ...]:
 def _comparison(view: EvaluationView) -> Section:
     tables = [view.mean_table()] if len(view.scores.drives) > 1 else []
     tables += [view.drive_table(), *([view.drift_table()] if view.scores.drifts else [])]
-    coverage = () if view.blind else view.coverage()
+    coverage = () if view.without_truth else view.coverage()
     text = (*coverage, explained_scores(view), *view.explanations())
     return Section("Comparison", text, tuple(tables), method_bars(view))
 

@@ -171,7 +171,7 @@ VERDICTS: dict[Kind, str] = {
 def verdicts(results: Sequence[Consistency | None]) -> dict[Kind, str]:
     """Return one sentence for each kind of verdict on several drives."""
     known = [one for one in results if one]
-    blind = bool(known) and all(one.mean_nees is None for one in known)
+    without_truth = bool(known) and all(one.mean_nees is None for one in known)
     messages: dict[Kind, str] = {}
     for kind, text in VERDICTS.items():
         own = [one for one in known if kind in _kinds(one)]
@@ -183,7 +183,7 @@ def verdicts(results: Sequence[Consistency | None]) -> dict[Kind, str]:
             "nees_size": _size([one.mean_nees or 0.0 for one in own], "NEES"),
         }
         where = f"on {count} of {len(results)} drives " if len(results) > 1 else ""
-        forecasts = f". {FORECASTS}" if blind and kind not in ("unknown", "alike") else ""
+        forecasts = f". {FORECASTS}" if without_truth and kind not in ("unknown", "alike") else ""
         messages[kind] = f"{where}the filter {text.format(**sizes)}{forecasts}"
     return messages
 

@@ -137,8 +137,8 @@ def _worse_measures(
 
 def estimate_position_errors(scores: ScoresRecord, data: Sequence[DriveRecord]) -> tuple[str, ...]:
     """Estimate the position error on each of the first three drives without truth."""
-    blind = [one.name for one in data if one.has_truth is False]
-    known = [(name, c) for name in blind if (c := scores.consistency.get(name)) and c.own_sigma]
+    without_truth = [one.name for one in data if one.has_truth is False]
+    known = [(name, c) for name in without_truth if (c := scores.consistency.get(name)) and c.own_sigma]
     return tuple(_without_truth(name, c, scores.radius.get(name, {}).get(TRACKING)) for name, c in known[:3])
 
 

@@ -119,7 +119,7 @@ class Tracker:
         truth, imu_time = self._ready.drive.truth, self._ready.drive.imu.time
         errors = None if truth is None else PieceErrors(truth, initial)
         variance, count = 0.0, 0
-        blind: list[Array] = []
+        variances: list[Array] = []
 
         def pieces() -> Iterator[Columns]:
             nonlocal variance, count
@@ -133,14 +133,14 @@ class Tracker:
                 if errors:
                     errors.add(piece.time, piece.mean, mean_variance)
                 elif mean_variance is not None:
-                    blind.append(np.vstack([piece.time, mean_variance]))
+                    variances.append(np.vstack([piece.time, mean_variance]))
                 yield self._columns(piece)
 
         self._keep(series, pieces(), int((imu_time > self._ready.initial.time).sum()))
         self.own_sigma[series] = float(np.sqrt(variance / count)) if count else np.nan
         self.scores[series] = errors.score if errors else Score()
         if series == "tuned":
-            self.stated = errors.errors if errors else (*np.hstack(blind), None)
+            self.stated = errors.errors if errors else (*np.hstack(variances), None)
 
     def keep_estimate(self, series: str, estimate: Estimate) -> None:
         self._keep(series, [self._columns(estimate)], len(estimate.time))

@@ -51,7 +51,7 @@ class EvaluationView:
         return measures(self.setup.outage_length_s)
 
     @property
-    def blind(self) -> bool:
+    def without_truth(self) -> bool:
         return all(drive.has_truth is False for drive in self.setup.data)
 
     def best_baseline(self, measure: str) -> str | None:
@@ -110,7 +110,7 @@ class EvaluationView:
             (Column("mean NIS"), lambda c: c.mean_nis),
             (Column("consistent"), lambda c: c.nis_band),
             (Column("in 95% gate", "%", "{:.0f}".format), lambda c: 100 * c.inside_gate),
-            *([] if self.blind else [(Column("mean NEES"), lambda c: c.mean_nees)]),
+            *([] if self.without_truth else [(Column("mean NEES"), lambda c: c.mean_nees)]),
             (Column("correlation", number="{:+.2f}".format), lambda c: c.autocorrelation[0]),
             (Column("whiteness p", number="{:.2g}".format), lambda c: c.white_p),
         ]
@@ -123,7 +123,7 @@ class EvaluationView:
     def radius_table(self) -> Table:
         columns = [Column(f"{level} radius", "m") for level in ("95%", "99.9%")]
         columns.append(Column("correlated fix error", "m"))
-        if not self.blind:
+        if not self.without_truth:
             inside = [Column(f"in {level} radius", "%", "{:.1f}".format) for level in ("95%", "99.9%")]
             columns += [Column("errors", number="{:.0f}".format), *inside, Column("own standard deviation")]
 
@@ -192,10 +192,10 @@ class EvaluationView:
     def coverage(self) -> tuple[str, ...]:
         data = self.setup.data
         late = [f"{t:.0f} s into {d.name}" for d in data if (t := d.scored_from_s or 0.0) > LATE_START]
-        blind = [drive.name for drive in data if drive.has_truth is False]
+        without_truth = [drive.name for drive in data if drive.has_truth is False]
         sentences = [f"Filters and scores start {', '.join(late)}: at {START_RULE}."] if late else []
         sentences += map(_sentence, partly_scored(data))
-        sentences += [f"{', '.join(blind)}: {NO_TRUTH}."] if blind else []
+        sentences += [f"{', '.join(without_truth)}: {NO_TRUTH}."] if without_truth else []
         sentences += map(_sentence, estimate_position_errors(self.scores, data))
         sentences += [
             f"{name}: no filter used {n} of the fixes, since they are stale: they repeat an earlier fix, although the "
@@ -280,7 +280,7 @@ class EvaluationView:
         """Return a sentence for each outage drift, and for the heading error, that some drives lack."""
         slow = f"never exceeds {MIN_HEADING_SPEED:g} m/s according to the truth"
         reasons = dict.fromkeys(DRIFTS, "can't contain such an outage") | {"heading_rmse_deg": slow}
-        blind = {drive.name for drive in self.setup.data if not drive.has_truth}
+        without_truth = {drive.name for drive in self.setup.data if not drive.has_truth}
         sentences: list[str] = []
         for m, reason in reasons.items():
             lacking = [
@@ -288,7 +288,7 @@ class EvaluationView:
                 for drive, of in self.scores.drives.items()
                 if m in self.measures and all(values.get(m) is None for values in of.values())
             ]
-            if lacking := [drive for drive in lacking if m in DRIFTS or drive not in blind]:
+            if lacking := [drive for drive in lacking if m in DRIFTS or drive not in without_truth]:
                 drives = lacking[0] if len(lacking) == 1 else f"{len(lacking)} drives"
                 sentences.append(f"No {self.measures[m].title}: {drives} {reason}.")
         return tuple(sentences)

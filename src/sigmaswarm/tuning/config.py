@@ -128,7 +128,7 @@ class TuneConfig(SearchConfig):
         if not isinstance(options, Mapping):
             return options
         model = MODELS.get(options.get("model", "planar5"))
-        kind = {"kind": model.kinds[0]} if model else {}
+        kind = {"kind": model.filter_types[0]} if model else {}
         return kind | {RENAMED.get(name, name): value for name, value in options.items()}
 
     @model_validator(mode="after")

@@ -61,7 +61,7 @@ def default_filter_options(
         return options, ""
     suggestion, kind = suggest_filter(drives), options.get("kind")
     model = options.get("model") or suggestion.model
-    if not options.get("model") and kind is not None and kind not in MODELS[model].kinds:
+    if not options.get("model") and kind is not None and kind not in MODELS[model].filter_types:
         model = "planar8"
     if "use" in options:
         described = _described(model, options["use"])
@@ -95,7 +95,7 @@ def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive
         suits = not all(one.truth for one in have) or (known and MODELS[model].tilts is not None)
     else:
         suits = not parse_objective(objective).needs_truth
-    kind = options.get("kind") or (MODELS[model].kinds[0] if known else "")
+    kind = options.get("kind") or (MODELS[model].filter_types[0] if known else "")
     modeled = kernel_name(model, kind, True) in FILTERS and _fits("fix-error", options)
     return suits and modeled and enough_for_fix_error(have) and all(one.lasting for one in have)
 
@@ -128,15 +128,15 @@ def objective_for(
         with_truth, without = FORECAST_OBJECTIVES
     if "fix-error" in use:
         with_truth = FIX_ERROR_OBJECTIVE
-    blind = [one.name for one in data if not one.truth]
-    if blind and len(blind) < len(data):
+    without_truth = [one.name for one in data if not one.truth]
+    if without_truth and len(without_truth) < len(data):
         warnings.warn(
-            f"{blind[0]} has no truth, so the objective is {without}; leave drives without truth out, or set "
+            f"{without_truth[0]} has no truth, so the objective is {without}; leave drives without truth out, or set "
             "--objective",
             SigmaswarmWarning,
             stacklevel=5,
         )
-    return without if blind else with_truth
+    return without if without_truth else with_truth
 
 
 def _allows_forecasts(cars: Sequence[LogProperties]) -> bool:
@@ -174,9 +174,9 @@ def with_default_guards(config: C) -> C:
     if not isinstance(config, TuneConfig):
         return config
     objective, model = parse_objective(config.objective), MODELS[config.model]
-    blind = objective.likelihood and not objective.needs_truth
-    prior, inflation = float(blind), 0.0
-    if config.scale == "log10" and blind:
+    without_truth = objective.likelihood and not objective.needs_truth
+    prior, inflation = float(without_truth), 0.0
+    if config.scale == "log10" and without_truth:
         inflation = TILTED_INFLATION if model.tilts or model.measures_imu else INFLATION
     elif config.scale == "log10" and objective.needs_truth and model.tilts:
         inflation = WITH_TRUTH

@@ -176,12 +176,15 @@ def search_space(
         raise InputError("slip is the tire slip of the lateral constraint; also use lateral")
     if reason := incompatibility(kind, use):
         raise InputError(reason)
-    kinds, options = MODELS[model].kinds, MODELS[model].options or [o for o in OPTIONS if o != "imu-gate"]
+    filter_types, options = (
+        MODELS[model].filter_types,
+        MODELS[model].options or [o for o in OPTIONS if o != "imu-gate"],
+    )
     lacking = [option for option in use if option not in options]
     if lacking:
         raise InputError(f"{model} can't use {lacking[0]!r}; choose from {', '.join(options)}")
-    if kind not in kinds:
-        raise InputError(f"{model} is not available as {kind}; use {' or '.join(kinds)}")
+    if kind not in filter_types:
+        raise InputError(f"{model} is not available as {kind}; use {' or '.join(filter_types)}")
     if kernel_name(model, kind, "fix-error" in use) not in FILTERS:
         raise InputError(
             f"fix-error can't be combined with {model} as {kind}; use ekf, or leave fix-error out"
@@ -235,8 +238,8 @@ def _dimensions(
     if kind != "ekf":
         yield from SCALING
     described = MODELS[model]
-    blind = described.blind or "lateral" in use
-    for name, states in groupby(described.states, lambda state: state.shared if blind else state.name):
+    isotropic = described.isotropic or "lateral" in use
+    for name, states in groupby(described.states, lambda state: state.shared if isotropic else state.name):
         alike = list(states)
         lowest, highest = alike[0].variance
         scale = interval if alike[0].per_second else 1.0
@@ -248,7 +251,7 @@ def _dimensions(
             inflation = 0.0
         yield Dimension(f"q_{name}", "process_noise", len(alike), *bounds, inflation=inflation, least=least)
     fixes = ADDED_VARIANCE_BOUNDS if "accuracy" in use else described.fix_variance
-    for name, entries in (("xy", 2),) if blind else (("x", 1), ("y", 1)):
+    for name, entries in (("xy", 2),) if isotropic else (("x", 1), ("y", 1)):
         yield Dimension(f"r_{name}", "measurement_noise", entries, *fixes)
     if described.measures_imu:
         yield from IMU_DIMENSIONS
