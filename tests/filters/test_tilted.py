@@ -210,10 +210,10 @@ def test_the_quaternion_keeps_its_norm_for_an_hour():
     hour = int(np.ceil(3600 / line.dt.sum()))
     chunk = KernelArray((parameters(**ALL),))
     rows = start_passes([drive_pass], chunk)[0]
-    place = np.zeros(4)
+    cursor = np.zeros(4)
     for _ in range(hour):
-        place[:] = 0.0
-        run_steps(drive_pass, chunk, rows, place, len(line.dt))
+        cursor[:] = 0.0
+        run_steps(drive_pass, chunk, rows, cursor, len(line.dt))
     quaternion = rows[[getattr(R, name) for name in QUATERNION]]
     assert np.max(np.abs(np.linalg.norm(quaternion, axis=0) - 1)) < 1e-12
 

@@ -88,7 +88,7 @@ def displaced(
     begins, stop = (int(np.flatnonzero(drive_pass.timeline.sampled)[k]) + 1 for k in (first, first + 100))
     run = FilterRun(drive_pass, p)
     run._steps_to(begins, np.empty((0, 0, 0)))
-    start = DisplacementStart(run._rows[0].copy(), run._place.copy())
+    start = DisplacementStart(run._rows[0].copy(), run._cursor.copy())
     run._steps_to(stop, np.empty((0, 0, 0)))
     return run, start, stop, Displacements(drive_pass, p)
 

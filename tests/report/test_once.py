@@ -54,9 +54,9 @@ def test_an_evaluation_with_pictures_computes_each_thing_once(
     steps: Counter[int] = Counter()  # of the kernel, by the time line's number of steps
     lanes = run.run_lanes
 
-    def counted(model, drive, rows, place, stop, *written):
-        steps[len(drive[0])] += stop - int(place[0])
-        return lanes(model, drive, rows, place, stop, *written)
+    def counted(model, drive, rows, cursor, stop, *written):
+        steps[len(drive[0])] += stop - int(cursor[0])
+        return lanes(model, drive, rows, cursor, stop, *written)
 
     monkeypatch.setattr(run, "run_lanes", counted)
     options = command.EvaluateOptions(out=tmp_path / "out")

@@ -50,10 +50,10 @@ class Assignment:
         with self._lock:
             if time.monotonic() - self._polled > POLL_INTERVAL:
                 self.poll()
-            places: dict[str, list[int]] = {}
+            indices: dict[str, list[int]] = {}
             for i in drives:
-                places.setdefault(self.owners[i], []).append(i)
-            return places
+                indices.setdefault(self.owners[i], []).append(i)
+            return indices
 
     def poll(self) -> None:
         """Wait for a worker if there is none, and assign the drives again if the workers have changed."""
@@ -160,7 +160,7 @@ class RemoteDataset:
 
         call, assignment = dumps((function, arguments)), self.assignment
         answers: list[tuple[list[int], T]] = []
-        missing, lost = {drive: place for place, drive in enumerate(self.indices)}, 0
+        missing, lost = {drive: index for index, drive in enumerate(self.indices)}, 0
         while missing:
             shares = assignment.shares(missing)
             tasks = [(worker, own, assignment.submit(worker, call, own)) for worker, own in shares.items()]
@@ -189,8 +189,8 @@ class RemoteDataset:
     def imap(self, function: Callable[[Drive], T]) -> Iterator[T]:
         """Apply a function to one drive after another, in tasks of one drive each; some tasks run in advance."""
 
-        def one(place: int) -> T:
-            return self.subset([place]).map(function)[0]
+        def one(index: int) -> T:
+            return self.subset([index]).map(function)[0]
 
         ahead = 2 * sum(self.assignment.workers.values())
         with ThreadPoolExecutor(ahead) as pool:
@@ -261,8 +261,8 @@ def _with_no_warnings(drive: Drive) -> tuple[Drive, list[SigmaswarmWarning]]:
 def results_in_order(answers: Iterable[tuple[list[int], Sequence[Any]]]) -> list[Any]:
     """Return the results of `apply_to_each` in the order of the drives, or raise their errors as one."""
     by_drive: dict[int, Any] = {}
-    for places, results in answers:
-        by_drive |= zip(places, results, strict=True)
+    for indices, results in answers:
+        by_drive |= zip(indices, results, strict=True)
     results = [by_drive[i] for i in sorted(by_drive)]
     if failed := [result.error for result in results if isinstance(result, Failure)]:
         raise _joined_error(failed)

@@ -49,20 +49,20 @@ class GyroBiasEvidence:
         bias[UP] += known
         return replace(self, bias=bias, taken=self.taken + known)
 
-    def update(self, mean: Array, covariance: Array, places: Sequence[int], std: float) -> None:
+    def update(self, mean: Array, covariance: Array, indices: Sequence[int], std: float) -> None:
         """Update ``mean`` (n,) and ``covariance`` (n, n) of the states at the start, in place.
 
-        ``std``: prior standard deviation of the biases, rad/s. ``places``: index of the state that is the bias of each
+        ``std``: prior standard deviation of the biases, rad/s. ``indices``: index of the state that is the bias of each
         axis, negative if there is none.
         """
-        bias, variance, used = np.zeros(3), np.zeros(3), np.array(places, dtype=np.int64)
+        bias, variance, used = np.zeros(3), np.zeros(3), np.array(indices, dtype=np.int64)
         mix_biases(self.bias, self.variance, used, std, bias, variance)
         update_biases(mean, covariance, used, bias, variance, self.taken, self.turns)
 
 
 @cached(error_model="numpy")
 def mix_biases(
-    observed: Array, unsure: Array, places: NDArray[np.int64], std: float, bias: Array, variance: Array
+    observed: Array, unsure: Array, indices: NDArray[np.int64], std: float, bias: Array, variance: Array
 ) -> None:
     """Combine the observed biases and their variances with a prior; write mean and variance of each estimated bias.
 
@@ -72,7 +72,7 @@ def mix_biases(
     usual, outlier = std * std, OUTLIER_STD * OUTLIER_STD
     odds = np.log((1.0 - OUTLIER_PROBABILITY) / OUTLIER_PROBABILITY)
     for axis in range(3):
-        if places[axis] >= 0:
+        if indices[axis] >= 0:
             square, noise = observed[axis] * observed[axis], unsure[axis]
             odds -= 0.5 * (square / (usual + noise) + np.log(1.0 + usual / noise))
             odds += 0.5 * (square / (outlier + noise) + np.log(1.0 + outlier / noise))
@@ -90,7 +90,7 @@ def mix_biases(
 def update_biases(
     mean: Array,
     covariance: Array,
-    places: NDArray[np.int64],
+    indices: NDArray[np.int64],
     bias: Array,
     variance: Array,
     taken: float,
@@ -98,13 +98,13 @@ def update_biases(
 ) -> None:
     """Write the biases to the state, and correct its first five elements, which assume the vertical bias ``taken``."""
     for axis in range(3):
-        place = places[axis]
-        if place >= 0:
-            mean[place] = bias[axis]
-            covariance[place, place] = variance[axis]
+        index = indices[axis]
+        if index >= 0:
+            mean[index] = bias[axis]
+            covariance[index, index] = variance[axis]
             for i in range(5 if axis == UP else 0):
                 mean[i] += (bias[axis] - taken) * turns[i]
-                covariance[i, place] = variance[axis] * turns[i]
-                covariance[place, i] = covariance[i, place]
+                covariance[i, index] = variance[axis] * turns[i]
+                covariance[index, i] = covariance[i, index]
                 for j in range(5):
                     covariance[i, j] += variance[axis] * turns[i] * turns[j]

@@ -81,12 +81,12 @@ def landmarks(drive: Drive) -> Landmarks:
     moving = np.maximum(np.append(speed, 0.0), np.append(0.0, speed)) > MIN_SPEED
     geographic = drive.origin is not None
     if gps.lat is not None and gps.lon is not None:
-        geographic, place = True, 1e7 * np.column_stack([gps.lat, gps.lon])
+        geographic, position = True, 1e7 * np.column_stack([gps.lat, gps.lon])
     elif drive.origin is not None:
-        place = 1e7 * enu_to_geodetic(np.column_stack([gps.x, gps.y, 0 * gps.x]), drive.origin)[:, :2]
+        position = 1e7 * enu_to_geodetic(np.column_stack([gps.x, gps.y, 0 * gps.x]), drive.origin)[:, :2]
     else:
-        place = 100 * np.column_stack([gps.y, gps.x])
-    fixes = np.column_stack([MICRO * gps.time, place])[moving]
+        position = 100 * np.column_stack([gps.y, gps.x])
+    fixes = np.column_stack([MICRO * gps.time, position])[moving]
     fixes = np.rint(np.clip(np.nan_to_num(fixes), -9e18, 9e18)).astype(np.int64)
     turning = imu.gz != 0
     digits = np.mod(np.log(np.abs(imu.gz[turning])), LOG_RATIO)

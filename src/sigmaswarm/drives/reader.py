@@ -203,5 +203,5 @@ def _content(table: Path) -> set[str]:
     axes = _AXES.search(title) is not None
     imu = axes or _MOTION.search(text) is not None
     # x and y are the axes of the IMU, unless the table has other columns for these
-    place = _PLACE.search(text) is not None or (_XY.search(title) is not None and (axes or not imu))
-    return {kind for kind, present in (("imu", imu), ("gps", place)) if present}
+    gps = _PLACE.search(text) is not None or (_XY.search(title) is not None and (axes or not imu))
+    return {kind for kind, present in (("imu", imu), ("gps", gps)) if present}

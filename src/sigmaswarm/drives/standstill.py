@@ -43,19 +43,19 @@ FIX_SPEED = 0.8  # m/s, largest speed of the line through constant fixes
 CLOSE = 1e-5  # s; the line is fitted again this time before a fix leaves the window
 TURNING = math.radians(1.5)  # rad/s, largest yaw rate at a standstill, due to the gyro's bias
 
-# Rows of a detector's memory, shape (N_MEMORY, 8). The first rows are the two stacks; the older begins at row PLACE.
+# Rows of a detector's memory, shape (N_MEMORY, 8). The first rows are the two stacks; the older begins at row NEXT_ROW.
 NOW = SECOND  # row: the current block
 FRESH = SECOND + 1  # row: the newer stack, merged
 WHOLE = SECOND + 2  # row: the complete blocks of the last second, merged
 PART = SECOND + 3  # row: the complete blocks of the last quarter of a second, merged
-LEVEL = SECOND + 4  # row: usual standard deviations at rest (negative: unknown), then PLACE to LAST
+LEVEL = SECOND + 4  # row: usual standard deviations at rest (negative: unknown), then NEXT_ROW to LAST
 MEANS = SECOND + 5  # row: means of ax, ay over the last second, then over the last quarter of a second
 N_MEMORY = SECOND + 6
 COUNT = 0  # column of a block: number of samples
 MEAN = 1  # first of three columns of a block: means of ax, ay, gz
 SQUARES = 4  # first of three columns of a block: sums of squares about the means
 FIRST = 7  # column of a block: row of the first of the blocks that were merged into it
-PLACE = 3  # column of LEVEL: row of the stacks that is filled next
+NEXT_ROW = 3  # column of LEVEL: row of the stacks that is filled next
 AGE = 4  # column of LEVEL: age of the oldest block of WHOLE, in blocks
 NUMBER = 5  # column of LEVEL: number of the current block
 LAST = 6  # column of LEVEL: time of the last sample
@@ -154,34 +154,34 @@ def updated_calm(memory: Array, begun: int, dt: float, ax: float, ay: float, gz:
 def _begin_block(memory: Array, begun: int) -> None:
     """Complete the current block and any blocks without samples, and merge the blocks of the last second."""
     level, now, fresh, whole = memory[LEVEL], memory[NOW], memory[FRESH], memory[WHOLE]
-    place = int(level[PLACE])
+    row = int(level[NEXT_ROW])
     for _ in range(begun):
-        now[FIRST] = float(place)
-        _copy(now, memory[place])
+        now[FIRST] = float(row)
+        _copy(now, memory[row])
         _merge(fresh, now)
         _clear(now)
-        place += 1
-        if place == SECOND:
-            place = 0
+        row += 1
+        if row == SECOND:
+            row = 0
             _clear(fresh)
             for i in range(2, SECOND + 1):
                 _merge(memory[SECOND - i], memory[SECOND + 1 - i])
-    _copy(memory[place], whole)
+    _copy(memory[row], whole)
     _merge(whole, fresh)
     _clear(memory[PART])  # merged on use
-    level[PLACE], level[AGE] = float(place), 0.0
+    level[NEXT_ROW], level[AGE] = float(row), 0.0
     if whole[COUNT] > 0.0:
-        level[AGE] = level[PLACE] - whole[FIRST]
+        level[AGE] = level[NEXT_ROW] - whole[FIRST]
         if level[AGE] <= 0.0:
             level[AGE] += float(SECOND)
 
 
 @cached
 def _merge_quarter(memory: Array) -> None:
-    part, place = memory[PART], int(memory[LEVEL, PLACE])
-    if place < QUARTER:
-        _copy(memory[SECOND - QUARTER + place], part)
-    for i in range(max(place - QUARTER, 0), place):
+    part, row = memory[PART], int(memory[LEVEL, NEXT_ROW])
+    if row < QUARTER:
+        _copy(memory[SECOND - QUARTER + row], part)
+    for i in range(max(row - QUARTER, 0), row):
         _merge(part, memory[i])
 
 

@@ -44,7 +44,7 @@ class _OfFilter(_OfFit):
     enumerators: ClassVar = {"THETA": "HEADING", **{name: name for name in STATES}}
     pointers: ClassVar = {
         **dict.fromkeys(("observed", "unsure", "turns"), "const real *"),
-        **{"covariance": "real [][N]", "seen": "const InsGpsGyro *", "places": "const int *"},
+        **{"covariance": "real [][N]", "seen": "const InsGpsGyro *", "indices": "const int *"},
     }
 
 

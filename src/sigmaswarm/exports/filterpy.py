@@ -46,7 +46,8 @@ FILTER = {
     student: "ITERATIONS OUTLYING OUTLIERS OUTLIERS_SPAN",
     adaptive: "",
     constants: "STANDSTILL_RATE_NOISE SLIP_GATE HEADING_GATE MOST_REJECTED GAP_TURN_STD GAP_ACCELERATION_STD "
-    "GAP_TILT_STD gap_covariance process_noise_per_step require_accuracy require_odometer",
+    "GAP_TILT_STD gap_covariance process_noise_per_step",
+    requirements: "require_accuracy require_odometer",
     car: "Car",
 }
 DRIVE = {

@@ -97,7 +97,7 @@ class FilterRun:
     ) -> None:
         self._pass, self._array, self._samples = drive_pass, KernelArray((parameters,)), samples
         self.initial = drive_pass.initial
-        self._rows, self._place = start_passes([drive_pass], self._array), new_cursor()
+        self._rows, self._cursor = start_passes([drive_pass], self._array), new_cursor()
         self._state = state_rows(parameters.kernel)
         self._innovations = np.empty((len(drive_pass.timeline.fixes), 5))
         self._checks = check_times(drive_pass.timeline) if recover else None
@@ -149,14 +149,14 @@ class FilterRun:
         row = 0
         while row < len(stops):
             behind = self._next_check(stops, row)
-            before = self._rows.copy(), self._place.copy()
+            before = self._rows.copy(), self._cursor.copy()
             self._steps_to(int(stops[behind - 1]), record[row:behind])
             checked, start = self._check(stops[row:behind] - 1, record[row:behind])
             last, row = row + checked, row + checked + 1
             if start is None and not self._monitor.lost:
                 continue
             if row < behind:
-                self._rows[:], self._place[:] = before
+                self._rows[:], self._cursor[:] = before
                 self._steps_to(int(stops[last]), record[last - checked : row])
             self._reset(start or self._at_fix(int(stops[last]) - 1))
             record[last, :-1, 0] = self._rows[0, self._state, 0]
@@ -173,7 +173,7 @@ class FilterRun:
         return row + 1 + int(due[0]) if len(due) else len(stops)
 
     def _steps_to(self, stop: int, record: Array) -> None:
-        run_steps(self._pass, self._array, self._rows[0], self._place, stop, record, self._innovations)
+        run_steps(self._pass, self._array, self._rows[0], self._cursor, stop, record, self._innovations)
 
     def _check(self, steps: Indices, record: Array) -> tuple[int, InitialState | None]:
         """Check the filter at the recorded steps, up to the first divergence.

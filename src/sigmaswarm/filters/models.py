@@ -253,7 +253,7 @@ class CarModel:
         return {f"g{state.name[-1]}": i for i, state in names if state.bias_of == "gyro"}
 
     @cached_property
-    def gyro_places(self) -> tuple[int, ...]:
+    def gyro_indices(self) -> tuple[int, ...]:
         """Indices in the state of the gyro biases about the x, y and z axes; -1 for an axis without a bias."""
         return tuple(self.gyro_axes.get(f"g{axis}", -1) for axis in "xyz")
 

@@ -95,8 +95,8 @@ class FilterPass:
 def run_passes(passes: Sequence[FilterPass], parameter_sets: Sequence[FilterParameters]) -> KernelSums:
     """Run one filter per parameter set over each pass. The sums of a set do not depend on the other sets."""
     sums = KernelSums.empty(len(passes), len(parameter_sets))
-    for places, table in group_tables(parameter_sets):
-        sums.put(slice(None), places, run_array(passes, KernelArray(table)))
+    for indices, table in group_tables(parameter_sets):
+        sums.put(slice(None), indices, run_array(passes, KernelArray(table)))
     return sums
 
 
@@ -116,15 +116,15 @@ def run_steps(
     drive_pass: FilterPass,
     array: KernelArray,
     rows: Array,
-    place: Array,
+    cursor: Array,
     stop: int,
     record: Array = run.NO_RECORD,
     innovations: Array = run.NO_INNOVATIONS,
 ) -> None:
-    """Run a block of filters over the steps of a pass from ``place`` to ``stop``: see `compiled.run.run_lanes`."""
+    """Run a block of filters over the steps of a pass from ``cursor`` to ``stop``: see `compiled.run.run_lanes`."""
     require_readable(drive_pass, array)
     drive = drive_pass.arrays(array.reads[-1])
-    run.run_lanes(array.kernel, drive, rows, place, stop, record, innovations)
+    run.run_lanes(array.kernel, drive, rows, cursor, stop, record, innovations)
 
 
 def require_readable(drive_pass: FilterPass, array: KernelArray) -> None:

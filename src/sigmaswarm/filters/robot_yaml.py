@@ -126,7 +126,7 @@ def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
     if len(values) not in (15, 225):
         raise InputError(f"{path}: {key} must be 225 numbers, or 15 for the diagonal; change the list")
     diagonal = values if len(values) == 15 else values[::16]
-    noise = tuple(diagonal[place] for place in STATE_INDICES)
+    noise = tuple(diagonal[index] for index in STATE_INDICES)
     if not all(0 <= variance < math.inf for variance in noise):
         raise InputError(f"{path}: {key} has a variance that is negative or not finite; change this variance")
     return noise

@@ -101,21 +101,21 @@ class _Forward(FilterRun):
         self._resets: list[tuple[int, Array]] = []
 
     def _run_to(self, stops: Indices, record: Array) -> Mask:
-        self.checkpoints.append((self._rows[0, :, 0].copy(), self._place.copy(), deepcopy(self._monitor)))
+        self.checkpoints.append((self._rows[0, :, 0].copy(), self._cursor.copy(), deepcopy(self._monitor)))
         return self._log_to(stops, record)
 
     def _log_to(self, stops: Indices, record: Array) -> Mask:
-        self._first, self._resets = int(self._place[NEXT_STEP]), []
+        self._first, self._resets = int(self._cursor[NEXT_STEP]), []
         self._logged = np.empty((int(stops[-1]) - self._first, self._width, 1))
         return super()._run_to(stops, record)
 
     def again(self, number: int, samples: int) -> _ForwardLog:
-        (rows, place, monitor), sampled = self.checkpoints[number], self._pass.timeline.sampled
+        (rows, cursor, monitor), sampled = self.checkpoints[number], self._pass.timeline.sampled
         self._rows[0] = rows[:, np.newaxis]  # all columns are the same filter
-        self._place[:] = place
+        self._cursor[:] = cursor
         self._monitor = deepcopy(monitor)
         start = rows[self._state]
-        first = int(place[NEXT_STEP])
+        first = int(cursor[NEXT_STEP])
         stops = np.flatnonzero(sampled[first:])[:samples] + 1 + first
         lost = self._log_to(stops, np.empty((samples, len(self._state) + 1, 1)))
         ends = np.array([step for step, _ in self._resets], dtype=np.int64)
@@ -123,18 +123,18 @@ class _Forward(FilterRun):
         return _ForwardLog(self._logged[:, :, 0], start, ends, started, sampled[first : stops[-1]], lost)
 
     def _steps_to(self, stop: int, record: Array) -> None:
-        first = int(self._place[NEXT_STEP])
+        first = int(self._cursor[NEXT_STEP])
         logged = self._logged[first - self._first : stop - self._first]
         steps, sample, driving, flags, *rest = self._pass.arrays(self._measured)
         # The kernel records the steps with the flag IMU: here all of them.
         drive = (steps, sample, driving, flags | IMU, *rest)
-        self._kernel(drive, self._rows[0], self._place, stop, logged, NO_INNOVATIONS)
+        self._kernel(drive, self._rows[0], self._cursor, stop, logged, NO_INNOVATIONS)
         at, n = np.flatnonzero(self._pass.timeline.sampled[first:stop]), len(self._state)
         record[:, :n], record[:, n] = logged[at, :n], logged[at, -1]
 
     def _reset(self, start: InitialState) -> None:
         super()._reset(start)
-        behind = int(self._place[NEXT_STEP]) - 1 - self._first
+        behind = int(self._cursor[NEXT_STEP]) - 1 - self._first
         self._resets.append((behind, self._rows[0, self._state, 0]))
 
 

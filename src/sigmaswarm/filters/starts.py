@@ -48,7 +48,7 @@ def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> t
     for k, j in np.ndindex(shape[:2]):
         state, start = (mean[k, j], covariance[k, j]), initial[k]
         if start.gyro is not None and model.gyro_axes:
-            start.gyro.update(*state, model.gyro_places, gyro[j])
+            start.gyro.update(*state, model.gyro_indices, gyro[j])
         if start.tilt is not None and model.tilts:
             tilted.add_tilt_evidence(*state, start.tilt.numbers)
     if model.fix_error and known < n:

@@ -264,13 +264,13 @@ def _jacobian_along(state: Array, axis: Array, up: Array) -> Array:
 class States:
     """Direct measurement of states: of the velocity, or of the gyro's biases at rest."""
 
-    places: tuple[int, ...]
+    indices: tuple[int, ...]
 
     def __call__(self, state: Array) -> Array:
-        return state[[*self.places]]
+        return state[[*self.indices]]
 
     def jacobian(self, state: Array) -> Array:
-        return np.eye(len(state))[[*self.places]]
+        return np.eye(len(state))[[*self.indices]]
 
 
 @cached(error_model="numpy")

@@ -31,7 +31,7 @@ class DisplacementStart(NamedTuple):
     """State of a filter at the start of a displacement: kernel rows (N_KEPT, columns), and indices of the run (5,)."""
 
     rows: Array
-    place: Array
+    cursor: Array
 
 
 class Displacements:
@@ -99,7 +99,7 @@ class Displacements:
         rows = np.repeat(begin.rows[:, :1], LANES, axis=1)
         rows[R.SIN_COS_VALID] = 0.0
         rows[:N_STATE] = pack_states(moved, np.broadcast_to(p0, (LANES, n, n)), self._model)
-        run_steps(self._pass, self._array, rows, begin.place.copy(), stop)
+        run_steps(self._pass, self._array, rows, begin.cursor.copy(), stop)
         means, _ = unpack_states(rows[state_rows(self._model)], self._model)
         return np.array([self._minus(mean, means[0]) for mean in means[1 : n + 1]]).T / step
 

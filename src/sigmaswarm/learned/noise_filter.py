@@ -87,9 +87,9 @@ def _predict(q: Array, m: Any, c: Any, u: Any, scale: Any) -> tuple[Any, Any]:
     f = jnp.eye(n).at[0, 2].set(dt).at[1, 3].set(dt)
     turned = jnp.array([[-b], [a]])
     jacobian = [turned, *([jnp.array([[-cos, sin], [-sin, -cos]])] if biased else [])]
-    places = [slice(THETA, THETA + 1), slice(5, 7)]
-    for place, part in zip(places, jacobian, strict=False):
-        f = f.at[0:2, place].set(part * dt**2 / 2).at[2:4, place].set(part * dt)
+    slices = [slice(THETA, THETA + 1), slice(5, 7)]
+    for part_of_state, part in zip(slices, jacobian, strict=False):
+        f = f.at[0:2, part_of_state].set(part * dt**2 / 2).at[2:4, part_of_state].set(part * dt)
     if biased:
         f = f.at[THETA, GYRO_BIAS].set(-dt)
     g = GAP_ACCELERATION_STD**2 * gap * dt

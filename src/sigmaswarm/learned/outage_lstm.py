@@ -281,7 +281,7 @@ class OutageRun(InterruptibleRun):
             _, _, east, north = self._rows[0, :4, 0]
             self._velocity[sample] = to_body_axes(east, north, self._estimate()[0][THETA])
         if sample in self._begins and not lost:
-            self._begin[sample] = DisplacementStart(self._rows[0].copy(), self._place.copy())
+            self._begin[sample] = DisplacementStart(self._rows[0].copy(), self._cursor.copy())
 
     def _reset(self, start: InitialState) -> None:
         super()._reset(start)

@@ -246,9 +246,9 @@ def _off(estimate: Estimate, gps: Gps, drive: Drive) -> Array:
     variance = np.diagonal(estimate.covariance, axis1=1, axis2=2)
     errors: list[Array] = []
     for i, (fixes, std) in enumerate(zip((gps.x, gps.y), _stated(gps), strict=True)):
-        place = np.interp(gps.time, estimate.time, antenna[:, i])
+        position = np.interp(gps.time, estimate.time, antenna[:, i])
         sigma = np.sqrt(np.interp(gps.time, estimate.time, variance[:, i]) + np.square(std))
-        errors.append(np.abs(fixes - place) / sigma)
+        errors.append(np.abs(fixes - position) / sigma)
     return np.concatenate(errors)
 
 

@@ -84,8 +84,8 @@ class OutageDrifts:
             self._add(method, scores[i, 0].outage_drift, failed=scores[i, 0].failed)
         for method, make in also.items():
             run = make(outages)
-            places = [np.empty((0, 2)), *(piece.mean[_rows_at(ends, piece), :2] for piece in run)]
-            self._add(method, _drift(self._ready, ends, np.vstack(places)), failed=bool(run.failure))
+            positions = [np.empty((0, 2)), *(piece.mean[_rows_at(ends, piece), :2] for piece in run)]
+            self._add(method, _drift(self._ready, ends, np.vstack(positions)), failed=bool(run.failure))
 
     def _recorded(
         self, method: str, outages: FilterPass, parameters: FilterParameters, ends: Array
@@ -121,17 +121,19 @@ class OutageDrifts:
 
 def rms_drift(ready: PreparedDrive, estimate: Estimate | EstimateChunk, ends: Array) -> float:
     """Return the RMS position error at the ends of the outages, m."""
-    places = [np.interp(ends, estimate.time, estimate.mean[:, i]) for i in (0, 1)]
-    return _drift(ready, ends, np.column_stack(places))
+    positions = [np.interp(ends, estimate.time, estimate.mean[:, i]) for i in (0, 1)]
+    return _drift(ready, ends, np.column_stack(positions))
 
 
-def _drift(ready: PreparedDrive, ends: Array, places: Array) -> float:
-    return root_mean(np.square(_errors(ready, ends, places)).sum(axis=1), drift_weights(ready, ends))
+def _drift(ready: PreparedDrive, ends: Array, positions: Array) -> float:
+    return root_mean(np.square(_errors(ready, ends, positions)).sum(axis=1), drift_weights(ready, ends))
 
 
-def _errors(ready: PreparedDrive, time: Array, places: Array) -> Array:
+def _errors(ready: PreparedDrive, time: Array, positions: Array) -> Array:
     reference = drift_reference(ready)
-    return places - np.column_stack([np.interp(time, reference.time, c) for c in (reference.x, reference.y)])
+    return positions - np.column_stack(
+        [np.interp(time, reference.time, c) for c in (reference.x, reference.y)]
+    )
 
 
 def _rows_at(ends: Array, piece: EstimateChunk) -> Indices:

@@ -72,8 +72,8 @@ class RemoteBatchScorer:
         shape = len(self.dataset), *answers[0][1].shape[-2::-1]
         # the memory order of `BatchScorer`, since the rounding of sums depends on it
         whole = np.empty(shape).T
-        for places, part in answers:
-            whole[..., places] = part
+        for indices, part in answers:
+            whole[..., indices] = part
         return whole
 
     def map_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:

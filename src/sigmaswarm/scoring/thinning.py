@@ -64,8 +64,8 @@ class CloseUp:
     The region is twice as wide as ``side`` (m), since a plot with equal scales may show more than a square.
     """
 
-    def __init__(self, place: NDArray[np.float64], side: float) -> None:
-        self._place, self._reach = place, side
+    def __init__(self, center: NDArray[np.float64], side: float) -> None:
+        self._center, self._reach = center, side
         self._kept: list[NDArray[np.float64]] = []
         self._was_near = True
 
@@ -73,7 +73,7 @@ class CloseUp:
         if "x" not in columns:
             return
         points = np.column_stack([columns["x"], columns["y"]]).astype(np.float64)
-        near = np.all(np.abs(points - self._place) <= self._reach, axis=1)
+        near = np.all(np.abs(points - self._center) <= self._reach, axis=1)
         leaves = ~near & np.append(self._was_near, near[:-1])
         points[~near] = np.nan
         self._kept.append(points[near | leaves])

@@ -188,7 +188,7 @@ def _wheel(
 ) -> tuple[float, float, float]:
     """Return the force (N, in body axes) and the moment (N m) of wheel i; fill the rates of the wheel's states."""
     at_front = i < 2
-    place = car.front if at_front else -car.rear
+    axle_x = car.front if at_front else -car.rear
     across = 0.5 * car.track if i % 2 == 0 else -0.5 * car.track
     wheelbase = car.front + car.rear
     # Ackermann: all wheels turn about one point on the line of the rear axle.
@@ -197,7 +197,7 @@ def _wheel(
     sin = turned * cos
 
     hub_x = s[VX] - s[YAW_RATE] * across
-    hub_y = s[VY] + s[YAW_RATE] * place
+    hub_y = s[VY] + s[YAW_RATE] * axle_x
     roll_speed = cos * hub_x + sin * hub_y
     side_speed = cos * hub_y - sin * hub_x
     slide_speed = car.wheel_radius * s[WHEEL + i] - roll_speed
@@ -226,7 +226,7 @@ def _wheel(
 
     force_x = cos * fx - sin * fy
     force_y = sin * fx + cos * fy
-    return force_x, force_y, place * force_y - across * force_x
+    return force_x, force_y, axle_x * force_y - across * force_x
 
 
 @compiled

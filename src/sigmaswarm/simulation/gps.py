@@ -155,8 +155,8 @@ def measure_gps(
     for start, end in outages:
         keep &= (times < start) | (times >= end)
 
-    place = antenna.position[:, :2]
-    x, y = _through_degrees(place, white).T if grade.carla else (place + white + markov).T
+    position = antenna.position[:, :2]
+    x, y = _through_degrees(position, white).T if grade.carla else (position + white + markov).T
     std = grade.stated_factor * grade.std  # ideal fixes state no standard deviation, since 0 is not valid
     stated = np.full(len(times), std) if std > 0 else None
     moving = grade.velocity_std is not None
@@ -172,12 +172,12 @@ def measure_gps(
     return fixes.select(keep)
 
 
-def _through_degrees(place: Array, noise: Array) -> Array:
+def _through_degrees(position: Array, noise: Array) -> Array:
     """Add noise (n, 2) in m, converted to degrees as in CARLA, on a Mercator plane with origin 0, 0."""
     radius, equator = EARTH_RADIUS, math.log(math.tan(math.radians(90.0) / 2))
-    lat = 2 * np.degrees(np.arctan(np.exp((radius * equator + place[:, 1]) / radius))) - 90
+    lat = 2 * np.degrees(np.arctan(np.exp((radius * equator + position[:, 1]) / radius))) - 90
     lat += noise[:, 1] / METERS_PER_DEGREE
-    lon = np.degrees(place[:, 0] / radius) + noise[:, 0] / METERS_PER_DEGREE
+    lon = np.degrees(position[:, 0] / radius) + noise[:, 0] / METERS_PER_DEGREE
     north = np.log(np.tan(np.radians(90 + lat) / 2)) - equator
     return radius * np.column_stack([np.radians(lon), north])
 

@@ -43,9 +43,9 @@ class Motion:
 
 def sample(record: Array, times: Array) -> Array:
     """Interpolate the record (n, 21 or 30) linearly at times (k,), s."""
-    place = np.clip(times / STEP, 0, len(record) - 1)
-    before = np.minimum(place.astype(np.intp), len(record) - 2)
-    weight = (place - before)[:, None]
+    index = np.clip(times / STEP, 0, len(record) - 1)
+    before = np.minimum(index.astype(np.intp), len(record) - 2)
+    weight = (index - before)[:, None]
     return record[before] * (1 - weight) + record[before + 1] * weight
 
 

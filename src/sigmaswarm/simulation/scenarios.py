@@ -150,17 +150,17 @@ def _drive(s: Scenario) -> Drive:
         record = add_slopes(record, build_road_profile(journey.path[:, 3], ground, stream("road")), car)
         slopes = {"terrain": ground.name} | _slope_figures(record)
 
-    def motion(times: Array, place: Array) -> Motion:
-        return motion_at(sample(record, times), car, place)
+    def motion(times: Array, position: Array) -> Motion:
+        return motion_at(sample(record, times), car, position)
 
-    end, place = (len(record) - 1) * STEP, np.array(s.imu_place)
+    end, position = (len(record) - 1) * STEP, np.array(s.imu_place)
     nominal = _times(end, s.imu_rate)
     # CARLA's ticks have no jitter.
     ticks = nominal if imu.carla else _times(end, s.imu_rate, s.jitter, stream("imu clock"))
     stamps = _times(end, s.gps_rate, s.jitter, stream("gps clock"))
     stamps = stamps[stamps >= gps.latency]
-    true, measured = motion(nominal, place), motion(stamps - gps.latency, place + gps.lever_arm)
-    at_imu = true if ticks is nominal else motion(ticks, place)
+    true, measured = motion(nominal, position), motion(stamps - gps.latency, position + gps.lever_arm)
+    at_imu = true if ticks is nominal else motion(ticks, position)
     if s.vibration > 0:
         at_imu = vibrate(at_imu, s.imu_rate, s.vibration, stream("vibration"))
     fixes = measure_gps(stamps, measured, gps, stream("gps"), journey.outages)

@@ -106,10 +106,10 @@ def truth_rmse(log: Log, model: Model) -> Callable[[Array], float]:
     interval = np.where(after > before, log.time[after] - log.time[before], 1.0)
     weight = ((moments - log.time[before]) / interval)[:, np.newaxis]
     truth = np.column_stack([log.truth[name][within] for name in names])
-    places, angles = model.places(names), np.isin(names, model.angles)
+    indices, angles = model.indices(names), np.isin(names, model.angles)
 
     def rmse(mean: Array) -> float:
-        estimate = mean[:, places]
+        estimate = mean[:, indices]
         early, moved = estimate[before], estimate[after] - estimate[before]
         error = early + weight * np.where(angles, wrap_angle(moved), moved) - truth
         error = np.where(angles, wrap_angle(error), error)

@@ -113,7 +113,7 @@ class SearchSpace(Bounds):
     def decode(self, points: Array) -> ParameterTable:
         """Return the parameter sets of points, shape (n, d)."""
         values = self.values(points)
-        columns = {name: values[:, places] for name, places in self._places.items()}
+        columns = {name: values[:, indices] for name, indices in self._indices.items()}
         return ParameterTable(self._any, columns, len(points))
 
     def point_of(self, parameters: FilterParameters) -> Array:
@@ -132,22 +132,22 @@ class SearchSpace(Bounds):
     def values_of(self, parameters: FilterParameters) -> dict[str, float]:
         values = dict[str, float]()
         for i, dimension in enumerate(self.dimensions):
-            value, places = getattr(parameters, dimension.field), self._places[dimension.field]
-            values[dimension.name] = value[places.index(i)] if isinstance(places, list) else value
+            value, indices = getattr(parameters, dimension.field), self._indices[dimension.field]
+            values[dimension.name] = value[indices.index(i)] if isinstance(indices, list) else value
         return values
 
     @cached_property
-    def _places(self) -> dict[str, int | list[int]]:
-        places: dict[str, int | list[int]] = {}
+    def _indices(self) -> dict[str, int | list[int]]:
+        indices: dict[str, int | list[int]] = {}
         for i, dimension in enumerate(self.dimensions):
-            before = places.get(dimension.field, [])
+            before = indices.get(dimension.field, [])
             assert isinstance(before, list)
-            places[dimension.field] = [*before, *[i] * dimension.entries] if dimension.entries else i
-        return places
+            indices[dimension.field] = [*before, *[i] * dimension.entries] if dimension.entries else i
+        return indices
 
     @cached_property
     def _any(self) -> FilterParameters:
-        values = {name: self.lowest[places].tolist() for name, places in self._places.items()}
+        values = {name: self.lowest[indices].tolist() for name, indices in self._indices.items()}
         return FilterParameters(**self.fixed, **values)
 
 

@@ -93,11 +93,11 @@ def saved_options(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
 def saved_history(path: Path) -> dict[int, list[float]]:
     """Return the lowest cost so far after each generation, by trial; the tuning may be unfinished."""
     history: dict[int, list[float]] = {}
-    for place in sorted((*path.glob("trial-???"), *path.glob("checkpoint-???.npz"))):
-        number = int(place.stem[-3:])
-        done = finished_trial(path, number) if place.is_dir() else load_checkpoint(place)
+    for entry in sorted((*path.glob("trial-???"), *path.glob("checkpoint-???.npz"))):
+        number = int(entry.stem[-3:])
+        done = finished_trial(path, number) if entry.is_dir() else load_checkpoint(entry)
         if done and number not in history:
-            history[number] = np.asarray(done[place.is_dir()]["best"], np.float64).tolist()
+            history[number] = np.asarray(done[entry.is_dir()]["best"], np.float64).tolist()
     return history
 
 

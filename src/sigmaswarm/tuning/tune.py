@@ -140,8 +140,8 @@ def tune(
         folder = None
         center = _center(problem) if first is None else first
         if out is not None:  # created only after all checks of the input
-            place = stack.enter_context(locked_folder(Path(out)))
-            folder = tuning_folder(place, problem, resume=bool(resume), start=first, center=center)
+            locked = stack.enter_context(locked_folder(Path(out)))
+            folder = tuning_folder(locked, problem, resume=bool(resume), start=first, center=center)
             center = None if folder.center is None else np.array([*folder.center.values()])
         marks = _landmarks_of(problem, folder)
         pool = executor or stack.enter_context(ThreadPoolExecutor(cores()))

@@ -201,7 +201,7 @@ def make_design(
             warnings.warn(warning, stacklevel=2)
         drives = remote.map(log_properties)
     elif config.drives:
-        drives = [read_drive(place) for place in all_drive_locations(config.drives)]
+        drives = [read_drive(location) for location in all_drive_locations(config.drives)]
     else:
         drives = _simulated(config, executor, config.runs)
     if len(drives) < 2:
@@ -230,7 +230,9 @@ def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[st
     if not c.rivals or (c.drives and not c.elsewhere):
         return {}
     if c.elsewhere:
-        drives_by_place = {"as given": [read_drive(place) for place in all_drive_locations(c.elsewhere)]}
+        drives_by_place = {
+            "as given": [read_drive(location) for location in all_drive_locations(c.elsewhere)]
+        }
         own = [drive for drive in home.drives if isinstance(drive, Drive)]
         _require_apart([landmarks(drive) for drive in (*own, *drives_by_place["as given"])])
     else:

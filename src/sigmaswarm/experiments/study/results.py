@@ -89,13 +89,13 @@ def _summaries(scores: ScoreTable, draws: Draws) -> Iterator[VariantSummary]:
     train, test = design.split(0)
     each = dict.fromkeys(condition for condition in design.conditions if condition != everywhere)
     for protocol, method, measure, values in scores.columns():
-        for place in (everywhere, *each):
-            chosen = [i for i, c in enumerate(design.conditions) if place in (everywhere, c)]
+        for condition in (everywhere, *each):
+            chosen = [i for i, c in enumerate(design.conditions) if condition in (everywhere, c)]
             strata = [design.strata[i] for i in chosen]
             summaries = summarize(values[:, chosen], strata, len(test) / len(train), draws)
             if summaries.n_drives:
                 of = {"protocol": protocol, "method": method, "measure": measure}
-                yield VariantSummary(**of, maneuver=place[0], environment=place[1], **dict(summaries))
+                yield VariantSummary(**of, maneuver=condition[0], environment=condition[1], **dict(summaries))
 
 
 def summarize(values: Array, strata: Sequence[str], test_per_train: float, draws: Draws) -> ScoreStatistics:

@@ -116,8 +116,8 @@ def _live_time(ready: PreparedDrive, kind: FilterKind, model: ModelName) -> dict
             due = bool(waiting) and waiting[0][0] <= t
             began = time.perf_counter()
             if due:
-                fixed, *place = waiting.popleft()
-                live.update(fixed, place)
+                fixed, *position = waiting.popleft()
+                live.update(fixed, position)
             live.predict(t, imu)
             if t > ready.initial.time:
                 spent[due].append(time.perf_counter() - began)

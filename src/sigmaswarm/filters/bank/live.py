@@ -202,11 +202,11 @@ class LiveFilterBank(LiveFilter):
         counts, history, checkpoints = arrays.counts, arrays.history, arrays.checkpoints
         n, kept = int(counts[live.N_SAMPLES]), int(counts[live.N_HISTORY])
         number = max(0, n - self._settled) // live.CHECKPOINT_EVERY * live.CHECKPOINT_EVERY
-        place = number - (n - kept)
-        if place < 0:  # the checkpoint was before the last reset
+        index = number - (n - kept)
+        if index < 0:  # the checkpoint was before the last reset
             return None
-        record = history[(int(counts[live.OLDEST]) + place) % len(history)]
-        return place, record, checkpoints[number // live.CHECKPOINT_EVERY % len(checkpoints)]
+        record = history[(int(counts[live.OLDEST]) + index) % len(history)]
+        return index, record, checkpoints[number // live.CHECKPOINT_EVERY % len(checkpoints)]
 
     def _snapshot(self, numbers: Array, time: float) -> _Snapshot:
         rows, evidence = self._rows_of(numbers).copy(), numbers[swarm.EVIDENCE].copy()
@@ -255,7 +255,7 @@ class LiveFilterBank(LiveFilter):
         checkpoint = self._settled_checkpoint()
         if checkpoint is None:
             return
-        place, record, numbers = checkpoint
+        index, record, numbers = checkpoint
         if not (numbers[swarm.WEIGHT].any() and self._is_logged(replayed)):
             return
         since = self._logged_steps(replayed, int(numbers[swarm.LOGGED]))
@@ -296,7 +296,7 @@ class LiveFilterBank(LiveFilter):
         numbers[swarm.WEIGHT] = self._numbers[swarm.WEIGHT]
         filter_state[: live.N_FILTER_STATE] = record[: live.N_FILTER_STATE]
         live.replay_call()(
-            self._memory.step.address, filter_state, counts, fixes, speeds, history, checkpoints, place, True
+            self._memory.step.address, filter_state, counts, fixes, speeds, history, checkpoints, index, True
         )
 
     def _check_divergence(self, now: float, *, due: bool) -> None:

@@ -75,12 +75,12 @@ class LoggedSteps:
 
         The loss is the negative log-likelihood under Student's t, as in the objective ``innovation-t``.
         """
-        place = self._place
+        cursor = self._cursor
         if len(self.rows):
             scored = np.searchsorted(self.rows[:, T_TIME], self._begins + CONVERGENCE_TIME)
-            self._run(lanes, place, int(scored))
+            self._run(lanes, cursor, int(scored))
         before = _loss(lanes)
-        self._run(lanes, place, len(self.rows))
+        self._run(lanes, cursor, len(self.rows))
         return _loss(lanes) - before
 
     def followed(self, lane: Array, known: FilterEvidence) -> tuple[Array, FilterEvidence]:
@@ -88,18 +88,18 @@ class LoggedSteps:
         lanes = np.repeat(lane[:, np.newaxis], WIDEST, axis=1)
         fixes = np.flatnonzero(self.rows[:, T_FLAGS].astype(np.uint16) & FIX)
         innovations = np.empty((len(fixes), 5))
-        self._run(lanes, self._place, len(self.rows), innovations)
+        self._run(lanes, self._cursor, len(self.rows), innovations)
         return lanes[:, 0], known.then(self.rows[fixes, T_TIME], _evidence_losses(*innovations.T))
 
     @property
-    def _place(self) -> Array:
-        place = new_cursor()
+    def _cursor(self) -> Array:
+        cursor = new_cursor()
         if len(self.rows):
-            place[SINCE] = self.rows[0, T_SINCE] - self.rows[0, T_STEP][Q_SCALE]
-        return place
+            cursor[SINCE] = self.rows[0, T_SINCE] - self.rows[0, T_STEP][Q_SCALE]
+        return cursor
 
-    def _run(self, lanes: Array, place: Array, stop: int, innovations: Array = NO_INNOVATIONS) -> None:
-        """Run the filters from ``place`` to step ``stop``, exclusive; ``lanes`` and ``place`` change in place."""
+    def _run(self, lanes: Array, cursor: Array, stop: int, innovations: Array = NO_INNOVATIONS) -> None:
+        """Run the filters from ``cursor`` to step ``stop``, exclusive; ``lanes`` and ``cursor`` change in place."""
         k = len(self.rows)
         flags, steps = self.rows[:, T_FLAGS].astype(np.uint16), self.rows[:, T_STEP]
         drive = (
@@ -113,7 +113,7 @@ class LoggedSteps:
             NO_TARGETS,
             np.zeros(k, dtype=np.int32),
         )
-        run_lanes(self.kernel, drive, lanes, place, stop, NO_RECORD, innovations)
+        run_lanes(self.kernel, drive, lanes, cursor, stop, NO_RECORD, innovations)
 
     @property
     def _begins(self) -> float:

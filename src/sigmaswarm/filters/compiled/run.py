@@ -128,7 +128,7 @@ def _score_by_deviation(
 def _run(
     w,
     drive,
-    place,
+    cursor,
     stop,
     record,
     innovations,
@@ -141,7 +141,7 @@ def _run(
     score_there,
     score_by_deviation,
 ):
-    """Run the filters ``w`` from step ``place[NEXT_STEP]`` up to ``stop``, and update ``w`` and ``place``.
+    """Run the filters ``w`` from step ``cursor[NEXT_STEP]`` up to ``stop``, and update ``w`` and ``cursor``.
 
     ``state``: the recorded rows; ``heading``: the row of the scored heading. The kernel ``step`` gets the numbers of a
     step and of a fix as tuples, since slices of arrays would cost Numba's reference counting at each step.
@@ -149,14 +149,14 @@ def _run(
     steps, sample, driving, flags, fixes, speeds, lever, targets, target_end = drive
     z, arm = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), tuple(lever[k] for k in range(3))
     wheels = (0.0, 0.0, 0.0)
-    n_speeds = int(place[NEXT_SPEED])
-    n_fixes = int(place[NEXT_FIX])
-    n_targets = int(place[NEXT_TARGET])
+    n_speeds = int(cursor[NEXT_SPEED])
+    n_fixes = int(cursor[NEXT_FIX])
+    n_targets = int(cursor[NEXT_TARGET])
     n_recorded = 0
-    since = place[SINCE]
+    since = cursor[SINCE]
     interval_starts = True
     weight, true_x, true_y, true_theta, scores_heading, deviations = targets
-    for s in range(int(place[NEXT_STEP]), stop):
+    for s in range(int(cursor[NEXT_STEP]), stop):
         if (
             interval_starts
             and n_targets < len(weight)
@@ -208,8 +208,8 @@ def _run(
             n_recorded += 1
     if stop == steps.shape[0]:
         _take_logarithm(w)
-    place[NEXT_STEP], place[NEXT_FIX], place[NEXT_TARGET], place[SINCE] = stop, n_fixes, n_targets, since
-    place[NEXT_SPEED] = n_speeds
+    cursor[NEXT_STEP], cursor[NEXT_FIX], cursor[NEXT_TARGET], cursor[SINCE] = stop, n_fixes, n_targets, since
+    cursor[NEXT_SPEED] = n_speeds
 
 
 @njit(**OPTIONS)
@@ -280,11 +280,11 @@ def cached_by_sources(function, name, known=None):
     return cached(named_by_sources(function, name, known), **OPTIONS)
 
 
-def _run_model(drive, rows, place, stop, record, innovations, *, steps_to):
+def _run_model(drive, rows, cursor, stop, record, innovations, *, steps_to):
     control = exchange_control(-1)
     w = new_rows(rows.shape[1])
     _load(w, rows)
-    steps_to(w, drive, place, stop, record, innovations)
+    steps_to(w, drive, cursor, stop, record, innovations)
     _store(w, rows)
     exchange_control(control)
 
@@ -316,7 +316,7 @@ def logging_kernel(model):
 
 
 def run_lanes(
-    model: str, drive: DriveArrays, rows: Array, place: Array, stop: int, record: Array, innovations: Array
+    model: str, drive: DriveArrays, rows: Array, cursor: Array, stop: int, record: Array, innovations: Array
 ) -> None:
     """Run up to `most_lanes` filters over steps of one time line, from the step at which the last call stopped.
 
@@ -328,11 +328,11 @@ def run_lanes(
     model : name of the model
     drive : DriveArrays
     rows : (N_KEPT, a multiple of WIDEST), changed: state, constants and sums of each lane
-    place : (5,), changed: see NEXT_STEP ... NEXT_SPEED
+    cursor : (5,), changed: see NEXT_STEP ... NEXT_SPEED
     stop : the step before which the run stops; the sums are complete if this is k, the number of steps
     record : (r, s + 1, m), written from its start: at each IMU sample of these steps, the model's s `state_rows` and
         the OK flag of the first m lanes, at most LANES; r = 0: none
     innovations : (f, 5), written: nu (m) and S (m2; xx, xy, yy) of the first lane at each fix of these steps, before
         the update; f = 0: none
     """
-    run_kernel(model)(drive, rows, place, stop, record, innovations)
+    run_kernel(model)(drive, rows, cursor, stop, record, innovations)

@@ -18,7 +18,7 @@ from sigmaswarm.compilation import call_once
 from sigmaswarm.filters.compiled.lanes import OPTIONS
 from sigmaswarm.filters.compiled.layout import QUATERNION, state_rows
 from sigmaswarm.filters.compiled.run import cached_by_sources
-from sigmaswarm.filters.compiled.step_log import phi_place
+from sigmaswarm.filters.compiled.step_log import phi_index
 from sigmaswarm.filters.compiled.transition import COEFFICIENTS, TRANSITIONS
 from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.kernels import FILTERS, base_model_name
@@ -178,7 +178,7 @@ def _kernel_of(name):
             transition=_plain(TRANSITIONS[own]),
         )  # fmt: skip
         step_back = _plain(
-            _step_back, n=n, n_state=len(state_rows(name)), first=first, tilted=tilted, phi=phi_place(name),
+            _step_back, n=n, n_state=len(state_rows(name)), first=first, tilted=tilted, phi=phi_index(name),
             transition_times=transition_times,
             unpack_covariance=_plain(_unpack_covariance, n=n, first=first), solve=_plain(_solve, n=n),
         )  # fmt: skip

@@ -114,5 +114,5 @@ def step_of(name, *, noted=False):
         note_move=step_log.note_move(name) if noted else None,
         note_prior=note_prior,
         grow=kernel(_grow, tilted=int(model.tilts is not None)),
-        **measurement_kernels(name, note_prior, step_log.phi_place(name) if noted else 0),
+        **measurement_kernels(name, note_prior, step_log.phi_index(name) if noted else 0),
     )

@@ -22,15 +22,15 @@ def logged_rows(name):
     return np.array([*state, *(PRIOR + state), *range(MOVE, MOVE + n_moves)], dtype=np.intp)
 
 
-def phi_place(model):
+def phi_index(model):
     """Return the index of phi among the rows MOVE; 0 for a model without phi."""
     return 1 + len(_moves_of(model)) if FILTERS[model].fix_error else 0
 
 
-def _note_move(w, dt, *, places, moves, phi):
+def _note_move(w, dt, *, indices, moves, phi):
     for l in range(LANES):
         MOVE[0] = dt
-        for i in places:  # A is the identity in a step of length 0
+        for i in indices:  # A is the identity in a step of length 0
             MOVE[1 + i] = w[moves[i]] if dt > 0.0 else 0.0
         if phi:
             MOVE[phi] = 1.0  # at a fix, `move_fix_error` replaces it
@@ -43,7 +43,7 @@ def _note_prior(w, *, state):
 
 
 def note_move(name):
-    return kernel(_note_move, places=range(len(_moves_of(name))), moves=_moves_of(name), phi=phi_place(name))
+    return kernel(_note_move, indices=range(len(_moves_of(name))), moves=_moves_of(name), phi=phi_index(name))
 
 
 def note_prior(name):

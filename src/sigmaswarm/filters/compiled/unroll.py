@@ -50,8 +50,8 @@ class _Elements(ast.NodeTransformer):
             case ast.Subscript(ast.Name("P"), ast.Tuple(indices)):
                 row = ast.Call(ast.Name("at", ast.Load()), indices, [])
             case ast.Subscript(ast.Name(block), ast.Tuple([i, j])) if block in COLUMNS:
-                place = ast.BinOp(ast.BinOp(ast.Constant(COLUMNS[block]), ast.Mult(), i), ast.Add(), j)
-                row = ast.BinOp(ast.Name(block, ast.Load()), ast.Add(), place)
+                offset = ast.BinOp(ast.BinOp(ast.Constant(COLUMNS[block]), ast.Mult(), i), ast.Add(), j)
+                row = ast.BinOp(ast.Name(block, ast.Load()), ast.Add(), offset)
             case ast.Subscript(ast.Name(block), index) if block in VECTORS:
                 row = ast.BinOp(ast.Name(block, ast.Load()), ast.Add(), index)
             case _:

@@ -173,8 +173,8 @@ def _put_loop(module: ir.Module, loop: _Loop, width: int) -> ir.Function:
     counts = {name: builder.phi(_WHOLE) for name in loop.counted}
     frame = _Frame(loop.names, values | counts)
     block = builder.lshr(lane, _WHOLE(LANES.bit_length() - 1))
-    place = builder.add(lane, builder.mul(block, _WHOLE((N_ROWS - 1) * LANES)))
-    _Emitter(builder, vector, builder.gep(rows, [place])).block(loop.body, frame)
+    offset = builder.add(lane, builder.mul(block, _WHOLE((N_ROWS - 1) * LANES)))
+    _Emitter(builder, vector, builder.gep(rows, [offset])).block(loop.body, frame)
     after = builder.add(lane, _WHOLE(width))
     for phi, before, behind in (
         (lane, _WHOLE(0), after), *((phi, _WHOLE(0), frame.values[name]) for name, phi in counts.items()),
@@ -196,8 +196,8 @@ def _put_loop(module: ir.Module, loop: _Loop, width: int) -> ir.Function:
 def _broadcast(builder: ir.IRBuilder, vector: ir.VectorType, number: Any) -> Any:
     undefined = ir.Constant(vector, ir.Undefined)
     first = builder.insert_element(undefined, number, ir.IntType(32)(0))
-    places = ir.Constant(ir.VectorType(ir.IntType(32), vector.count), [0] * vector.count)
-    return builder.shuffle_vector(first, undefined, places)
+    indices = ir.Constant(ir.VectorType(ir.IntType(32), vector.count), [0] * vector.count)
+    return builder.shuffle_vector(first, undefined, indices)
 
 
 class _Frame(NamedTuple):
@@ -245,7 +245,7 @@ class _Emitter:
             case _:
                 row = self.row(target, frame)
                 self.rows[row] = self.as_vector(value)
-                self.builder.store(self.rows[row], self.place(row), align=8 * self.vector.count)
+                self.builder.store(self.rows[row], self.address(row), align=8 * self.vector.count)
 
     def row(self, node: ast.expr, frame: _Frame) -> int:
         match node:
@@ -255,9 +255,9 @@ class _Emitter:
                     return number
         raise TypeError(f"the row of a lane must be a constant: {ast.unparse(node)}")
 
-    def place(self, row: int) -> Any:
-        place = self.builder.gep(self.lanes, [_WHOLE(row * LANES)])
-        return self.builder.bitcast(place, self.vector.as_pointer())
+    def address(self, row: int) -> Any:
+        address = self.builder.gep(self.lanes, [_WHOLE(row * LANES)])
+        return self.builder.bitcast(address, self.vector.as_pointer())
 
     def value(self, node: ast.expr, frame: _Frame) -> Any:
         match node:
@@ -271,14 +271,14 @@ class _Emitter:
                 return getattr(builtins, name)
             case ast.Attribute(value=ast.Name(id=name), attr=attribute):
                 return getattr(frame.names[name], attribute)
-            case ast.Subscript(value=ast.Name(id=name), slice=ast.Constant(value=place)) if (
+            case ast.Subscript(value=ast.Name(id=name), slice=ast.Constant(value=index)) if (
                 name not in frame.values
             ):
-                return frame.names[name][place]
+                return frame.names[name][index]
             case ast.Subscript():
                 row = self.row(node, frame)
                 if row not in self.rows:
-                    self.rows[row] = self.builder.load(self.place(row), align=8 * self.vector.count)
+                    self.rows[row] = self.builder.load(self.address(row), align=8 * self.vector.count)
                 return self.rows[row]
             case ast.Tuple(elts=parts):
                 return tuple(self.value(part, frame) for part in parts)

@@ -164,7 +164,7 @@ class LiveModel:
     @property
     def state(self) -> LiveState:
         """State estimate after the last inputs and all measurements up to their time; NaN after a failure."""
-        (mean, covariance, _), angles = self._state, self.model.places(self.model.angles)
+        (mean, covariance, _), angles = self._state, self.model.indices(self.model.angles)
         mean = mean.copy()
         mean[angles] = wrap_angle(mean[angles])
         return LiveState(self._time, mean, covariance.copy(), bool(np.isnan(mean).any()))

@@ -175,9 +175,9 @@ def _finite(log: str, name: str, values: ArrayLike | None, *, absent: bool = Fal
         raise _wrong(log, f"{name} is not an array of numbers; convert it to floats") from None
     bad = np.argwhere(np.isinf(column) if absent else ~np.isfinite(column))
     if len(bad):
-        place = ", ".join(str(i) for i in bad[0])
+        index = ", ".join(str(i) for i in bad[0])
         value = column[tuple(bad[0])]
-        raise _wrong(log, f"{name}[{place}] is {value:g}; correct the value, or leave the row out")
+        raise _wrong(log, f"{name}[{index}] is {value:g}; correct the value, or leave the row out")
     return column
 
 

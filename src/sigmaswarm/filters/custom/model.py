@@ -182,7 +182,7 @@ class Model:
         outside = 0.0 if self.robust is None else 1.0 - self.robust
         return chdtri(np.arange(1, m + 1), outside)
 
-    def places(self, names: Sequence[str]) -> list[int]:
+    def indices(self, names: Sequence[str]) -> list[int]:
         return [self.states.index(name) for name in names]
 
     def identity(self) -> dict[str, Any]:

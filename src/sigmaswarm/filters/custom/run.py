@@ -115,7 +115,7 @@ def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> Mod
 
 
 def _estimate(log: Log, model: Model, steps: FilterSteps, run: "ModelTrajectory") -> ModelEstimate:
-    angles = model.places(model.angles)
+    angles = model.indices(model.angles)
     run.mean[:, angles] = wrap_angle(run.mean[:, angles])
     failure = failure_in(log, steps, run.failed)
     return ModelEstimate(
@@ -172,7 +172,7 @@ def run_kernel(
     scaling = _scaling(parameters)
     run = _empty_trajectory(steps, covariances=covariances)
     line = (steps.dt, steps.source, steps.updates, steps.records, steps.inputs, steps.measurements)
-    angles = np.isin(range(len(model.states)), model.places(model.angles))
+    angles = np.isin(range(len(model.states)), model.indices(model.angles))
     measured = np.isin(range(steps.measurements.shape[1]), model.measured_angles)
     written = (run.mean, run.covariance, run.nis, run.nll)
     try:

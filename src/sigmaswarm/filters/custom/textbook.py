@@ -74,7 +74,7 @@ def textbook_filter(model: Model, steps: FilterSteps, scaling: Array, p: Any) ->
         steps.mean,
         steps.covariance,
         points,
-        angles=model.places(model.angles),
+        angles=model.indices(model.angles),
         measured_angles=model.measured_angles,
     )
 

@@ -177,9 +177,11 @@ def _highest(
     """
     from scipy.optimize import minimize
 
-    d, (places, searches) = best.shape[1], effort
-    near = best[rng.integers(len(best), size=places // 2)] + NEAR_STD * rng.standard_normal((places // 2, d))
-    tried = np.vstack([rng.random((places - places // 2, d)), np.clip(near, 0, 1)])
+    d, (candidates, searches) = best.shape[1], effort
+    near = best[rng.integers(len(best), size=candidates // 2)] + NEAR_STD * rng.standard_normal(
+        (candidates // 2, d)
+    )
+    tried = np.vstack([rng.random((candidates - candidates // 2, d)), np.clip(near, 0, 1)])
     ranked = np.argsort(-improvement(tried), kind="stable")
     ends = [tried[ranked[0]]]
     for start in ranked[:searches]:
