@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.limits import require_members, require_regular
+from sigmaswarm.file_sizes import require_members, require_regular
 
 if TYPE_CHECKING:
     from filelock import BaseFileLock

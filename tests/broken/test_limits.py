@@ -16,11 +16,11 @@ import pytest
 from fuzzing.check import limited
 from sigmaswarm import read_drive, write_drive
 from sigmaswarm.errors import InputError
+from sigmaswarm.file_sizes import MAX_LINE_BYTES
 from sigmaswarm.files import read_arrays
 from sigmaswarm.importing.formats import open_log
 from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.recipe import Recipe
-from sigmaswarm.limits import MAX_LINE_BYTES
 from support import make_drive, quickly
 
 ROW = b"1.0,1.0,1.0,1.0\n"
@@ -141,14 +141,14 @@ def test_toml_is_refused_by_its_name(how: str, name: str, drive: Path):
     "text", [b"# 1.1.1.1\n[a.b]\nc = [1.0, 2.0]\n" * 3, b'd = "' + b"1.5," * 2000 + b'"']
 )
 def test_numbers_with_dots_are_no_long_keys(text: bytes, tmp_path: Path):
-    from sigmaswarm.limits import read_toml_text
+    from sigmaswarm.file_sizes import read_toml_text
 
     (tmp_path / "a.toml").write_bytes(text)
     assert read_toml_text(tmp_path / "a.toml").encode() == text
 
 
 def test_members_of_npz_are_counted_before_they_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("sigmaswarm.limits.MAX_UNPACKED_BYTES", 20_000_000)
+    monkeypatch.setattr("sigmaswarm.file_sizes.MAX_UNPACKED_BYTES", 20_000_000)
 
     def many(file: zipfile.ZipFile) -> None:
         for k in range(20_000):

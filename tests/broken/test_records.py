@@ -21,7 +21,7 @@ from sigmaswarm.experiments.compare import compare
 from sigmaswarm.experiments.comparison import Comparison, Outcome
 from sigmaswarm.files import atomic_file, staged_files, write_atomically
 from sigmaswarm.learned.folder import load_learned
-from sigmaswarm.records import content_if_readable, load_record
+from sigmaswarm.record_files import content_if_readable, load_record
 from sigmaswarm.reports.compare import save_comparison
 from sigmaswarm.reports.evaluation import save_evaluation
 from sigmaswarm.reports.folders import read_report

@@ -24,7 +24,7 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter, run_imu_only, run_innovations
-from sigmaswarm.records import load_record
+from sigmaswarm.record_files import load_record
 from sigmaswarm.reports.evaluation import copy_tuning
 from sigmaswarm.reports.evaluation_page import read_view
 from sigmaswarm.reports.figures import Chart, figure_of, hover_id

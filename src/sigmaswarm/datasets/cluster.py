@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from sigmaswarm.errors import InputError, SigmaswarmError, not_installed
-from sigmaswarm.limits import MAX_TOML_BYTES, read_bounded
+from sigmaswarm.file_sizes import MAX_TOML_BYTES, read_bounded
 from sigmaswarm.versions import versions
 
 if TYPE_CHECKING:

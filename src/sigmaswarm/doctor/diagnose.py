@@ -6,9 +6,9 @@ from dataclasses import replace
 from sigmaswarm.doctor.checks.accelerometer import check_accelerometer
 from sigmaswarm.doctor.checks.gyro import check_gyro, check_tilt
 from sigmaswarm.doctor.checks.heading import check_heading
-from sigmaswarm.doctor.checks.limits import check_observability, check_use
 from sigmaswarm.doctor.checks.mounting import check_handled, check_mirrored, check_mounting, check_reverse
 from sigmaswarm.doctor.checks.noise import check_noise
+from sigmaswarm.doctor.checks.observability import check_observability, check_use
 from sigmaswarm.doctor.checks.odometer import check_odometer
 from sigmaswarm.doctor.checks.timing import check_clock, check_sampling
 from sigmaswarm.doctor.checks.velocity import check_velocity

@@ -9,8 +9,8 @@ from typing import Any, Literal, cast
 from sigmaswarm.drives.table_files import CSV, MAX_VALUE
 from sigmaswarm.drives.tables import Array
 from sigmaswarm.errors import DriveError
+from sigmaswarm.file_sizes import read_toml_text
 from sigmaswarm.geodesy import Origin, geodetic_to_enu
-from sigmaswarm.limits import read_toml_text
 from sigmaswarm.wording import list_names, printable, printable_value, quoted
 
 WRITE_IT = 'write this file with the line frame = "enu" (x, y) or frame = "wgs84" (lat, lon)'

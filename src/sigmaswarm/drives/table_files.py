@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.tables import RECORDS, Array
 from sigmaswarm.errors import DriveError
-from sigmaswarm.limits import MAX_CELLS, MAX_COLUMNS, require_regular, require_text
+from sigmaswarm.file_sizes import MAX_CELLS, MAX_COLUMNS, require_regular, require_text
 from sigmaswarm.wording import list_names, printable, quoted
 
 MAX_VALUE = 1e7  # largest accepted magnitude; values of a car's sensors are smaller, even in mm, mg or mdeg/s

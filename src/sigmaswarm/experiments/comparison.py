@@ -14,7 +14,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.statistics import holm, median_interval, signed_rank
 from sigmaswarm.files import write_atomically
-from sigmaswarm.records import load_record
+from sigmaswarm.record_files import load_record
 from sigmaswarm.tuning.config import TuneConfig
 
 MIN_SEEDS = 6

@@ -20,7 +20,7 @@ from sigmaswarm.filters.kernels import FILTERS, kernel_name
 from sigmaswarm.filters.models import MEASURED, MODELS, NOISE_OF, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.filters.robot_yaml import IMU_NOISE, YAML, read_configuration
-from sigmaswarm.records import read_content
+from sigmaswarm.record_files import read_content
 from sigmaswarm.wording import first_mistake, printable
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from sigmaswarm.errors import InputError, SigmaswarmWarning, not_installed
-from sigmaswarm.limits import read_toml_text
+from sigmaswarm.file_sizes import read_toml_text
 from sigmaswarm.wording import printable
 
 YAML = (".yaml", ".yml")

@@ -9,8 +9,8 @@ from shlex import quote
 from typing import Any
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.file_sizes import require_regular, require_text
 from sigmaswarm.importing.source import Limits, Log, first_bytes, is_empty, no_log_error
-from sigmaswarm.limits import require_regular, require_text
 from sigmaswarm.wording import list_names
 
 # For each format (--format): the module in ``readers/``, and a description. The most general format is last. Each

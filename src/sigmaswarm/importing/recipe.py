@@ -11,9 +11,9 @@ from typing import Any, Self, cast
 import tomli_w
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.file_sizes import read_toml_text
 from sigmaswarm.files import make_folder, write_atomically
 from sigmaswarm.importing.source import ROLES, Part, Role
-from sigmaswarm.limits import read_toml_text
 from sigmaswarm.wording import printable, printable_value, quoted
 
 # Columns of each role: those of a drive (docs/drives.md), and ``vx, vy`` of fixes (m/s east, north); ``forward, left``

@@ -27,7 +27,7 @@ from sigmaswarm.learned import outage_lstm
 from sigmaswarm.learned.cells import n_weights, new_weights
 from sigmaswarm.learned.noise_gru import FEATURES, NoiseRun
 from sigmaswarm.learned.outage_lstm import OutageLstm, OutageRun
-from sigmaswarm.records import load_record
+from sigmaswarm.record_files import load_record
 
 LEARNED_FILE, WEIGHTS_FILE, LEARNED_SEEN = "learned.toml", "weights.npz", "learned_seen.npz"
 

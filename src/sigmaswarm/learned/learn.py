@@ -30,7 +30,7 @@ from sigmaswarm.learned.folder import (
 )
 from sigmaswarm.learned.noise_training import NoiseLearner
 from sigmaswarm.learned.outage_training import OutageLearner
-from sigmaswarm.records import ARRAYS
+from sigmaswarm.record_files import ARRAYS
 from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.record import FILE
 from sigmaswarm.tuning.store import ResultFolder

@@ -5,7 +5,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.records import load_record
+from sigmaswarm.record_files import load_record
 from sigmaswarm.reports.evaluation import method_bars, swarm_charts
 from sigmaswarm.reports.page import KeyFigure, Report, Section, TrackView
 from sigmaswarm.reports.style import LABELS, STYLES

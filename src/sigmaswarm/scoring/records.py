@@ -10,7 +10,7 @@ from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json
 from sigmaswarm.filters.fixes_alone import MotionNoise
-from sigmaswarm.records import load_record
+from sigmaswarm.record_files import load_record
 from sigmaswarm.scoring.consistency import Consistency
 from sigmaswarm.scoring.radius import RadiusRecord
 from sigmaswarm.wording import count_of

@@ -12,10 +12,10 @@ from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.drives.mounting import Angles, common_axes, common_mounting
 from sigmaswarm.drives.overlap import TRAINING_DATA_FILE, Landmarks, load_landmarks, whole_drive
 from sigmaswarm.errors import InputError
+from sigmaswarm.file_sizes import require_text
 from sigmaswarm.filters.fixes_alone import MotionNoise
 from sigmaswarm.filters.robot_yaml import YAML
-from sigmaswarm.limits import require_text
-from sigmaswarm.records import load_record
+from sigmaswarm.record_files import load_record
 from sigmaswarm.tuning.bounds import TouchedBound
 from sigmaswarm.tuning.diagnostics import DO_NOT_USE, DriftComparison
 from sigmaswarm.tuning.search import Trial

@@ -17,7 +17,7 @@ from sigmaswarm.files import write_atomically
 from sigmaswarm.filters.fixes_alone import MotionNoise
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters, densities, units
-from sigmaswarm.records import load_record
+from sigmaswarm.record_files import load_record
 from sigmaswarm.tuning.bounds import TouchedBound
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import MODEL_OBJECTIVES

@@ -19,7 +19,7 @@ from pydantic import BaseModel, Field, model_validator
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import atomic_file, atomic_folder, free_path, make_folder, read_arrays, write_json
-from sigmaswarm.records import ARRAYS, Vector, load_record
+from sigmaswarm.record_files import ARRAYS, Vector, load_record
 from sigmaswarm.tuning.config import RENAMED
 from sigmaswarm.versions import same_results
 from sigmaswarm.wording import list_names, printable

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import sigmaswarm
 from sigmaswarm import Drive, InputError
 from sigmaswarm.files import free_path, make_folder, write_json
-from sigmaswarm.records import content_if_readable
+from sigmaswarm.record_files import content_if_readable
 
 KINDS = ("logs", "drives", "tunings", "evaluations", "exports")
 DRIVE, TUNING = "drive.toml", "tuning.toml"

@@ -223,7 +223,7 @@ def read_config(path: Path | None, **changes: Any) -> StudyConfig:
     """Read study.toml or use the defaults, and apply changes to the options."""
     options: dict[str, Any] = {}
     if path is not None:
-        from sigmaswarm.records import read_content  # slow, and not needed for the command line's help
+        from sigmaswarm.record_files import read_content
 
         missing = "leave --config out for the paper's study"
         options = read_content(path, "name a readable TOML file", missing=missing)

@@ -27,7 +27,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSeriali
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.config import ALL, NO_PROTOCOL, PROTOCOL_LABELS, Protocol, StudyConfig
 from sigmaswarm.files import nan_to_none, write_json
-from sigmaswarm.records import load_record
+from sigmaswarm.record_files import load_record
 from sigmaswarm.scoring.tracks import Tracks, load_tracks
 from sigmaswarm.tuning.bounds import TouchedBound
 

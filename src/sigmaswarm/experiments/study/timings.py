@@ -18,7 +18,7 @@ from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.parameters import FilterKind, FilterParameters, ModelName
 from sigmaswarm.filters.presets import DEFAULTS
-from sigmaswarm.records import content_if_readable
+from sigmaswarm.record_files import content_if_readable
 from sigmaswarm.scoring.targets import tracking_pass
 
 LIVE_FILTERS: dict[str, tuple[FilterKind, ModelName]] = {

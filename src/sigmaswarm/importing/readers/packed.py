@@ -8,8 +8,8 @@ from contextlib import ExitStack
 from pathlib import Path, PurePosixPath
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.file_sizes import require_text
 from sigmaswarm.importing.source import Limits, errors_as_damage
-from sigmaswarm.limits import require_text
 
 
 def names_in(path: Path) -> set[str]:

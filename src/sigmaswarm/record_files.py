@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.file_sizes import MAX_JSON_BYTES, read_bounded, read_toml_text
 from sigmaswarm.files import nan_to_none, read_arrays
-from sigmaswarm.limits import MAX_JSON_BYTES, read_bounded, read_toml_text
 from sigmaswarm.wording import first_mistake, printable
 
 R = TypeVar("R")
