@@ -17,7 +17,7 @@ from gtsam.symbol_shorthand import B, V, X
 from scipy.interpolate import CubicHermiteSpline
 
 from sigmaswarm import Drive, InitialState
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 
 NODES = 0.2
 """s between nodes, where no fix comes."""

@@ -4,9 +4,10 @@ import math
 from typing import overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from sigmaswarm.arrays import Array
+
 Origin = tuple[float, float, float]  # latitude (deg), longitude (deg), altitude (m)
 STANDARD_GRAVITY = 9.80665  # m/s2; filters and their exported C have 9.81: see `filters.tilted`
 

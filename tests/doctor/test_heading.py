@@ -8,12 +8,13 @@ from functools import cache
 import numpy as np
 import pytest
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.checks.heading import check_heading
 from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.doctor.evidence import Evidence, gather
 from sigmaswarm.doctor.findings import Diagnosis, Finding
 from sigmaswarm.doctor.repairs import repair
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.tables import NO_HEADING
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.simulation.scenarios import simulate

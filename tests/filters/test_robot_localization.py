@@ -13,8 +13,9 @@ import pytest
 from filter_cases import equipped
 from oracles.robot_localization import NAME, TextbookRobotLocalization
 from sigmaswarm import evaluate, export, tune
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import initial_state
-from sigmaswarm.drives.drive import Array, Odometer
+from sigmaswarm.drives.drive import Odometer
 from sigmaswarm.drives.events import FIX, HEADING, IMU, LATERAL, ODOMETER, events_of
 from sigmaswarm.drives.prepared import prepare_drive
 from sigmaswarm.errors import InputError

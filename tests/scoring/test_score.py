@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from scoring.variants import DRIVE, VARIANTS
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Truth
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Estimate, run_filter
-from sigmaswarm.geodesy import Array
 from sigmaswarm.scoring.score import PieceErrors, score_estimate, score_raw_gps
 from support import make_drive
 

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.windows import Complex, Regression, integral, regress, smoothed, windows_of
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.sensors import white_noise
 
 WINDOW = 10.0  # s: long enough to contain accelerations, short enough for constant tilt and slope

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.fixes import Course, Mask, course_of, mark_jumps
 from sigmaswarm.doctor.windows import integral, smoothed
 from sigmaswarm.drives.checks import GRAVITY
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.stale_fixes import stale_fixes
 
 MIN_FIXES = 8

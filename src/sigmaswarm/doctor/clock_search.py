@@ -2,11 +2,12 @@
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.mounting import level_rotation, rotate_imu
 from sigmaswarm.doctor.verdicts import DEGREE
 from sigmaswarm.doctor.windows import integral
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 
 MAX_OFFSET = 40.0  # s; GPS time minus UTC (18 s) and the start-up of most receivers are shorter
 STEP = 0.1  # s

@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.acceleration_fit import DELAYS, AccelerationFit, fit_acceleration
 from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.travel_direction import direction_of_travel
@@ -20,7 +21,7 @@ from sigmaswarm.doctor.windows import integral, smoothed, windows_of
 from sigmaswarm.doctor.yaw_fit import DELAYS as YAW_LATENESS
 from sigmaswarm.doctor.yaw_fit import YawFit, fit_column, yaw_windows
 from sigmaswarm.drives.checks import GRAVITY
-from sigmaswarm.drives.drive import Array, Drive, Imu
+from sigmaswarm.drives.drive import Drive, Imu
 from sigmaswarm.drives.mounting import NO_ROTATION
 from sigmaswarm.geodesy import rotation_of
 

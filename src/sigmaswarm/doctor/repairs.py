@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.checks.heading import HEADINGS
 from sigmaswarm.doctor.checks.odometer import without_spans
 from sigmaswarm.doctor.checks.velocity import CONVENTIONS
 from sigmaswarm.doctor.findings import Diagnosis, Repair
 from sigmaswarm.doctor.fixes import with_exchanged_axes
 from sigmaswarm.doctor.mounting import rotate_imu
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.mounting import with_rotation, without_axes
 from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.tables import NO_HEADING, Imu

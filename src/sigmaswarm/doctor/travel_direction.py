@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.acceleration_fit import gyro_drift, usable_windows
 from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.windows import Complex, Regression, integral, regress, smoothed
 from sigmaswarm.drives.checks import GRAVITY
-from sigmaswarm.drives.drive import Array, Imu
+from sigmaswarm.drives.drive import Imu
 
 WINDOW, DEGREE = 20.0, 2  # s, duration of a window; degree of its polynomial in time
 NOISE_RATIO = 4.0  # ratio of the velocity's noise along and across the direction of travel

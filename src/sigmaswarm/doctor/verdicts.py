@@ -6,11 +6,12 @@ from itertools import product
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor import acceleration_fit
 from sigmaswarm.doctor.acceleration_fit import AccelerationFit
 from sigmaswarm.doctor.yaw_fit import DELAYS, SUFFICIENT_SHARE, YawFit
 from sigmaswarm.drives.checks import GRAVITY
-from sigmaswarm.drives.drive import Array, Imu
+from sigmaswarm.drives.drive import Imu
 
 DEGREE = math.pi / 180
 # A gain that differs from 1 or pi/180, with either sign, by less than this ratio is read as this factor

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.windows import Regression, integral, regress, smoothed, windows_of
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 
 WINDOW = 20.0  # s: long enough for turns, and so short that the integral of a bias is a straight line
 # Fraction of the variance of the course's changes that gz must explain so that no other column is tried

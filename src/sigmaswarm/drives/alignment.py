@@ -12,8 +12,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment_fit import AlignmentFit, InitialState
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.gyro_bias import CONTRADICTS, MAX_BIAS, GyroBiasEvidence
 from sigmaswarm.drives.stale_fixes import stale_fixes
 from sigmaswarm.drives.tables import Indices, headings_of

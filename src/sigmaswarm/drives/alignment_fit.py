@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.compilation import cached
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.gyro_bias import MAX_BIAS, TILT_CHANGE_STD, TURN_SHARE, UP, YAW_STD, GyroBiasEvidence
 from sigmaswarm.drives.tables import Imu
 from sigmaswarm.drives.tilt_evidence import (

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.tables import Array, Gps, Imu, Truth
+from sigmaswarm.arrays import Array
+from sigmaswarm.drives.tables import Gps, Imu, Truth
 from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
 from sigmaswarm.geodesy import STANDARD_GRAVITY, wrap_angle
 from sigmaswarm.wording import count_of

@@ -6,8 +6,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, cast
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.table_files import CSV, MAX_VALUE
-from sigmaswarm.drives.tables import Array
 from sigmaswarm.errors import DriveError
 from sigmaswarm.file_sizes import read_toml_text
 from sigmaswarm.geodesy import Origin, geodetic_to_enu

@@ -8,10 +8,11 @@ from typing import Any, Literal, TypeVar, cast
 import numpy as np
 
 from sigmaswarm import notebook
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.checks import check_tables
 from sigmaswarm.drives.frames import tables_from_frames
 from sigmaswarm.drives.mounting import KEY, Angles
-from sigmaswarm.drives.tables import RECORDS, Array, Gps, Imu, Odometer, Table, Truth
+from sigmaswarm.drives.tables import RECORDS, Gps, Imu, Odometer, Table, Truth
 
 T = TypeVar("T")
 

@@ -11,9 +11,10 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives.odometer import INTERVAL, mean_reading, wheels_turn
-from sigmaswarm.drives.tables import Array, Mask
+from sigmaswarm.drives.tables import Mask
 from sigmaswarm.drives.timeline import AY, FIRST_AXIS, FIX_VAR_THETA, Timeline
 
 # Events, as bits.

@@ -5,8 +5,9 @@ A gap in the IMU is an interval that is long relative to earlier intervals, sinc
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.compilation import cached
-from sigmaswarm.drives.tables import Array, Mask, Truth
+from sigmaswarm.drives.tables import Mask, Truth
 
 MANY = 5.0  # usual intervals; a gap is longer
 SHORTEST = 0.05  # s; a gap is also longer than this time

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.compilation import cached
-from sigmaswarm.drives.tables import Array
 
 UP = 2  # axis of the rate about the vertical
 CONTRADICTS = 5.0  # standard deviations; an alignment subtracts a larger bias about the vertical axis

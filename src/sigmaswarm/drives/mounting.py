@@ -5,7 +5,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from sigmaswarm.drives.tables import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.geodesy import roll_pitch_yaw, rotation_of
 
 KEY = "imu_mounting_deg"

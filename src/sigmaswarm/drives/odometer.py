@@ -5,8 +5,8 @@ much information as the single readings, and its quantization error is smaller. 
 odometer may read zero while the car moves.
 """
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.compilation import cached
-from sigmaswarm.drives.drive import Array
 
 INTERVAL = 0.1  # s, length of a slot with at most one measurement, and largest age of a reading in it
 SLOW = 0.5  # m/s; a lower mean may be too low, so the square of this speed is added to its variance

@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sigmaswarm.drives.tables import Array, Mask
+from sigmaswarm.arrays import Array
+from sigmaswarm.drives.tables import Mask
 from sigmaswarm.errors import InputError
 
 SECONDS_PER_OUTAGE = 15.0  # s of driving per window in `random_windows`

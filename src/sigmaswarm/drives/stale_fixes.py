@@ -9,8 +9,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.compilation import cached
-from sigmaswarm.drives.drive import Array, Gps
+from sigmaswarm.drives.drive import Gps
 
 NEW, HELD, STALE, STALE_MOVING = range(4)
 """Kinds of fixes: a new position, a repeat at rest, and two kinds of repeats while the car may move.

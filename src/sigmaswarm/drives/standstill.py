@@ -17,8 +17,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.compilation import cached
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.stale_fixes import STALE_MOVING
 
 BLOCK = 0.05  # s

@@ -12,7 +12,8 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.tables import RECORDS, Array
+from sigmaswarm.arrays import Array
+from sigmaswarm.drives.tables import RECORDS
 from sigmaswarm.errors import DriveError
 from sigmaswarm.file_sizes import MAX_CELLS, MAX_COLUMNS, require_regular, require_text
 from sigmaswarm.wording import list_names, printable, quoted

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm import notebook
+from sigmaswarm.arrays import Array
 from sigmaswarm.errors import DriveError
-from sigmaswarm.geodesy import Array
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.compilation import cached
-from sigmaswarm.drives.tables import Array
 
 GRAVITY = 9.81  # m/s2
 FORWARD_STD = 0.15  # m/s2, standard deviation of changes of bias and slope in a window, not shown by the gyro

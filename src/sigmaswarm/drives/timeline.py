@@ -17,12 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import Alignments
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.gaps import gaps_before
 from sigmaswarm.drives.stale_fixes import STALE, classify_fixes
 from sigmaswarm.drives.standstill import detect_standstills
-from sigmaswarm.drives.tables import Array, Gps, Indices, Mask, headings_of
+from sigmaswarm.drives.tables import Gps, Indices, Mask, headings_of
 
 DT, Q_SCALE, GAP, AX, AY, GZ, AZ, GX, GY = range(9)
 """Columns of a step: length, scale of Q, gap, and the IMU's axes; az, gx and gy only for an IMU with six axes."""

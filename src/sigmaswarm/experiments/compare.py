@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any, Unpack, get_args
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.datasets.dataset import Dataset, Drives, make_datasets
-from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.sensors import log_properties
 from sigmaswarm.errors import InputError, SigmaswarmWarning

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 
 Interval = tuple[float, float]
 RESAMPLES = 2000

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.arrays import Array
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.c99 import fits_float, replay_events
 from sigmaswarm.exports.lanes import Lanes

@@ -14,7 +14,7 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.files import nan_to_none, write_atomically
 
 _UNIX_TIMES = (1e9, 2.5e11)  # s, years 2001 to 9892

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.exports.attitude import body_velocity, quaternions, tilt_indices
 from sigmaswarm.exports.foxglove import LAYOUT_FILE, layout

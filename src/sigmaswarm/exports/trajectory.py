@@ -7,8 +7,9 @@ from typing import Any, BinaryIO
 import numpy as np
 import polars as pl
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.attitude import quaternions, rotations
 from sigmaswarm.exports.foxglove import LAYOUT_FILE

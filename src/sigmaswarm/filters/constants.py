@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
 

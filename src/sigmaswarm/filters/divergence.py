@@ -15,11 +15,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.compilation import call_once
 from sigmaswarm.drives.alignment import Alignments, InitialState
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.events import slot_of
-from sigmaswarm.drives.tables import Array, Gps, Imu, Indices
+from sigmaswarm.drives.tables import Gps, Imu, Indices
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled.live import LEAP
 from sigmaswarm.filters.compiled.monitor import CHECK_INTERVAL, LATEST_CHECK

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.filters.models import CarModel, State, Tilts
-from sigmaswarm.geodesy import Array
 
 STATES = tuple(State(name, "m", (0.0, 0.0), name) for name in ("fix_error_x", "fix_error_y"))
 SUFFIX = "+fix-error"  # end of the name of a model with the states b

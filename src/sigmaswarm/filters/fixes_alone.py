@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
 from sigmaswarm.drives.timeline import FIX_VAR_X, FIX_X, Timeline

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.tables import Array, Indices, Mask
+from sigmaswarm.drives.tables import Indices, Mask
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.layout import (
     CONSTANT_ROWS,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.filters.compiled import live
 from sigmaswarm.filters.compiled.layout import N_KEPT, state_rows
 from sigmaswarm.filters.compiled.memory import LiveArrays

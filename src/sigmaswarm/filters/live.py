@@ -7,8 +7,8 @@ from functools import cache
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.events import bits_of
 from sigmaswarm.drives.stale_fixes import STALE
 from sigmaswarm.drives.standstill import FIX_WINDOW, new_memory

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters import tilted
 from sigmaswarm.filters.names import FilterKind
-from sigmaswarm.geodesy import Array
 
 MEASURED = {
     "velocity": "m2/s2",

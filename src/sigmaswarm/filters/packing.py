@@ -5,8 +5,9 @@ from functools import cache
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.compilation import cached
-from sigmaswarm.drives.tables import Array, Indices, Mask
+from sigmaswarm.drives.tables import Indices, Mask
 from sigmaswarm.filters import tilted
 from sigmaswarm.filters.compiled.layout import N_STATE, P0, R, state_rows
 from sigmaswarm.filters.kernels import FILTERS, base_model_name

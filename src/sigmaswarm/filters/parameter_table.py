@@ -8,7 +8,8 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.tables import Array, Indices
+from sigmaswarm.arrays import Array
+from sigmaswarm.drives.tables import Indices
 from sigmaswarm.filters.models import NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.requirements import measured_by

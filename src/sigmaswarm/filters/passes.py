@@ -8,9 +8,10 @@ from itertools import cycle
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.events import COMPARED, events_of
-from sigmaswarm.drives.tables import Array, Indices, Mask
+from sigmaswarm.drives.tables import Indices, Mask
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled import run
 from sigmaswarm.filters.kernel_array import KernelArray, KernelSums

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm import notebook
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepare_drive
@@ -18,7 +19,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass, Targets
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.filters.textbook.loop import run_steps
-from sigmaswarm.geodesy import Array, wrap_angle
+from sigmaswarm.geodesy import wrap_angle
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.events import IMU
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.drives.tables import Array, Indices, Mask
+from sigmaswarm.drives.tables import Indices, Mask
 from sigmaswarm.filters.compiled.run import NEXT_STEP, NO_INNOVATIONS, logging_kernel
 from sigmaswarm.filters.compiled.smoothing import smooth_back
 from sigmaswarm.filters.compiled.step_log import logged_rows

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters import tilted
 from sigmaswarm.filters.fix_error import add_start
 from sigmaswarm.filters.kernels import FILTERS

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives.tilt_evidence import (
     ASSUMED,
@@ -25,7 +26,7 @@ from sigmaswarm.drives.tilt_evidence import (
     TURN,
     VARIANCE,
 )
-from sigmaswarm.geodesy import Array, wrap_angle
+from sigmaswarm.geodesy import wrap_angle
 
 THETA, ACCEL_X, ACCEL_Y, GYRO, ROLL, PITCH, GYRO_X, GYRO_Y, N = range(4, 13)
 # Indices of the error about east, north and up; also of roll, pitch and theta

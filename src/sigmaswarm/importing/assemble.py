@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.checks import shortage_of
-from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Odometer, Truth
+from sigmaswarm.drives.drive import Drive, Gps, Imu, Odometer, Truth
 from sigmaswarm.drives.mounting import AXES_KEY, with_rotation
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import Origin, wrap_angle

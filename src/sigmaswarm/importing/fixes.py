@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Array, Drive, Gps
+from sigmaswarm.arrays import Array
+from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.drives.reader import has_table, read_with_warnings
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import placed_fixes

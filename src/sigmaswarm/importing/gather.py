@@ -7,7 +7,7 @@ from shlex import quote
 import numpy as np
 import polars as pl
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import Nanoseconds
 from sigmaswarm.importing.expressions import (

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.arrays import Array
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing import convert
 from sigmaswarm.importing.assemble import missing_columns

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.evidence import gather as gather_evidence
 from sigmaswarm.doctor.windows import integral, smoothed
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.tables import NO_HEADING
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import wrap_angle

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.mounting import rotate_imu
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.mounting import with_rotation
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import roll_pitch_yaw, rotation_of

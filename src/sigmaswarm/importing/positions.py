@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import geodetic_to_enu, wrap_angle
 from sigmaswarm.wording import rows_left_out

@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.arrays import Array
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.importing.positions import chord_course
 from sigmaswarm.importing.source import Part, Role

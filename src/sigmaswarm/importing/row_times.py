@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import polars as pl
 
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.arrays import Array
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.sensors import white_noise
 from sigmaswarm.importing.gather import ROW, PartColumns
 from sigmaswarm.importing.source import Role

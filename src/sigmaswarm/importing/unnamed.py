@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import polars as pl
 
-from sigmaswarm.drives.tables import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.quantities import MAX_QUARTILE_RATIO, PER_G
 from sigmaswarm.importing.source import Role

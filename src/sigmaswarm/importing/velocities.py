@@ -6,7 +6,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.importing.positions import MAX_SPEED, MIN_SPEED, Say, Values
 from sigmaswarm.importing.source import Part

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 
 Weights = Mapping[str, Any]  # arrays of NumPy or of JAX
 

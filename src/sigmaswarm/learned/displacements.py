@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.filters.compiled.layout import LANES, N_STATE, R, state_rows
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.kernels import FILTERS

@@ -16,7 +16,7 @@ import numpy as np
 import tomli_w
 from pydantic import BaseModel, Field
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.drives.overlap import Landmarks, load_landmarks
 from sigmaswarm.errors import InputError

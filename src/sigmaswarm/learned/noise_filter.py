@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.events import FIX, IMU, LATERAL, STANDSTILL, events_of
 from sigmaswarm.drives.timeline import AX, AY, DT, GAP, GZ, Q_SCALE
 from sigmaswarm.filters.constants import (

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.filters.compiled.layout import Q0, R
 from sigmaswarm.filters.filter_run import InterruptibleRun
 from sigmaswarm.filters.models import THETA

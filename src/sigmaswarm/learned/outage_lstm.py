@@ -16,8 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.tables import Array, Indices
+from sigmaswarm.drives.tables import Indices
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.layout import R

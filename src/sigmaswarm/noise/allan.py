@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sigmaswarm.drives.tables import Array
+from sigmaswarm.arrays import Array
 
 FLICKER = 2 * math.log(2) / math.pi  # Allan variance of flicker noise / square of its coefficient
 MARKOV_PEAK = 0.3811  # largest Allan variance of a unit Gauss-Markov process, at 1.89 correlation times

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import has_table, read_with_warnings, table_file
-from sigmaswarm.drives.tables import Array, Gps, Imu
+from sigmaswarm.drives.tables import Gps, Imu
 from sigmaswarm.drives.urls import is_url
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.filters.models import MODELS

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sigmaswarm.drives.tables import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.noise.allan import FLICKER, MARKOV_PEAK
 from sigmaswarm.noise.spectrum import Interval
 from sigmaswarm.tables import Column, Table

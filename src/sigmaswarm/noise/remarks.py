@@ -5,7 +5,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from sigmaswarm.drives.tables import Array, Imu
+from sigmaswarm.arrays import Array
+from sigmaswarm.drives.tables import Imu
 from sigmaswarm.geodesy import STANDARD_GRAVITY
 from sigmaswarm.noise.allan import model_parts
 from sigmaswarm.noise.records import DEG_PER_HOUR, HOUR, MGAL, AxisNoise

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.fft import prev_fast_len, rfft
 
-from sigmaswarm.drives.tables import Array
+from sigmaswarm.arrays import Array
 
 BAND = 0.1  # highest used frequency / sampling rate; filters and the engine affect higher frequencies
 # Number of frequencies up to which the band of a short log is extended, at most to half the sampling rate

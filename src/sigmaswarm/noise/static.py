@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives import gaps
-from sigmaswarm.drives.tables import Array, Gps, Imu, Mask
+from sigmaswarm.drives.tables import Gps, Imu, Mask
 from sigmaswarm.errors import InputError
 
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")

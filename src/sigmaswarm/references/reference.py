@@ -14,13 +14,14 @@ from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.checks import MIN_SHARED_FIXES
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.gaps import share_known
 from sigmaswarm.drives.outages import hidden_fixes, random_windows
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.suggestion import suggest_filter
-from sigmaswarm.drives.tables import Array, Gps, Mask, Truth
+from sigmaswarm.drives.tables import Gps, Mask, Truth
 from sigmaswarm.errors import InputError, SigmaswarmError, SigmaswarmWarning
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters

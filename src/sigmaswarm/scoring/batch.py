@@ -11,11 +11,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.datasets.dataset import LocalDataset
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepare_drive
-from sigmaswarm.drives.tables import Array, Indices, Mask
+from sigmaswarm.drives.tables import Indices, Mask
 from sigmaswarm.filters.kernel_array import KernelArray, KernelSums
 from sigmaswarm.filters.parameter_table import group_tables
 from sigmaswarm.filters.parameters import FilterParameters

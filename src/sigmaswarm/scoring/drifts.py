@@ -5,8 +5,9 @@ from types import MappingProxyType
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.drives.tables import Array, Indices
+from sigmaswarm.drives.tables import Indices
 from sigmaswarm.filters.filter_run import EstimateChunk, FilterRun
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass, join_sums, run_passes

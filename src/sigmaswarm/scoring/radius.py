@@ -21,7 +21,8 @@ import math
 import numpy as np
 from pydantic import BaseModel
 
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.arrays import Array
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.sensors import receiver_std, white_noise
 from sigmaswarm.filters.parameters import FilterParameters
 

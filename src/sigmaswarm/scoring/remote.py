@@ -9,10 +9,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.datasets.dataset import Dataset
 from sigmaswarm.datasets.remote import RemoteDataset, results_in_order
 from sigmaswarm.datasets.worker import CachedDrive, apply_to_each
-from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.parameter_table import ParameterTable
 from sigmaswarm.filters.parameters import FilterParameters

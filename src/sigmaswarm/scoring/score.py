@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.drive import Array, Drive, Truth
+from sigmaswarm.drives.drive import Drive, Truth
 from sigmaswarm.drives.gaps import is_known
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.run import Estimate

@@ -3,8 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.drive import Array, Drive, Gps, Truth
+from sigmaswarm.drives.drive import Drive, Gps, Truth
 from sigmaswarm.drives.gaps import is_known
 from sigmaswarm.drives.outages import balanced_windows, hidden_fixes, random_windows, snap_ends
 from sigmaswarm.drives.prepared import PreparedDrive

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.gaps import is_known
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError

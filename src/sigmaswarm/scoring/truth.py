@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.windows import Complex
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.gaps import is_known
-from sigmaswarm.drives.tables import Array, Truth
+from sigmaswarm.drives.tables import Truth
 
 POSITION_FLOOR = 0.3
 """Standard deviation of truth, m per axis, below which the weight hardly increases.

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor import repairs
 from sigmaswarm.doctor.findings import Diagnosis
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.sensors import has_attitude, stated_std, white_noise
 from sigmaswarm.errors import SigmaswarmError, SigmaswarmWarning
 from sigmaswarm.filters.parameters import FilterParameters

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.compilation import cached
-from sigmaswarm.geodesy import Array
 
 compiled = cached(nogil=True, error_model="numpy")
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array, Drive, Gps
+from sigmaswarm.arrays import Array
+from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.simulation.environments import by_name

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.signal import lfilter
 
-from sigmaswarm.drives.drive import Array, Imu
+from sigmaswarm.arrays import Array
+from sigmaswarm.drives.drive import Imu
 from sigmaswarm.geodesy import STANDARD_GRAVITY
 from sigmaswarm.simulation.dynamics import GRAVITY
 from sigmaswarm.simulation.environments import by_name

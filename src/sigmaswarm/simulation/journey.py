@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.simulation import dynamics
 from sigmaswarm.simulation.dynamics import GRAVITY, STEP, Vehicle
 from sigmaswarm.simulation.environments import Environment, lookup

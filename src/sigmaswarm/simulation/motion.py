@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import lfilter
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.simulation.dynamics import GRAVITY, PEAK_KAPPA, RECORDED, ROLL, STEER, STEP, Vehicle
 
 LeverArm = tuple[float, float, float]

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array, Odometer
+from sigmaswarm.arrays import Array
+from sigmaswarm.drives.drive import Odometer
 from sigmaswarm.simulation.dynamics import REAR_SPIN, STEP, Vehicle
 from sigmaswarm.simulation.environments import by_name
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.compilation import cached
-from sigmaswarm.drives.drive import Array
 
 SPACING = 0.1  # m, between points of a path
 DRIVER_STEP = 0.01  # s, between steps of the driver

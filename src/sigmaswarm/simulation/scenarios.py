@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array, Drive, Truth
+from sigmaswarm.arrays import Array
+from sigmaswarm.drives.drive import Drive, Truth
 from sigmaswarm.errors import InputError
 from sigmaswarm.simulation.dynamics import STEP, Vehicle
 from sigmaswarm.simulation.environments import ENVIRONMENTS, Environment, lookup

@@ -25,7 +25,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import cont2discrete, lfilter, ss2tf
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.simulation.dynamics import (
     AX,
     GRAVITY,

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.datasets.dataset import Dataset, make_datasets
 from sigmaswarm.drives.drive import Drive, as_list
 from sigmaswarm.drives.sensors import LogProperties, log_properties
-from sigmaswarm.drives.tables import Array, Mask
+from sigmaswarm.drives.tables import Mask
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.batch import BatchScorer, PassOptions

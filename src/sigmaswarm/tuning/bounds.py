@@ -8,7 +8,8 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
-from sigmaswarm.drives.tables import Array, Mask
+from sigmaswarm.arrays import Array
+from sigmaswarm.drives.tables import Mask
 from sigmaswarm.filters.parameters import NOISES
 from sigmaswarm.tuning.options import Scale
 

@@ -31,8 +31,8 @@ from typing import Any
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment_fit import InitialState
-from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.objectives import parse_objective

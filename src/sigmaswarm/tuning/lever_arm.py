@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array, Drive, as_list
+from sigmaswarm.arrays import Array
+from sigmaswarm.drives.drive import Drive, as_list
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.sensors import log_properties
 from sigmaswarm.drives.suggestion import suggest_filter

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.scoring.batch import Scores
 

@@ -11,9 +11,10 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.datasets.dataset import Dataset, LocalDataset
 from sigmaswarm.drives.alignment_fit import InitialState
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import drive_record, rounded
 from sigmaswarm.drives.overlap import Landmarks, landmarks
 from sigmaswarm.drives.sensors import LogProperties, enough_for_fix_error, log_properties

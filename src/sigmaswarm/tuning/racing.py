@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.tables import Array, Mask
+from sigmaswarm.arrays import Array
+from sigmaswarm.drives.tables import Mask
 from sigmaswarm.tuning.problem import Problem
 
 FIRST_DIVISOR = 12  # a race on MIN_RACED_DRIVES or more drives starts with 1 / FIRST_DIVISOR of them

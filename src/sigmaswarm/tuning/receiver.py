@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.evidence import MAX_SCATTER_RATIO, fix_scatter
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, stated_std
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import DriveError

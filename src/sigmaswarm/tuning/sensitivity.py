@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.tuning.problem import Problem
 
 MAX_INCREASE = 0.01

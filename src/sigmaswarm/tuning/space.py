@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.kernels import FILTERS, kernel_name

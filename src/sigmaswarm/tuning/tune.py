@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, NotRequired, Required, TypedDict, TypeVar
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.datasets.dataset import Drives, make_datasets
-from sigmaswarm.drives.drive import Array, as_list
+from sigmaswarm.drives.drive import as_list
 from sigmaswarm.drives.overlap import (
     TRAINING_DATA_FILE,
     Landmarks,

@@ -8,7 +8,8 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments
 
 from sigmaswarm import parse_mount
-from sigmaswarm.geodesy import Array, roll_pitch_yaw
+from sigmaswarm.arrays import Array
+from sigmaswarm.geodesy import roll_pitch_yaw
 from sigmaswarm.reports.style import BLUE, GREEN, VERMILION
 from sigmaswarm.workbench.elements import box, button, card, line, message, text
 from sigmaswarm.workbench.open_log import OpenLog

@@ -8,7 +8,7 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments
 
 from sigmaswarm import Agreement, Drive
-from sigmaswarm.geodesy import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.reports.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from sigmaswarm.workbench.elements import box
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.checks.gyro import is_upside_down
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_by_margin, confidence_of, finding_of
@@ -12,7 +13,7 @@ from sigmaswarm.doctor.mounting import leveling_rotation
 from sigmaswarm.doctor.verdicts import PlanarMounting
 from sigmaswarm.doctor.windows import moving_mean, smoothed
 from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
-from sigmaswarm.drives.drive import Array, Imu
+from sigmaswarm.drives.drive import Imu
 
 MOUNTING_LIMITS = (math.radians(5), math.radians(10))  # rad about z, for a warning and for a serious finding
 # m/s2, offset in (ax, ay) above which there is a warning or a serious finding. Roads and the biases of cheap sensors

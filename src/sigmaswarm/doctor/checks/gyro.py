@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.acceleration_fit import gyro_drift
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
@@ -18,7 +19,6 @@ from sigmaswarm.doctor.verdicts import DEGREE, MIN_GAIN_ERROR
 from sigmaswarm.doctor.windows import integral, moving_mean, smoothed
 from sigmaswarm.doctor.yaw_fit import yaw_windows
 from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
-from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.suggestion import suggest_filter
 
 MIN_TURN = np.radians(1.0)  # rad, RMS change of the course within 20 s; smaller changes are due to swaying

@@ -5,12 +5,12 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.checks.velocity import CONVENTIONS
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
 from sigmaswarm.doctor.fixes import Mask
 from sigmaswarm.doctor.windows import integral
-from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.geodesy import wrap_angle
 

@@ -5,13 +5,14 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.doctor.mounting import SERIOUS, Mounting, angle_of
 from sigmaswarm.doctor.windows import integral, smoothed
 from sigmaswarm.drives.alignment import StartFailure, find_start
 from sigmaswarm.drives.checks import GRAVITY
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.split import name_of_whole
 from sigmaswarm.geodesy import roll_pitch_yaw
 

@@ -5,12 +5,13 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.checks.velocity import UNITS
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
 from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.windows import integral
-from sigmaswarm.drives.drive import Array, Odometer
+from sigmaswarm.drives.drive import Odometer
 
 # s, bounds of the duration of compared paths, which is a tenth of the drive's duration. Longer paths are less sensitive
 # to noise, and the gyro's bias has little effect within 20 s.

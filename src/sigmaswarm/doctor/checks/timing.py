@@ -4,12 +4,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of, finding_of
 from sigmaswarm.doctor.mounting import MIN_EXPLAINED
 from sigmaswarm.doctor.verdicts import MIN_TURN, OFFSET_SIGMAS
 from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, GapSummary, gaps_in, unshared_times
-from sigmaswarm.drives.drive import Array, Gps
+from sigmaswarm.drives.drive import Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 
 SERIOUS_OFFSET = 0.3  # s, clock offset above which errors are meters

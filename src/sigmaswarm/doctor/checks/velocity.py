@@ -5,11 +5,11 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
 from sigmaswarm.doctor.verdicts import FACTOR_TOLERANCE
 from sigmaswarm.doctor.windows import smoothed
-from sigmaswarm.drives.drive import Array
 from sigmaswarm.geodesy import wrap_angle
 
 UNITS = {"km/h": 1 / 3.6, "knots": 0.514444, "mph": 0.44704, "cm/s": 0.01, "mm/s": 1e-3}

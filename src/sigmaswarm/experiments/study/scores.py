@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.experiments.study.config import ALL, MAIN_METHOD, NO_PROTOCOL, ProtocolName
 from sigmaswarm.experiments.study.design import Design, Filters, Task

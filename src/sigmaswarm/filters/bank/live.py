@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.gyro_bias import UP
-from sigmaswarm.drives.tables import Array, Indices
+from sigmaswarm.drives.tables import Indices
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.bank.mixture import Mixture, is_definite
 from sigmaswarm.filters.bank.offsets import FIXED_OFFSETS, START, OffsetPrior

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.filters.compiled.live import ROUNDING
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.packing import state_estimate

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.filters.bank.live import LiveFilterBank

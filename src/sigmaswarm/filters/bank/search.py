@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.events import FIX, ODOMETER
-from sigmaswarm.drives.tables import Array, Mask
+from sigmaswarm.drives.tables import Mask
 from sigmaswarm.drives.timeline import FIRST_AXIS, Q_SCALE
 from sigmaswarm.filters.bank.offsets import OffsetPrior
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, SUM_ROWS, WIDEST, R

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.compilation import FunctionRecipe, cached, call_once
 from sigmaswarm.drives import alignment, gaps, odometer, stale_fixes, standstill, timeline
 from sigmaswarm.drives import events as drive_events
@@ -24,7 +25,6 @@ from sigmaswarm.filters.compiled.step import step_of
 from sigmaswarm.filters.compiled.step_log import logged_rows
 from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.kernels import FILTERS
-from sigmaswarm.geodesy import Array
 
 # Cursor of a run in pieces: the next step, fix and target, nominal steps since the last fix, the next wheel speed.
 NEXT_STEP, NEXT_FIX, NEXT_TARGET, SINCE, NEXT_SPEED = range(5)

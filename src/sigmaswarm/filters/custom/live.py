@@ -9,12 +9,13 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.custom.log import FilterSteps, Log, build_steps
 from sigmaswarm.filters.custom.model import Model, as_covariance
 from sigmaswarm.filters.custom.run import check, kernel_of, run_kernel
 from sigmaswarm.filters.live import LiveState
-from sigmaswarm.geodesy import Array, wrap_angle
+from sigmaswarm.geodesy import wrap_angle
 
 State = tuple[Array, Array, Array]  # mean (n,), covariance (n, n), runs of outliers (m, 2)
 Timed = tuple[float, Array]  # a measurement (m,) and its time, s

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.geodesy import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,8 @@ from typing import Any, Literal
 import numpy as np
 from scipy.special import chdtri
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.geodesy import Array
 
 SCALING_NAMES = ("alpha", "beta", "kappa")
 """Scaling of the sigma points; the tuning of an unscented filter also searches these parameters."""

@@ -9,6 +9,7 @@ from weakref import WeakKeyDictionary, WeakValueDictionary
 import numpy as np
 from numba.core.errors import NumbaError
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.errors import SigmaswarmWarning
 from sigmaswarm.filters.compiled.custom import build_kernel
 from sigmaswarm.filters.custom.log import FilterSteps, Log, build_steps
@@ -16,7 +17,7 @@ from sigmaswarm.filters.custom.model import SCALING_NAMES, Model, as_covariance,
 from sigmaswarm.filters.custom.textbook import TextbookModel
 from sigmaswarm.filters.textbook.ekf import complex_step
 from sigmaswarm.filters.textbook.loop import FAILURES, Trajectory, run_steps, smooth_steps
-from sigmaswarm.geodesy import Array, wrap_angle
+from sigmaswarm.geodesy import wrap_angle
 
 # Number of steps in which a compiled filter is compared with the textbook filter before its first use
 VERIFIED_STEPS = 20

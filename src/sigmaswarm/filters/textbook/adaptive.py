@@ -4,9 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.filters.fuzzy import LARGEST_RATIO, SLOWER
 from sigmaswarm.filters.student import ITERATIONS, OUTLIERS, OUTLIERS_SPAN, OUTLYING
-from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter, Innovation
+from sigmaswarm.filters.textbook.gaussian import GaussianFilter, Innovation
 
 
 @dataclass

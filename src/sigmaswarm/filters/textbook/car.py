@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.events import FIX, HEADING, LATERAL, ODOMETER, STANDSTILL, VELOCITY, events_of
 from sigmaswarm.drives.timeline import FIX_THETA, FIX_VAR_THETA, Timeline
@@ -25,7 +26,7 @@ from sigmaswarm.filters.requirements import measured_by, require_accuracy, requi
 from sigmaswarm.filters.starts import start_of
 from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
 from sigmaswarm.filters.textbook.adaptive import FuzzyNoise, SageHusa, StrongTracking, StudentT
-from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter, Measurement, Prediction
+from sigmaswarm.filters.textbook.gaussian import GaussianFilter, Measurement, Prediction
 from sigmaswarm.filters.textbook.manifold import ErrorStateKalmanFilter, ManifoldUnscentedKalmanFilter
 from sigmaswarm.filters.tilted import MEASURED_FIRST, STEP_FIRST
 from sigmaswarm.geodesy import wrap_angle

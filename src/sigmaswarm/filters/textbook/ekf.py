@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.filters.textbook.gaussian import (
-    Array,
     GaussianFilter,
     Innovation,
     Measurement,

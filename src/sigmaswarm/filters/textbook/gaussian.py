@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.geodesy import Array
+from sigmaswarm.arrays import Array
 
 Process = Callable[[Array, float, Array], Array]
 Measurement = Callable[[Array], Array]

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.errors import SigmaswarmError
 from sigmaswarm.filters.textbook.gaussian import GaussianFilter, Prediction
 

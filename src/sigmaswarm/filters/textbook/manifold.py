@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.filters.models import Tilts
 from sigmaswarm.filters.textbook.ekf import ExtendedKalmanFilter
-from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter, Innovation, Measurement, Process
+from sigmaswarm.filters.textbook.gaussian import GaussianFilter, Innovation, Measurement, Process
 from sigmaswarm.filters.textbook.ukf import SigmaPoints, UnscentedKalmanFilter
 
 

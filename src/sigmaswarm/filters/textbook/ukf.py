@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.errors import SigmaswarmError
 from sigmaswarm.filters.textbook.gaussian import (
-    Array,
     GaussianFilter,
     Innovation,
     Measurement,

@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 import pymap3d
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.source import Guess, Limits, Log, Role, errors_as_damage, log_of_frames, roles_of
 

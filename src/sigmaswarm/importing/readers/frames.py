@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.geodesy import roll_pitch_yaw
 from sigmaswarm.importing.source import Placement, Table
 

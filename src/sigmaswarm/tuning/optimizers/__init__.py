@@ -34,8 +34,9 @@ from typing import Any
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.tuning.optimizers.asktell import Array, AskTell, Optimizer
+from sigmaswarm.tuning.optimizers.asktell import AskTell, Optimizer
 from sigmaswarm.tuning.optimizers.bayesian_optimization import BayesianOptimization
 from sigmaswarm.tuning.optimizers.budget import Budgeted
 from sigmaswarm.tuning.optimizers.cma_es import CmaEs

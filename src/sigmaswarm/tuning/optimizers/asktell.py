@@ -6,8 +6,8 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.geodesy import Array
 
 FIRST_STEP = 0.3
 """Standard deviation of the first points around a start, in widths of the bounds.

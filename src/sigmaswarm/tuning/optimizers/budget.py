@@ -4,8 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.tuning.optimizers.asktell import Array, AskTell, Optimizer
+from sigmaswarm.tuning.optimizers.asktell import AskTell, Optimizer
 from sigmaswarm.tuning.optimizers.nelder_mead import NelderMead
 
 

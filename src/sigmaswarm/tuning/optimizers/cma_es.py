@@ -11,7 +11,8 @@ optimum on a bound.
 
 import numpy as np
 
-from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
+from sigmaswarm.arrays import Array
+from sigmaswarm.tuning.optimizers.asktell import AskTell
 
 INITIAL_STEP = 0.3  # in widths of the bounds, as the tutorial recommends
 MIN_WIDTH, MAX_WIDTH, MAX_CONDITION = 1e-12, 10.0, 1e14

@@ -7,7 +7,8 @@ makes one of the two moves at random, so that a generation is one batch.
 
 import numpy as np
 
-from sigmaswarm.tuning.optimizers.asktell import Array, Swarm
+from sigmaswarm.arrays import Array
+from sigmaswarm.tuning.optimizers.asktell import Swarm
 
 EXPANSION = (1.0, 0.5)
 """Contraction-expansion coefficient at the start and after ``generations``; it falls linearly."""

@@ -8,7 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
+from sigmaswarm.arrays import Array
+from sigmaswarm.tuning.optimizers.asktell import AskTell
 
 
 class DifferentialEvolution(AskTell):

@@ -6,7 +6,8 @@ those of `genetic.py`, and the elites have children before they move, so that a 
 
 import numpy as np
 
-from sigmaswarm.tuning.optimizers.asktell import Array, Swarm
+from sigmaswarm.arrays import Array
+from sigmaswarm.tuning.optimizers.asktell import Swarm
 from sigmaswarm.tuning.optimizers.genetic import mutated, offspring
 from sigmaswarm.tuning.optimizers.pso import MovingSwarm
 

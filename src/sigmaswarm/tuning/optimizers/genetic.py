@@ -7,7 +7,8 @@ Appl. Mech. Engrg. 186, 311-338, 2000.
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
+from sigmaswarm.arrays import Array
+from sigmaswarm.tuning.optimizers.asktell import AskTell
 
 CROSSOVER, CROSSOVER_INDEX, MUTATION_INDEX = 0.9, 15.0, 20.0
 """Probability of crossover, and indices eta of crossover and mutation; higher indices make smaller changes."""

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
+from sigmaswarm.arrays import Array
+from sigmaswarm.tuning.optimizers.asktell import AskTell
 
 MIN_SIZE = 1e-12  # size of the simplex at which the search ends, in widths of the bounds
 

@@ -3,7 +3,8 @@
 J. Kennedy and R. Eberhart, Proc. ICNN 1995; inertia weight: Y. Shi and R. Eberhart, Proc. CEC 1998.
 """
 
-from sigmaswarm.tuning.optimizers.asktell import Array, Swarm
+from sigmaswarm.arrays import Array
+from sigmaswarm.tuning.optimizers.asktell import Swarm
 from sigmaswarm.tuning.options import ACCELERATION, INERTIA
 
 

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
+from sigmaswarm.arrays import Array
+from sigmaswarm.tuning.optimizers.asktell import AskTell
 
 
 class RandomSearch(AskTell):
