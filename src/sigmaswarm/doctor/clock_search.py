@@ -19,7 +19,7 @@ MIN_EXPLAINED, MIN_LEAD = 0.8, 0.15
 # turns repeat, other offsets may also explain a large fraction.
 MIN_UNEXPLAINED_RATIO = 4.0
 MIN_PAIRS = 20
-MIN_TURN = 0.15  # rad, smallest RMS change of the course within `TURN_INTERVAL`
+MIN_SEARCH_TURN = 0.15  # rad, smallest RMS change of the course within `TURN_INTERVAL`
 
 
 def search_offset(drive: Drive, course: Course, *, scaled: bool = False) -> float | None:
@@ -33,7 +33,7 @@ def search_offset(drive: Drive, course: Course, *, scaled: bool = False) -> floa
         return None
     turn = course.angle[last] - course.angle[first]
     whole = float(np.sum((turn - turn.mean()) ** 2))
-    if np.sqrt(np.mean((turn - np.mean(turn)) ** 2)) < MIN_TURN:
+    if np.sqrt(np.mean((turn - np.mean(turn)) ** 2)) < MIN_SEARCH_TURN:
         return None
     # The rate about the vertical for any mounting, or gz if the IMU lacks one of the six axes.
     planar = imu.az is None or imu.gx is None or imu.gy is None

@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.doctor.acceleration_fit import DELAYS, AccelerationFit, fit_acceleration
-from sigmaswarm.doctor.clock_search import MAX_OFFSET, MIN_TURN, search_offset
+from sigmaswarm.doctor.clock_search import MAX_OFFSET, MIN_SEARCH_TURN, search_offset
 from sigmaswarm.doctor.fixes import Course, Mask, course_of, mark_jumps, with_exchanged_axes
 from sigmaswarm.doctor.mounting import Mounting, mounting_of, rotate_imu
 from sigmaswarm.doctor.verdicts import (
     MAX_RECORDED_ANGLE,
+    MIN_GAIN_TURN,
     ClockOffset,
     PlanarMounting,
     Yaw,
@@ -18,7 +19,6 @@ from sigmaswarm.doctor.verdicts import (
     planar_mounting,
     yaw_of,
 )
-from sigmaswarm.doctor.verdicts import MIN_TURN as LEAST_TURNS
 from sigmaswarm.doctor.windows import Complex
 from sigmaswarm.doctor.yaw_fit import SUFFICIENT_SHARE, YawFit, fit_yaw
 from sigmaswarm.drives.drive import Drive
@@ -107,7 +107,9 @@ def _read(drive: Drive) -> Evidence:
     if fit.share > SUFFICIENT_SHARE and evidence.yaw == AS_RECORDED and abs(fit.delay) < MAX_USUAL_DELAY:
         return evidence
     delay = search_offset(drive, course)
-    if fits or fit.course_change < MIN_TURN:  # only a large offset would contradict this interpretation
+    if (
+        fits or fit.course_change < MIN_SEARCH_TURN
+    ):  # only a large offset would contradict this interpretation
         if delay is None or abs(delay) < MAX_FIT_OFFSET:
             return evidence
     elif delay is None and (delay := search_offset(drive, course, scaled=True)) is None:
@@ -133,7 +135,7 @@ def _mirrored(found: Evidence, drive: Drive) -> Evidence | None:
     upside down is excluded, since reversed accelerometers have the same effect there.
     """
     imu, yaw, fit = drive.imu, found.yaw, found.yaw_fit
-    if imu.az is None or fit is None or fit.course_change < LEAST_TURNS:
+    if imu.az is None or fit is None or fit.course_change < MIN_GAIN_TURN:
         return None
     force = np.array([np.median(v) for v in (imu.ax, imu.ay, imu.az)])
     # 0.5 excludes logs without gravity, in m/s2 and in g

@@ -16,7 +16,7 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.acceleration_fit import DELAYS, AccelerationFit, fit_acceleration
 from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.travel_direction import direction_of_travel
-from sigmaswarm.doctor.verdicts import DIAGONAL_TOLERANCE, FACTOR_TOLERANCE, MIN_LEAD, MIN_TURN, yaw_of
+from sigmaswarm.doctor.verdicts import DIAGONAL_TOLERANCE, FACTOR_TOLERANCE, MIN_GAIN_TURN, MIN_LEAD, yaw_of
 from sigmaswarm.doctor.windows import integral, smoothed, windows_of
 from sigmaswarm.doctor.yaw_fit import DELAYS as YAW_LATENESS
 from sigmaswarm.doctor.yaw_fit import YawFit, fit_column, yaw_windows
@@ -349,7 +349,7 @@ def _confidence(seen: _Round) -> tuple[Confidence, str]:
     lateral, total = seen.lateral, float(np.linalg.norm(seen.std))
     uncertain = f"its standard deviation is {math.degrees(total):.0f} deg"
     for fault, reason in (
-        (seen.yaw_fit.course_change < MIN_TURN, "the course hardly changes"),
+        (seen.yaw_fit.course_change < MIN_GAIN_TURN, "the course hardly changes"),
         (not _follows(seen.yaw_fit), "the gyro does not follow the course"),
         (seen.spread > MAX_GRAVITY_CHANGE, "the direction of gravity is not constant"),
         (seen.mirrored > MIN_LEAD, "the accelerometers' axes are a mirror image"),

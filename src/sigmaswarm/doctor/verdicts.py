@@ -21,7 +21,7 @@ MIN_EXPLAINED = 0.2
 MIN_GAIN_ERROR = 0.1  # smallest reported relative difference of a gain from a factor
 # rad, RMS change of the course within 20 s above which the course determines column, sign and unit of the gyro. Below
 # it, the course is mostly noise, and any reading other than gz in rad/s must exceed `MIN_GAIN_SIGMAS` or `LARGE_SHARE`.
-MIN_TURN = 0.05
+MIN_GAIN_TURN = 0.05
 LARGE_SHARE = 0.5
 # Ratio of a gain to its standard deviation above which a column may explain a small fraction of the course's changes.
 # In a city, most of these changes are errors of the fixes.
@@ -68,12 +68,12 @@ def yaw_of(fit: YawFit | None, imu: Imu) -> Yaw:
     fitting = _units_of(fit.gain)
     follows = size > (1 if fit.share > SUFFICIENT_SHARE else MIN_FOLLOWING_RATIO) * MIN_GAIN_SIGMAS
     follows = follows and fit.separates_delay and not _units_of(fit.undelayed)
-    if not fitting and follows and fit.course_change > MIN_TURN and _is_level(imu):
+    if not fitting and follows and fit.course_change > MIN_GAIN_TURN and _is_level(imu):
         power = math.copysign(
             2.0 ** round(math.log2(abs(fit.gain))), fit.gain
         )  # as by another range of the sensor
         fitting = [power if abs(fit.gain / power - 1) < MIN_GAIN_ERROR else fit.gain]
-    clear = size > MIN_GAIN_SIGMAS or fit.share > LARGE_SHARE or fit.course_change > MIN_TURN
+    clear = size > MIN_GAIN_SIGMAS or fit.share > LARGE_SHARE or fit.course_change > MIN_GAIN_TURN
     if not fitting or not (clear or (fit.column, fitting[0]) == ("gz", 1.0)):
         return Yaw()
     return Yaw(fit.column, fitting[0], known=True)

@@ -21,7 +21,9 @@ from sigmaswarm.doctor.yaw_fit import yaw_windows
 from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
 from sigmaswarm.drives.suggestion import suggest_filter
 
-MIN_TURN = np.radians(1.0)  # rad, RMS change of the course within 20 s; smaller changes are due to swaying
+MIN_SCALE_TURN = np.radians(
+    1.0
+)  # rad, RMS change of the course within 20 s; smaller changes are due to swaying
 BIAS_LIMITS = (np.radians(0.1), np.radians(1.0))  # rad/s, for a note and for a warning
 
 # s, windows for the mean of the force, and for the change of its direction. Longer windows contain more of the car's
@@ -100,7 +102,7 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
             what = f"{what} ({seen})"
             yield Finding(code, "serious", what, where, span, confidence, remedy, Repair("gyro", repair))
     off = fit.gain / yaw.factor - 1
-    clear = fit.course_change > MIN_TURN and fit.separates_delay
+    clear = fit.course_change > MIN_SCALE_TURN and fit.separates_delay
     clear &= abs(off) > max(MIN_GAIN_ERROR, 4 * fit.std / abs(yaw.factor))
     if clear and abs(_whole_gain(evidence) - 1) > MIN_GAIN_ERROR / 2:
         repair, remedy = Repair("gyro", (2.0, 1 + off, 1.0)), f"multiply gz by {1 + off:.3g}"

@@ -19,7 +19,7 @@ CIRCLE = 2 * np.pi  # rad, smallest range of the course of a car that drives in 
 REMEDY = "use a drive with turns, starts and stops to check for these faults"
 # RMS change of the course within windows, in standard deviations, above which the car turns
 MIN_TURN_SIGMAS = 3.0
-MIN_TURN = np.radians(5.0)  # rad, RMS change of the course within windows; swaying causes less
+MIN_DETERMINED_TURN = np.radians(5.0)  # rad, RMS change of the course within windows; swaying causes less
 
 
 def check_observability(evidence: Evidence) -> Iterator[Finding]:
@@ -58,7 +58,7 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
         return f"{shown}. No part is long enough to compare the course with the gyro", REMEDY
     change = np.degrees(fit.course_change)
     if fit.course_change > max(
-        MIN_TURN, MIN_TURN_SIGMAS * course.std / np.median(np.abs(course.velocity[moving]))
+        MIN_DETERMINED_TURN, MIN_TURN_SIGMAS * course.std / np.median(np.abs(course.velocity[moving]))
     ):
         return (
             f"the course changes by {change:.0f} deg (RMS) within 20 s, and no column of the gyro follows this change",

@@ -8,7 +8,7 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of, finding_of
 from sigmaswarm.doctor.mounting import MIN_EXPLAINED
-from sigmaswarm.doctor.verdicts import MIN_TURN, OFFSET_SIGMAS
+from sigmaswarm.doctor.verdicts import MIN_GAIN_TURN, OFFSET_SIGMAS
 from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, GapSummary, gaps_in, unshared_times
 from sigmaswarm.drives.drive import Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
@@ -39,7 +39,7 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
         )
     elif abs(delay) >= evidence.clock.least:
         # Changes of speed alone, as on a motorway, are not evidence for a repair.
-        turns = fit is not None and fit.course_change > MIN_TURN and fit.share > MIN_EXPLAINED
+        turns = fit is not None and fit.course_change > MIN_GAIN_TURN and fit.share > MIN_EXPLAINED
         clear = turns and abs(delay) > OFFSET_SIGMAS[1] * std
         grave = abs(delay) > max(SERIOUS_OFFSET, OFFSET_SIGMAS[2] * std)
         yield Finding(

@@ -185,6 +185,8 @@ class Model:
     def indices(self, names: Sequence[str]) -> list[int]:
         return [self.states.index(name) for name in names]
 
+    places = indices  # deprecated name
+
     def identity(self) -> dict[str, Any]:
         """Return names and bounds in plain types, and a hash of them and of the functions."""
         plain: dict[str, Any] = {
