@@ -17,7 +17,6 @@ from sigmaswarm.exports import c_alignment, c_kernels, c_rules
 from sigmaswarm.exports.c_names import STATES
 from sigmaswarm.exports.c_text import with_constants
 from sigmaswarm.exports.features import (
-    PARAMETERS,
     exact_texts,
     features_of,
     fill,
@@ -28,11 +27,11 @@ from sigmaswarm.exports.features import (
 )
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.filters import requirements
-from sigmaswarm.filters.kernels import FILTERS
+from sigmaswarm.filters.compiled.layout import CONSTANTS
+from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import ModelName
-from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.student import OUTLIERS_SPAN
+from sigmaswarm.filters.parameters import FilterParameters, known_interval
 from sigmaswarm.geodesy import rotation_of
 from sigmaswarm.versions import __version__
 from sigmaswarm.wording import printable
@@ -171,27 +170,24 @@ def _fixes(gps: Gps, heading: bool) -> list[list[float]]:
     return np.column_stack(columns).tolist()
 
 
-def _sigma_points(p: FilterParameters) -> tuple[float, float]:
-    """Return alpha^2 (n + kappa) and alpha^2 (n + kappa - 1) + beta."""
-    of = f"the spread of the sigma points (alpha = {p.alpha:g}, beta = {p.beta:g}, kappa = {p.kappa:g})"
-    square = p.alpha**2 if p.alpha < 1e150 else math.inf
-    n = len(FILTERS[p.kernel].states)
-    gamma_squared = in_range(square * (n + p.kappa), of)
-    in_range(1 / gamma_squared if gamma_squared else math.inf, of)
-    return gamma_squared, in_range(square * (n + p.kappa - 1) + p.beta, of)
+def _constants(p: FilterParameters, interval: float) -> dict[str, float]:
+    """Return the kernel's constants by row, with Q for steps of ``interval`` s; inf for an unused limit or noise."""
+    with np.errstate(all="ignore"):
+        values = KernelArray((p,)).constants(interval)[:, 0]
+    constants = dict(zip(CONSTANTS, values.tolist(), strict=True))
+    in_range(constants["FIX_ERROR_RATE"], "1 / fix_error_time")
+    in_range(constants["ODOMETER_SCALE"], "1 / odometer_scale")
+    spread = f"the spread of the sigma points (alpha = {p.alpha:g}, beta = {p.beta:g}, kappa = {p.kappa:g})"
+    for name in ("QUARTER_GAMMA", "SHORTENS", "SPREAD"):
+        constants[name] = 0.0 if p.kind == "ekf" else in_range(constants[name], spread)
+    return constants
 
 
 def fits_float(p: FilterParameters) -> bool:
-    """Return True if each parameter of a filter, and each derived constant, is 0 or a normal number in float."""
-    numbers: list[float | None] = [*p.process_noise, *p.measurement_noise]
-    numbers += [*p.bias_std, *p.fuzzy_widths, *p.fuzzy_gains]
-    numbers += [getattr(p, name) for name in PARAMETERS if name not in ("alpha", "beta", "kappa")]
-    numbers += [p.fix_std**2] if p.fix_error is not None else []
-    if p.kind != "ekf":
-        gamma_squared, spread = _sigma_points(p)
-        numbers += [gamma_squared, spread, 8.0 / gamma_squared]
+    """Return True if each constant of a filter is 0 or a normal number in float."""
+    numbers = [*_constants(p, known_interval(p)).values(), *p.bias_std]
     low, high = 2.0**-126, (2 - 2.0**-23) * 2.0**127
-    return all(v is None or v == 0 or low <= abs(v) <= high for v in numbers)
+    return all(v == 0 or low <= abs(v) <= high or math.isinf(v) for v in numbers)
 
 
 def _texts_of_heading(used: bool) -> dict[str, str]:
@@ -249,19 +245,17 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
     model = MODELS[p.model]
     stands, names, tilted = p.standstill_noise is not None, model.names, model.tilts is not None
     weighs, lasting = p.accuracy_scale is not None, p.fix_error is not None
-    derived: dict[str, float | None] = {
-        "PER_ODOMETER_SCALE": None if p.odometer_noise is None else 1.0 / p.odometer_scale,
-        "PATIENCE": (OUTLIERS_SPAN - 1e-6) / interval,
+    constants = _constants(p, interval)
+    derived = {
+        **{name: constants[name] for name in ("QUARTER_GAMMA", "SHORTENS", "SPREAD", "PATIENCE")},
+        **{name: constants[name] for name in ("FIX_ERROR_RATE", "FIX_VAR")},
+        "PER_ODOMETER_SCALE": constants["ODOMETER_SCALE"],
         "SLOTS": round(1.0 / odometer.INTERVAL),
         "BLOCKS": round(1.0 / standstill.BLOCK),
         "N_MEMORY": standstill.N_MEMORY,
         "HISTORY": max(1, math.ceil(1.0 / interval)),  # default of LiveFilter
         "FIXES": 64,  # 6.4 s at 10 Hz
     }
-    if p.kind != "ekf":
-        gamma_squared, spread = _sigma_points(p)
-        derived |= {"QUARTER_GAMMA": 0.25 * math.sqrt(gamma_squared), "SHORTENS": -8.0 / gamma_squared}
-        derived["SPREAD"] = spread
     return {
         **_texts_of_axes(p, weighs or lasting),
         **_texts_of_states(p),

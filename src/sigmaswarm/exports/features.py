@@ -44,10 +44,6 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
     return {f"USE_{name}": value for name, value in used.items()}
 
 
-PARAMETERS = (
-    *("latency", "alpha", "beta", "kappa", "forgetting", "gate", "accuracy_scale", "robust_dof", "fix_error"),
-    *(*NOISE_OF.values(), "rear_axle", "tire_slip", "odometer_scale", "odometer_latency"),
-)
 NUMBERS = {
     "LATENCY": "s: delay of a fix: its time stamp minus the time at which the position was true",
     "QUARTER_GAMMA": "gamma / 4, with gamma^2 = alpha^2 (n + kappa)",
@@ -92,14 +88,12 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
     texts |= {"BELIEF_STATES": states, "N": states if p.fix_error is None else f"({states})"}
     numbers = exact_texts(
         {
-            **{name.upper(): getattr(p, name) for name in PARAMETERS},
+            **{name.upper(): value for name, value in vars(p).items() if isinstance(value, float)},
             "NOMINAL_INTERVAL": interval,
             **dict(zip(("ACCEL_BIAS_STD", "GYRO_BIAS_STD"), p.bias_std, strict=True)),
             **dict(zip(("WIDTH_RATIO", "WIDTH_TREND"), p.fuzzy_widths, strict=True)),
             **dict(zip(("GAIN_R", "GAIN_Q"), p.fuzzy_gains, strict=True)),
             "TILT_STD": max(state.start_std for state in MODELS[p.model].states),
-            "FIX_ERROR_RATE": interval / p.fix_error_time,
-            "FIX_VAR": p.fix_std**2,
             "FIX_ERROR_START": (p.fix_error or 0.0) * p.fix_std**2,
         }
     )

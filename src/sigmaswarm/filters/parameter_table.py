@@ -1,6 +1,5 @@
 """Many parameter sets as columns of numbers; building an object for each set would take as long as running a drive."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, overload
@@ -10,14 +9,10 @@ from numpy.typing import NDArray
 
 from sigmaswarm.arrays import Array
 from sigmaswarm.drives.tables import Indices
-from sigmaswarm.filters.models import NOISE_OF
-from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.parameters import FilterParameters, described
 from sigmaswarm.filters.requirements import measured_by
 
-_ABSENT: dict[str, float] = {
-    **dict.fromkeys((*NOISE_OF.values(), "gate"), math.inf),
-    **dict.fromkeys(("nominal_interval", "accuracy_scale", "robust_dof", "fix_error"), 0.0),
-}
+_ABSENT: dict[str, float] = described("absent")
 """Number that represents None in a column, for each field that may be None."""
 
 

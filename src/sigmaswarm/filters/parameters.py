@@ -17,9 +17,9 @@ from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.files import write_atomically
 from sigmaswarm.filters.kernels import FILTERS, kernel_name
-from sigmaswarm.filters.models import MEASURED, MODELS, NOISE_OF, SENSORS
+from sigmaswarm.filters.models import MEASURED, MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
-from sigmaswarm.filters.robot_yaml import IMU_NOISE, YAML, read_configuration
+from sigmaswarm.filters.robot_yaml import HEADING_NOISE, IMU_NOISE, YAML, read_configuration
 from sigmaswarm.record_files import read_content
 from sigmaswarm.wording import first_mistake, printable
 
@@ -52,10 +52,29 @@ def _option(
     bounds: tuple[float, float] = (math.nan, math.nan),
     *,
     spread: bool = True,
+    absent: float = 0.0,
+    typical: float | None = None,
+    scaled: bool = False,
 ) -> Any:
-    """Describe an optional parameter; ``use`` and ``bounds`` are those of `SearchRange`."""
-    about = {"unit": unit, "search": SearchRange(use, *bounds, spread) if use else None}
+    """Describe an optional parameter.
+
+    ``use``, ``bounds`` and ``spread`` are those of `SearchRange`. ``absent`` represents None in a `ParameterTable`,
+    ``typical`` is the value without tuning if no data sheet states one, ``scaled`` marks noise variances and factors
+    of them.
+    """
+    about = {
+        "unit": unit,
+        "search": SearchRange(use, *bounds, spread) if use else None,
+        "absent": absent if default is None else None,
+        "typical": typical,
+        "scaled": scaled or None,
+    }
     return field(default=default, kw_only=True, metadata=about)
+
+
+def _noise(name: str, bounds: tuple[float, float], typical: float) -> Any:
+    """Describe the variance of a measurement in `MEASURED`."""
+    return _option(None, MEASURED[name], name, bounds, absent=math.inf, typical=typical, scaled=True)
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
@@ -157,22 +176,24 @@ class FilterParameters:
     bias_std: tuple[Positive, Positive] = _option((0.3, 0.01))
     imu_noise: tuple[Positive, Positive] | tuple[Positive, Positive, Positive] = _option(IMU_NOISE)
     imu_gate: tuple[Limit, Limit] = _option((math.inf, math.inf), NIS, "imu-gate", (4.0, 100.0))
-    velocity_noise: Positive | None = _option(None, MEASURED["velocity"], "velocity", (1e-4, 10.0))
-    lateral_noise: Positive | None = _option(None, MEASURED["lateral"], "lateral", (1e-4, 10.0))
+    velocity_noise: Positive | None = _noise("velocity", (1e-4, 10.0), 0.1**2)
+    lateral_noise: Positive | None = _noise("lateral", (1e-4, 10.0), 0.2**2)
     rear_axle: Real = _option(0.0, "m", "lateral", (-1.0, 4.0), spread=False)
     tire_slip: Real = _option(0.0, "s2/m", "slip", (0.0, 0.02), spread=False)
-    standstill_noise: Positive | None = _option(None, MEASURED["standstill"], "standstill", (1e-6, 1.0))
-    odometer_noise: Positive | None = _option(None, MEASURED["odometer"], "odometer", (1e-4, 10.0))
+    standstill_noise: Positive | None = _noise("standstill", (1e-6, 1.0), 0.05**2)
+    odometer_noise: Positive | None = _noise("odometer", (1e-4, 10.0), 0.1**2)
     odometer_scale: Positive = _option(
         1.0, "reading divided by true speed", "odometer", (0.9, 1.1), spread=False
     )
     odometer_latency: Real = _option(0.0, "s", "odometer", (0.0, 0.3), spread=False)
-    heading_noise: Positive | None = _option(None, MEASURED["heading"], "heading", (1e-7, 0.1))
-    gate: Positive | None = _option(None, NIS, "gate", (4.0, 100.0))
+    heading_noise: Positive | None = _noise("heading", (1e-7, 0.1), HEADING_NOISE)
+    gate: Positive | None = _option(None, NIS, "gate", (4.0, 100.0), absent=math.inf, typical=9.2)
     latency: Real = _option(0.0, "s", "latency", (0.0, 0.5), spread=False)
-    accuracy_scale: Positive | None = _option(None, OF_STATED, "accuracy", (1e-3, 10.0))
-    robust_dof: Positive | None = _option(None, "dimensionless", "robust", (1.0, 30.0))
-    fix_error: Positive | None = _option(None, OF_STATED, "fix-error", (1e-3, 4.0))
+    accuracy_scale: Positive | None = _option(
+        None, OF_STATED, "accuracy", (1e-3, 10.0), typical=1.0, scaled=True
+    )
+    robust_dof: Positive | None = _option(None, "dimensionless", "robust", (1.0, 30.0), typical=4.0)
+    fix_error: Positive | None = _option(None, OF_STATED, "fix-error", (1e-3, 4.0), scaled=True)
     fix_error_time: Positive = _option(5.0, "s", "fix-error", (0.5, 300.0))
     fix_std: Positive = _option(UNSTATED_GPS_STD, "m")
 
@@ -311,12 +332,15 @@ class FilterParameters:
         return parameters
 
 
-SEARCHED: dict[str, SearchRange] = {
-    f.name: s for f in fields(FilterParameters) if (s := f.metadata.get("search"))
-}
+def described(key: str) -> dict[str, Any]:
+    """Return a property of parameters by name, for those that have it: a key of the metadata in `_option`."""
+    return {f.name: f.metadata[key] for f in fields(FilterParameters) if f.metadata.get(key) is not None}
+
+
+SEARCHED: dict[str, SearchRange] = described("search")
 _ACTIVATES = {s.option: n for n, s in SEARCHED.items() if getattr(FilterParameters, n) is None}
 """Options of ``tune --use``, and for each the field that is None unless the option is used."""
-_SCALED = (*NOISE_OF.values(), "accuracy_scale", "fix_error")
+_SCALED = tuple(described("scaled"))
 NOISES = ("process_noise", "measurement_noise", "imu_noise", *_SCALED)
 """Fields that are noise variances or factors of them; multiplying all by one factor scales the covariance."""
 RULES_SINCE = (0, 3)  # first version with the present treatment of stale fixes, gaps and standstills

@@ -27,7 +27,7 @@ from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.names import ModelName
-from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.parameters import SEARCHED, FilterParameters, described
 from sigmaswarm.filters.robot_yaml import (
     HEADING_NOISE,
     MIN_VARIANCE,
@@ -50,16 +50,7 @@ BIAS_WALKS = {"accel": 2 * 0.01**2 / 3600, "gyro": 2 * np.radians(200 / 3600) **
 m/s2 and 200 deg/h, tau = 1 h. These are values of an ICM-20602 (i2Nav's awesome-gins-datasets); the data sheet of the
 MPU-6050 states none.
 """
-TYPICAL_VALUES = {
-    "velocity_noise": 0.1**2,
-    "lateral_noise": 0.2**2,
-    "standstill_noise": 0.05**2,
-    "odometer_noise": 0.1**2,
-    "heading_noise": HEADING_NOISE,
-    "gate": 9.2,
-    "accuracy_scale": 1.0,
-    "robust_dof": 4.0,
-}
+TYPICAL_VALUES: dict[str, float] = described("typical")
 """Typical values of parameters that no data sheet states; the noises in m2/s2 or rad2. The gate accepts 99% of good
 fixes, and the stated accuracy is used unchanged."""
 HALF_A_WHEELBASE = 1.3  # m from the rear axle to an IMU in the middle of a car
@@ -111,7 +102,7 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
 def baseline_of(drive: Drive, model: ModelName, use: Collection[str]) -> FilterParameters:
     """Return the baseline of a model's EKF with options of ``tune --use``."""
     used: dict[str, Any] = {
-        name: value for name, value in TYPICAL_VALUES.items() if name.split("_")[0] in use
+        name: value for name, value in TYPICAL_VALUES.items() if SEARCHED[name].option in use
     }
     noises = (1.0,) * len(MODELS[model].states), (1.0, 1.0)
     return baseline(drive, FilterParameters(0.1, 2.0, 0.0, *noises, model=model, kind="ekf", **used))
