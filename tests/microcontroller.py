@@ -94,7 +94,7 @@ def build_for(
 def has(parameters: FilterParameters) -> list[str]:
     """Flags that tell a program which of the library's functions take more than others."""
     features = features_of(parameters)
-    names = {"TILT": "USE_TILTED", "STD": "USE_STD", "ODOMETER": "USE_ODOMETER"}
+    names = {"TILT": "tilted", "STD": "stated_std", "ODOMETER": "odometer"}
     return [f"-DHAS_{name}" for name, feature in names.items() if features[feature]]
 
 

@@ -5,52 +5,21 @@ from dataclasses import replace
 from itertools import product
 
 import pytest
+from jinja2 import UndefinedError
 
 from exported import tuned
 from sigmaswarm.exports.c99 import c99
 from sigmaswarm.exports.c_emitter import Emitter
-from sigmaswarm.exports.features import _chosen, fill
+from sigmaswarm.exports.features import fill
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.exports.targets import TARGETS
 from sigmaswarm.filters.compiled.measurements import update_fix
 from support import quickly
 
-TEXT = """a
-#if USE_A
-b
-#if HISTORY > 0
-c
-#else
-d
-#endif
-#if USE_B
-e
-#else
-f
-#endif
-#else
-g
-#endif
-h
-"""
-
-
-@pytest.mark.parametrize(
-    ("a", "b", "expected"),
-    [
-        (True, True, "a|b|#if HISTORY > 0|c|#else|d|#endif|e|h|"),
-        (True, False, "a|b|#if HISTORY > 0|c|#else|d|#endif|f|h|"),
-        (False, True, "a|g|h|"),
-        (False, False, "a|g|h|"),
-    ],
-)
-def test_parts_stay_where_they_are_used_and_the_compilers_own_always(a: bool, b: bool, expected: str):
-    assert _chosen(TEXT, {"USE_A": a, "USE_B": b}) == expected.replace("|", "\n")
-
 
 def test_a_place_without_a_value_is_an_error():
-    with pytest.raises(KeyError, match="VERSION"):
-        fill("ins_gps.c.in", {}, {"DESCRIPTION": "x"})
+    with pytest.raises(UndefinedError, match="'version' is undefined"):
+        fill("ins_gps.c.in", {"description": "x"})
 
 
 @pytest.mark.parametrize("target", TARGETS)
@@ -74,8 +43,7 @@ def test_no_place_and_no_part_is_left_over(target, model: str, kind: str, everyt
     if target == "c99":
         texts += c99(p, 0.01, lanes=Lanes(3)).values()
     for text in texts:
-        assert re.findall(r"@[A-Z]", text) == []
-        assert "USE_" not in text
+        assert re.findall(r"@[A-Z]|\{%|\{\{ ", text) == []
         assert text.endswith("\n")
 
 

@@ -16,20 +16,12 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.exports import c_alignment, c_kernels, c_rules
 from sigmaswarm.exports.c_names import STATES
 from sigmaswarm.exports.c_text import with_constants
-from sigmaswarm.exports.features import (
-    exact_texts,
-    features_of,
-    fill,
-    in_range,
-    listed,
-    values_of,
-    with_definitions,
-)
+from sigmaswarm.exports.features import context_of, fill, in_range, with_definitions
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.filters import requirements
 from sigmaswarm.filters.compiled.layout import CONSTANTS
 from sigmaswarm.filters.kernel_array import KernelArray
-from sigmaswarm.filters.models import MODELS, SENSORS
+from sigmaswarm.filters.models import MODELS, CarModel
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters, known_interval
 from sigmaswarm.geodesy import rotation_of
@@ -75,29 +67,33 @@ def c99(
             f"{parameters.model} is not available as {parameters.kind} in C; use kind {' or '.join(kinds)}"
         )
     lanes = lanes or Lanes()
-    features, several = features_of(parameters), lanes.n > 1
-    features |= {
-        "USE_DOUBLE": not all(fits_float(p) for p in lanes.filters(parameters)),
-        "USE_AS_RECORDED": as_recorded,
-        "USE_LANES": several,
-        "USE_MOUNTING": mounting is not None,
-        "USE_IMU_AXES": bool(imu_axes),
-    }
-    values = values_of(parameters, interval) | _only_in_c(parameters, interval) | lanes.values(parameters)
-    values |= c_kernels.kernels_of(parameters, features, values)
-    if mounting is not None:
-        values["MOUNTING"] = "{:g}, {:g} and {:g}".format(*mounting)
-        values["ROTATION"] = ", ".join(f"{{{listed(row, 'R({})')}}}" for row in rotation_of(*mounting))
     width = max(map(len, imu_axes or ()), default=0)
-    axes = (f"{printable(axis):{width}} = {printable(text, 1000)}" for axis, text in (imu_axes or {}).items())
-    values["BEFORE_MOUNTING"] = ", before the rotation" if mounting is not None else ""
-    values["IMU_AXES"] = "\n".join(axes)
-    values |= c_rules.rules_of(features, events.bits_of(requirements.measured_by(parameters)))
-    values |= c_alignment.alignment_of(biases=features["USE_BIASES"], tilted=features["USE_TILTED"])
-    texts = {name: fill(f"{name}.in", features, values) for name in FILES}
+    axes = ("ax", "ay", "az", "gx", "gy", "yaw_rate") if model.tilts else ("ax", "ay", "yaw_rate")
+    context = context_of(parameters, interval) | lanes.context(parameters)
+    context |= {
+        "fits_float": all(fits_float(p) for p in lanes.filters(parameters)),
+        "as_recorded": as_recorded,
+        "mounting": mounting,
+        "rotation": rotation_of(*mounting) if mounting else None,
+        "imu_axes": [
+            f"{printable(a):{width}} = {printable(text, 1000)}" for a, text in (imu_axes or {}).items()
+        ],
+        "axes": axes,
+        "turning_axes": [axis for axis in axes if axis != "az" and (model.tilts or axis != "ay")],
+        "states": _states(model),
+        "numeric_version": ".".join(__version__.split(".")[:3]),
+        "slots_per_second": round(1.0 / odometer.INTERVAL),
+        "blocks_per_second": round(1.0 / standstill.BLOCK),
+        "n_memory": standstill.N_MEMORY,
+        "history": max(1, math.ceil(1.0 / interval)),  # default of LiveFilter
+        "fixes": 64,  # 6.4 s at 10 Hz
+    }
+    context |= c_kernels.kernels_of(parameters, context)
+    context |= c_rules.rules_of(context, events.bits_of(requirements.measured_by(parameters)))
+    context |= c_alignment.alignment_of(biases=context["biases"], tilted=context["tilted"])
+    texts = {name: fill(f"{name}.in", context) for name in FILES}
     texts["ins_gps_align.c"] = with_constants(texts["ins_gps_align.c"], c_alignment.MODULES)
-    numbers = {name: f"R({value})" for name, value in values.items()} | lanes.numbers(parameters)
-    text = with_definitions(texts["ins_gps.c"], numbers)
+    text = with_definitions(texts["ins_gps.c"], _numbers(parameters, interval) | lanes.numbers(parameters))
     texts["ins_gps.c"] = with_constants(text, (*c_rules.MODULES, *c_kernels.MODULES))
     return texts
 
@@ -190,89 +186,25 @@ def fits_float(p: FilterParameters) -> bool:
     return all(v == 0 or low <= abs(v) <= high or math.isinf(v) for v in numbers)
 
 
-def _texts_of_heading(used: bool) -> dict[str, str]:
-    texts = {
-        "ALSO_HEADING": ", const ins_gps_real *heading",
-        "NO_HEADING": ", 0",
-        "REPLAYED_HEADING": ", n < 9 || isnan(z[7]) ? NULL : heading",
-        "OR_NINE": " || n == 9",
-        "TAKES_HEADING": ", heading: Sequence[float] | None = None",
-        "GIVES_HEADING": ", None if heading is None else self._reals(heading)",
-    }
-    return texts if used else dict.fromkeys(texts, "")
-
-
-def _texts_of_axes(p: FilterParameters, uses_std: bool) -> dict[str, str]:
-    tilted = MODELS[p.model].tilts is not None
-    axes = ["ax", "ay", *(["az", "gx", "gy"] if tilted else []), "yaw_rate"]
-    turning = [axis for axis in axes if axis != "az" and (tilted or axis != "ay")]
-    row = ["t", "ax", "ay", "yaw_rate", "az", "gx", "gy"]  # columns of an imu row of replay.csv
-
-    def joined(names: list[str], form: str, separator: str = ", ") -> str:
-        return separator.join(form.format(name) for name in names)
-
-    texts: dict[str, str] = {}
-    for what, names in (("AXES", axes), ("TURNING_AXES", turning)):
-        texts |= {what: joined(names, "ins_gps_real {}"), f"GIVEN_{what}": ", ".join(names)}
-        texts[f"REPLAYED_{what}"] = ", ".join(f"(ins_gps_real)z[{row.index(name)}]" for name in names)
-    return texts | {
-        "AXES_OF_SAMPLE": joined(axes, "    sample.{0} = {0};", "\n"),
-        "AXES_IN_GAP": joined(axes, "            sample->{0} = R(0.5) * (f->last.{0} + given.{0});", "\n"),
-        "ALSO_STD": ", const ins_gps_real std[2]" if uses_std else "",
-        "GIVEN_STD": ", std" if uses_std else "",
-        "TAKES_STD": ", std: Sequence[float]" if uses_std else "",
-        "STD_IN_PYTHON": ", their standard deviations (m)" if uses_std else "",
-        "PASSES_STD": ", self._reals(std)" if uses_std else "",
-    }
-
-
-_STATE_NAMES = {"theta": "HEADING", "gyro_bias_z": "GYRO_BIAS"}
-
-
-def _texts_of_states(p: FilterParameters) -> dict[str, str]:
-    states = MODELS[p.model].states
-    names = [f"INS_GPS_{_STATE_NAMES.get(state.name, state.name.upper())}" for state in states]
-    listed = [f"    {name}, /* {state.unit} */" for name, state in zip(names, states, strict=True)]
-    short = [f"#define {own} {name}" for own, name in zip(STATES, names, strict=False)]
-    names_of_std = {None: "TILT_STD"} | {sensor: f"{sensor}_bias_std".upper() for sensor in SENSORS}
-    stds = [(own, names_of_std[s.bias_of]) for own, s in zip(STATES[5:], states[5:], strict=False)]
-    starts = [f"    b->covariance[{own}][{own}] = {std} * {std};" for own, std in stds]
-    texts = {"STATE_ENUMERATORS": listed, "STATE_NAMES": short, "START_VARIANCES": starts}
-    return {name: "\n".join(lines) for name, lines in texts.items()}
-
-
-def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
-    model = MODELS[p.model]
-    stands, names, tilted = p.standstill_noise is not None, model.names, model.tilts is not None
-    weighs, lasting = p.accuracy_scale is not None, p.fix_error is not None
+def _numbers(p: FilterParameters, interval: float) -> dict[str, str]:
+    """Return the C text of a filter's numbers, some of which are in `features.NUMBERS`, by name."""
     constants = _constants(p, interval)
-    derived = {
-        **{name: constants[name] for name in ("QUARTER_GAMMA", "SHORTENS", "SPREAD", "PATIENCE")},
-        **{name: constants[name] for name in ("FIX_ERROR_RATE", "FIX_VAR")},
-        "PER_ODOMETER_SCALE": constants["ODOMETER_SCALE"],
-        "SLOTS": round(1.0 / odometer.INTERVAL),
-        "BLOCKS": round(1.0 / standstill.BLOCK),
-        "N_MEMORY": standstill.N_MEMORY,
-        "HISTORY": max(1, math.ceil(1.0 / interval)),  # default of LiveFilter
-        "FIXES": 64,  # 6.4 s at 10 Hz
-    }
-    return {
-        **_texts_of_axes(p, weighs or lasting),
-        **_texts_of_states(p),
-        **_texts_of_heading(p.heading_noise is not None),
-        **exact_texts(derived),
-        "PROCESS_NOISE": listed(p.process_noise, "R({})"),
-        "MEASUREMENT_NOISE": listed(p.measurement_noise, "R({})"),
-        "NUMERIC_VERSION": ".".join(__version__.split(".")[:3]),
-        "STATES": repr(names),
-        "COUNTERS": ", time_jumps, too_fast and frozen" if stands else ", time_jumps and frozen",
-        "CALM_NOTE": ", from which the filter estimates the noise at rest" if stands else "",
-        "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
-        "STD_NOTE": "; this filter uses them" if weighs else "; 0 if none are stated",
-        "STD_UNUSED": "    (void)std;\n" if lasting and not weighs else "",
-        "BELIEF_NOTE": " /* and the correlated fix error, m east and north */" if lasting else "",
-        "LEVER_AXES": ", left and up" if tilted else " and left",
-        "LEVER_COLUMNS": ",left,up" if tilted else ",left",
-        "SAMPLE": f"m/s2 forward{', left and up, rad/s about these axes' if tilted else ' and left, rad/s'}",
-        "CSV_HEADER": ",".join(["t", *names, *(f"std_{name}" for name in names)]),
-    }
+    numbers = constants | {name.upper(): value for name, value in vars(p).items() if isinstance(value, float)}
+    numbers |= zip(("ACCEL_BIAS_STD", "GYRO_BIAS_STD"), p.bias_std, strict=True)
+    numbers["TILT_STD"] = float(max(state.start_std for state in MODELS[p.model].states))
+    numbers["PER_ODOMETER_SCALE"] = constants["ODOMETER_SCALE"]
+    return {name: f"R({value!r})" for name, value in numbers.items()}
+
+
+def _states(model: CarModel) -> list[dict[str, str]]:
+    """Return the names of the states in the C header and source, their units and initial standard deviations."""
+    names = {"theta": "HEADING", "gyro_bias_z": "GYRO_BIAS"}
+    return [
+        {
+            "name": f"INS_GPS_{names.get(state.name, state.name.upper())}",
+            "short": short,
+            "unit": state.unit,
+            "start_std": f"{state.bias_of}_bias_std".upper() if state.bias_of else "TILT_STD",
+        }
+        for state, short in zip(model.states, STATES, strict=False)
+    ]

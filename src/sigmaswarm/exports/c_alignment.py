@@ -67,7 +67,7 @@ def alignment_of(*, biases: bool, tilted: bool) -> dict[str, str]:
     evidence = [*((gyro_bias.mix_biases, gyro_bias.update_biases) if biases else ())]
     evidence += [add_tilt_evidence] if tilted else []
     checks = (divergence.record_check, divergence.persists, divergence.position_contradicts)
-    parts = ("ALIGNMENT", _OfFit, fit), ("EVIDENCE", _OfFilter, evidence), ("MONITOR", _OfMonitor, checks)
+    parts = ("alignment", _OfFit, fit), ("evidence", _OfFilter, evidence), ("monitor", _OfMonitor, checks)
     return {name: _in_double(translation, functions) for name, translation, functions in parts}
 
 

@@ -35,32 +35,29 @@ NAMES_IN_C = {
 }
 
 
-def kernels_of(
-    p: FilterParameters, features: Mapping[str, bool], values: Mapping[str, str]
-) -> dict[str, str]:
-    """Return the C text of prediction, measurements and step, as values of the template."""
+def kernels_of(p: FilterParameters, context: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the C text of prediction, measurements and step, and the bits of the events that the filter uses."""
     model = FILTERS[p.kernel]
     n = len(model.states)
     states = STATES if not model.fix_error else (*STATES[: n - 2], *FIX_ERROR)
-    used = [name for name in EVENTS if features.get(f"USE_{name}", True)]
+    used = [name for name in EVENTS if context.get(name.lower(), True)]
+    lanes = context["lanes"] > 1
     settings = {
         **{name: 0 for name in (*EVENTS, "HIDDEN") if name not in used},
         **{"settle": 0, "note_prior": 0, "unscented": 0, "noted": 0, "adaptive": 1},
-        **{"stores_innovation": features["USE_NIS"] or features["USE_LANES"], "gated": features["USE_GATE"]},
-        **{"fading": features["USE_STRONG_TRACKING"], "fuzzy": features["USE_FUZZY"]},
-        **{"robust": features["USE_ROBUST"], "adapting": features["USE_ADAPTIVE"]},
+        **{"stores_innovation": context["nis"] or lanes, "gated": context["gate"]},
+        **{"fading": context["strong_tracking"], "fuzzy": context["fuzzy"]},
+        **{"robust": context["robust"], "adapting": context["adaptive"]},
         "inflate_observed": Kernel(adaptive.inflate_observed, n=n),
     }
-    rows = _rows(p, values["Q"] + "[{}]", values["R"] + "[{}]", features)
+    rows = _rows(p, context)
     emitter = Emitter(rows, states, settings, {**NAMES_IN_C, "predict": f"predict_{p.model}"})
     if model.tilts:
         _add_prediction(emitter)
     emitter.add(step.step_of(p.kernel))
     emitter.texts, stepping = emitter.texts[:-1], emitter.texts[-1]
-    bits = [f"#define EVENT_{name} {getattr(events, name)}u\n" for name in used]
-    wheels = "&wheels" if features["USE_ODOMETER"] else "NULL"
-    parts = {"EVENTS": "".join(bits), "STEP": stepping, "CALL_STEP": emitter.call("_step"), "WHEELS": wheels}
-    return {"KERNELS": emitter.text(), **parts}
+    bits = [(name, getattr(events, name)) for name in used]
+    return {"kernels": emitter.text(), "events": bits, "step": stepping, "call_step": emitter.call("_step")}
 
 
 def _add_prediction(emitter: Emitter) -> None:
@@ -78,9 +75,10 @@ def _add_prediction(emitter: Emitter) -> None:
     emitter.signatures["predict"] = "predict_tilted12", [state, sample]
 
 
-def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> dict[str, str | float | None]:
-    spread, fuzzy = p.kind != "ekf", p.kind == "fuzzy-ukf"
-    if p.kind == "adaptive-ukf":
+def _rows(p: FilterParameters, context: Mapping[str, Any]) -> dict[str, str | float | None]:
+    spread, fuzzy, lanes = context["unscented"], context["fuzzy"], context["lanes"] > 1
+    q, r = f"{context['q']}[{{}}]", f"{context['r']}[{{}}]"
+    if context["adaptive"]:
         q, r = "b->process_noise[{}]", "b->measurement_noise[{}]"
     elif fuzzy:
         q, r = f"(b->times_q * {q})", f"b->times_r * {r}"
@@ -97,7 +95,7 @@ def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> 
         "LATENCY": "LATENCY" if p.latency else 0.0,
         **{f"R_{name.upper()}": noise.upper() for name, noise in NOISE_OF.items()},
         "REAR_AXLE": "REAR_AXLE",
-        "TIRE_SLIP": "TIRE_SLIP" if features["USE_SLIP"] else 0.0,
+        "TIRE_SLIP": "TIRE_SLIP" if context["slip"] else 0.0,
         "R_RATE": "R(STANDSTILL_RATE_NOISE)",
         "ODOMETER_SCALE": "PER_ODOMETER_SCALE",
         "ODOMETER_LATENCY": "ODOMETER_LATENCY",
@@ -114,10 +112,10 @@ def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> 
     }
     memory = "b" if turns_along else "work"
     rows |= {"COS": f"{memory}->cos", "SIN": f"{memory}->sin"}
-    if not features["USE_GATE"]:
+    if not context["gate"]:
         rows["USE"] = 1.0
-    if not (features["USE_LANES"] or fuzzy):
+    if not (lanes or fuzzy):
         rows |= dict.fromkeys(("V11", "V12", "V22"))
-    if not features["USE_LANES"]:
+    if not lanes:
         rows |= dict.fromkeys(("NU1", "NU2"))
     return rows

@@ -53,23 +53,23 @@ _CALLS = {"min": "SMALLER", "max": "LARGER"}
 _CASTS = {"int": "(int)", "float": "(real)"}
 
 
-def rules_of(features: Mapping[str, bool], used: int) -> dict[str, str]:
+def rules_of(features: Mapping[str, Any], used: int) -> dict[str, str]:
     """Return by name the C text of the rules and the call of `sample_events`; ``used``: see `events.bits_of`."""
     emitter = Emitter({}, settings={"used": used})
     emitter.add(live._until, "fixes_until", Rule)
-    if features["USE_ODOMETER"]:
+    if features["odometer"]:
         emitter.add(live._until, "readings_until", _OfReadings)
     functions = [gaps.gap_of, gaps.usual_after, stale_fixes.kind_of]
-    if features["USE_STANDSTILL"]:
+    if features["standstill"]:
         functions += [standstill.updated_calm, standstill.matches_stop, standstill.fixes_are_still]
     for function in (*functions, *([events.sample_events] if used else [])):
         emitter.add(function, translation=Rule)
-    values = {"RULES": "\n".join(emitter.texts)}
+    values = {"rules": "\n".join(emitter.texts)}
     if used:
         name, signature = emitter.signatures["sample_events"]
         arguments = [SAMPLE[parameter_name(p)] for each in signature for p in each]
         call = f"{name}({', '.join(arguments)})"
-        values["SAMPLE_EVENTS"] = textwrap.fill(call, 100, subsequent_indent=" " * 8)
+        values["sample_events"] = textwrap.fill(call, 100, subsequent_indent=" " * 8)
     return values
 
 

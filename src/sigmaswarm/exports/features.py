@@ -1,13 +1,12 @@
-"""Fill the templates of exported files.
-
-``@NAME@`` is replaced by a value. Lines between ``#if FEATURE`` and its ``#else`` or ``#endif`` are kept if the feature
-is used. Other ``#if`` lines belong to the C preprocessor.
-"""
+"""Fill the templates of exported files, which are written in the language of Jinja."""
 
 import math
 import re
 from collections.abc import Iterable, Mapping
-from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters import requirements
@@ -21,27 +20,26 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
     lateral, stands, wheels = (name in measured for name in ("lateral", "standstill", "odometer"))
     gate, robust = p.gate is not None, p.robust_dof is not None
     adaptive, tracking, rules = (p.kind == f"{kind}-ukf" for kind in ("adaptive", "strong-tracking", "fuzzy"))
-    used = {
-        "UNSCENTED": p.kind != "ekf",
-        "TILTED": MODELS[p.model].tilts is not None,
-        "PLANAR5": p.model == "planar5",
-        "BIASES": bool(MODELS[p.model].sensors),
-        "ADAPTIVE": adaptive,
-        "STRONG_TRACKING": tracking,
-        "FUZZY": rules,
-        "LATENCY": p.latency != 0.0,
-        "GATE": gate,
-        "NIS": gate or rules,
-        "ACCURACY": p.accuracy_scale is not None,
-        "FIX_ERROR": p.fix_error is not None,
-        "STD": p.accuracy_scale is not None or p.fix_error is not None,
-        "SINCE": adaptive or robust or p.fix_error is not None,
-        "ROBUST": robust,
-        **{name.upper(): name in measured for name in MEASURED},
-        "SLIP": lateral and p.tire_slip != 0.0,
-        "SLOTS": lateral or stands or wheels,
+    return {
+        "unscented": p.kind != "ekf",
+        "tilted": MODELS[p.model].tilts is not None,
+        "planar5": p.model == "planar5",
+        "biases": bool(MODELS[p.model].sensors),
+        "adaptive": adaptive,
+        "strong_tracking": tracking,
+        "fuzzy": rules,
+        "latency": p.latency != 0.0,
+        "gate": gate,
+        "nis": gate or rules,
+        "accuracy": p.accuracy_scale is not None,
+        "fix_error": p.fix_error is not None,
+        "stated_std": p.accuracy_scale is not None or p.fix_error is not None,
+        "since_fix": adaptive or robust or p.fix_error is not None,
+        "robust": robust,
+        **{name: name in measured for name in MEASURED},
+        "slip": lateral and p.tire_slip != 0.0,
+        "slots": lateral or stands or wheels,
     }
-    return {f"USE_{name}": value for name, value in used.items()}
 
 
 NUMBERS = {
@@ -81,23 +79,11 @@ def with_definitions(text: str, numbers: Mapping[str, str]) -> str:
     return text.replace("@NUMBERS@", "\n".join(definitions))
 
 
-def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
-    """Return parameters and constants as text, by name. Q refers to steps of ``interval`` s."""
-    states = "INS_GPS_STATES" if p.fix_error is None else "INS_GPS_STATES + 2"
-    texts = {"VERSION": __version__, "DESCRIPTION": f"{p.model}, {p.kind}"}
-    texts |= {"BELIEF_STATES": states, "N": states if p.fix_error is None else f"({states})"}
-    numbers = exact_texts(
-        {
-            **{name.upper(): value for name, value in vars(p).items() if isinstance(value, float)},
-            "NOMINAL_INTERVAL": interval,
-            **dict(zip(("ACCEL_BIAS_STD", "GYRO_BIAS_STD"), p.bias_std, strict=True)),
-            **dict(zip(("WIDTH_RATIO", "WIDTH_TREND"), p.fuzzy_widths, strict=True)),
-            **dict(zip(("GAIN_R", "GAIN_Q"), p.fuzzy_gains, strict=True)),
-            "TILT_STD": max(state.start_std for state in MODELS[p.model].states),
-            "FIX_ERROR_START": (p.fix_error or 0.0) * p.fix_std**2,
-        }
-    )
-    return numbers | texts | {"NUMBERS": "@NUMBERS@", "CONSTANTS": "@CONSTANTS@"}
+def context_of(p: FilterParameters, interval: float) -> dict[str, Any]:
+    """Return what every template may use. Q refers to steps of ``interval`` s."""
+    about = {"p": p, "model": MODELS[p.model], "interval": interval}
+    about |= {"version": __version__, "description": f"{p.model}, {p.kind}"}
+    return features_of(p) | about
 
 
 def in_range(value: float, of: str) -> float:
@@ -109,38 +95,22 @@ def in_range(value: float, of: str) -> float:
     return value
 
 
-def exact_texts(numbers: Mapping[str, float | None]) -> dict[str, str]:
-    """Return numbers as exact text; omit None."""
-    known = {name: value for name, value in numbers.items() if value is not None}
-    return {name: str(v) if isinstance(v, int) else repr(float(v)) for name, v in known.items()}
+def initializer(numbers: Iterable[Any], form: str = "R({})") -> str:
+    """Return numbers, or rows of numbers, as an initializer in C, with all digits."""
+    texts = (initializer(x, form) if np.ndim(x) else form.format(x) for x in numbers)
+    return f"{{{', '.join(texts)}}}"
 
 
-def listed(numbers: Iterable[float], form: str = "{}") -> str:
-    return ", ".join(form.format(repr(float(number))) for number in numbers)
+_TEMPLATES = Environment(
+    loader=PackageLoader("sigmaswarm.exports"),
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    keep_trailing_newline=True,
+)
+_TEMPLATES.filters["initializer"] = initializer
 
 
-def fill(name: str, features: Mapping[str, bool], values: Mapping[str, str]) -> str:
-    """Fill a template. A missing value raises `KeyError`."""
-    text = files("sigmaswarm.exports").joinpath("templates", name).read_text(encoding="utf-8")
-    return re.sub(r"@([A-Z][A-Z_0-9]*)@", lambda place: values[place[1]], _chosen(text, features))
-
-
-def _chosen(text: str, features: Mapping[str, bool]) -> str:
-    lines: list[str] = []
-    open_parts: list[bool | None] = []  # True: used; None: for the C preprocessor
-    for line in text.splitlines():
-        directive = re.match(r"#\s*(if\w*|else|endif)\b\s*(.*)", line)
-        if directive is None:
-            chosen = False
-        elif directive[1] == "else":
-            part = open_parts[-1]
-            chosen = part is not None
-            open_parts[-1] = None if part is None else not part
-        elif directive[1] == "endif":
-            chosen = open_parts.pop() is not None
-        else:
-            open_parts.append(features.get(directive[2]))
-            chosen = open_parts[-1] is not None
-        if not chosen and False not in open_parts:
-            lines.append(line)
-    return "\n".join(lines) + "\n"
+def fill(name: str, context: Mapping[str, Any]) -> str:
+    """Fill a template. A missing value raises `jinja2.UndefinedError`."""
+    return _TEMPLATES.get_template(name).render(context)

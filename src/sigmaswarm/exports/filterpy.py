@@ -24,11 +24,10 @@ from sigmaswarm.drives import (
     timeline,
 )
 from sigmaswarm.drives.mounting import Angles
-from sigmaswarm.exports.features import fill
+from sigmaswarm.exports.features import context_of, fill
 from sigmaswarm.filters import constants, fuzzy, models, requirements, student
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.textbook import adaptive, car, ekf, gaussian, ukf
-from sigmaswarm.versions import __version__
 
 FILE = "run_filter.py"
 _ABSENT = ("imu_noise", "imu_gate", "fix_error", "fix_error_time", "fix_std")
@@ -68,29 +67,20 @@ def filterpy(
 
     The mounting is ignored, since the script reads drives, whose samples are in the axes of the vehicle.
     """
-    p, model = parameters, models.MODELS[parameters.model]
-    extended = p.kind == "ekf"
+    p = parameters
     stated = {f.name: f for f in fields(p) if f.name not in _ABSENT}
     numbers = {name: getattr(p, name) for name in stated} | {"nominal_interval": interval}
     units = {name: f.metadata.get("unit") for name, f in stated.items()}
     listed = [f"    {n}={v!r},{f'  # {units[n]}' if units[n] else ''}" for n, v in numbers.items()]
-    values = {
-        "VERSION": __version__,
-        "DESCRIPTION": f"{p.model}, {p.kind}",
-        "STATES": repr(model.names),
-        "AS_RECORDED": repr(as_recorded),
-        "PARAMETERS": "\n".join(listed),
-        "KALMAN_NAMES": "ExtendedKalmanFilter"
-        if extended
-        else "MerweScaledSigmaPoints, UnscentedKalmanFilter",
-        "MODEL": p.model,
-        "GYRO_AXES": repr(model.gyro_axes),
-        "MEASURED": f"frozenset({sorted(requirements.measured_by(p))!r})",
-        "MODEL_SOURCE": _sources_of(MODEL),
-        "FILTER_SOURCE": _sources_of(FILTER),
-        "DRIVE_SOURCE": _sources_of(DRIVE),
+    context = {
+        "as_recorded": as_recorded,
+        "parameters": "\n".join(listed),
+        "measured": sorted(requirements.measured_by(p)),
+        "model_source": _sources_of(MODEL),
+        "filter_source": _sources_of(FILTER),
+        "drive_source": _sources_of(DRIVE),
     }
-    return {FILE: fill("filterpy.py.in", {"USE_UNSCENTED": not extended}, values)}
+    return {FILE: fill("filterpy.py.in", context_of(p, interval) | context)}
 
 
 def _sources_of(parts: Mapping[ModuleType, str]) -> str:

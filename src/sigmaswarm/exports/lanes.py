@@ -1,11 +1,12 @@
 """Table of the parameters that differ between the filters of an exported filter bank."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.exports.features import NUMBERS, listed
+from sigmaswarm.exports.features import NUMBERS
 from sigmaswarm.filters.bank.offsets import OffsetPrior
 from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.models import MODELS, NOISE_OF, SENSORS
@@ -33,21 +34,21 @@ class Lanes:
     def _offsets(self, spread: OffsetPrior) -> np.ndarray:
         return spread.first(np.random.default_rng([self.seed, 0]))[: self.n]
 
-    def values(self, tuning: FilterParameters) -> dict[str, str]:
+    def context(self, tuning: FilterParameters) -> dict[str, Any]:
+        """Return what the templates use of a bank."""
         filters = self.filters(tuning)
-        biases = {"GYRO_BIAS_STDS": listed([p.bias_std[1] for p in filters])}
+        one = {"lanes": self.n, "filters": filters, "q": "process_noise", "r": "measurement_noise"}
         if self.n == 1:
-            return {"Q": "process_noise", "R": "measurement_noise", "LANES": "1", **biases}
+            return one
         spread = OffsetPrior(tuning)
-        penalties = spread.penalty(self._offsets(spread)).tolist()
-        return {
-            **biases,
-            "LANE_FIELDS": "\n".join(f"    real {n}; /* {NUMBERS[n.upper()]} */" for n in _numbers(tuning)),
-            "Q": "lanes[b->lane].process_noise",
-            "R": "lanes[b->lane].measurement_noise",
-            "LANES": str(self.n),
-            "DESCRIPTION": f"{tuning.model}, {tuning.kind}: bank of {self.n} filters with different parameters",
-            "LANE_ROWS": ",\n".join(map(_row, filters, penalties)),
+        return one | {
+            "q": f"lanes[b->lane].{one['q']}",
+            "r": f"lanes[b->lane].{one['r']}",
+            "description": f"{tuning.model}, {tuning.kind}: bank of {self.n} filters with different parameters",
+            "lane_fields": {name: NUMBERS[name.upper()] for name in _numbers(tuning)},
+            "lane_rows": zip(
+                filters, spread.penalty(self._offsets(spread)), map(_numbers, filters), strict=True
+            ),
         }
 
     def numbers(self, tuning: FilterParameters) -> dict[str, str]:
@@ -66,13 +67,3 @@ def _numbers(p: FilterParameters) -> dict[str, float]:
     if p.lateral_noise is None:
         del numbers["rear_axle"], numbers["tire_slip"]
     return {name: float(value) for name, value in numbers.items() if value is not None}
-
-
-def _row(p: FilterParameters, penalty: float) -> str:
-    fields = [
-        f".process_noise = {{{listed(p.process_noise, 'R({})')}}}",
-        f".measurement_noise = {{{listed(p.measurement_noise, 'R({})')}}}",
-        f".penalty = R({penalty!r})",
-        *(f".{name} = R({value!r})" for name, value in _numbers(p).items()),
-    ]
-    return "    {" + ",\n     ".join(fields) + "}"

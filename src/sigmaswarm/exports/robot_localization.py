@@ -6,13 +6,13 @@ branch rolling-devel, filter_base.cpp.
 """
 
 import math
+from typing import Any
 
 from sigmaswarm.drives.mounting import Angles
-from sigmaswarm.exports.features import features_of, fill, in_range, values_of
+from sigmaswarm.exports.features import context_of, fill, in_range
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.robot_yaml import STATE_INDICES
-from sigmaswarm.versions import __version__
 
 FILE = "robot_localization.yaml"
 X, Y, VX, VY, YAW, AX, _, YAW_RATE = STATE_INDICES
@@ -47,25 +47,25 @@ def robot_localization(
     if MODELS[p.model].measures_imu:
         return _configuration(p, interval, mounting)
     numbers = {
-        "R_EAST": r_east,
-        "R_NORTH": r_north,
-        "R_UP": in_range(r_east + r_north, "the sum of measurement_noise"),
+        "r_east": r_east,
+        "r_north": r_north,
+        "r_up": in_range(r_east + r_north, "the sum of measurement_noise"),
     }
-    values = values_of(p, interval) | _shared(p, interval, mounting)
+    values = context_of(p, interval) | _shared(p, interval, mounting)
     values |= {name: yaml_number(value) for name, value in numbers.items()}
-    values["NODE"] = "ekf_filter_node" if p.kind == "ekf" else "ukf_filter_node"
-    values["PROCESS_NOISE"] = _diagonal(process_noise(p, interval))
-    used = features_of(p) | {"USE_MOUNTING": mounting is not None}
-    return {FILE: fill(f"{FILE}.in", used, values)}
+    values["node"] = "ekf_filter_node" if p.kind == "ekf" else "ukf_filter_node"
+    values["process_noise"] = _diagonal(process_noise(p, interval))
+    return {FILE: fill(f"{FILE}.in", values)}
 
 
-def _shared(p: FilterParameters, interval: float, mounting: Angles | None) -> dict[str, str]:
+def _shared(p: FilterParameters, interval: float, mounting: Angles | None) -> dict[str, Any]:
     angles = zip(("roll", "pitch", "yaw"), map(math.radians, mounting or ()), strict=False)
     return {
-        "TRANSFORM": " ".join(f"--{name} {angle:.9g}" for name, angle in angles),
-        "FREQUENCY": yaml_number(in_range(round(1 / interval, 3) or 1 / interval, "1 / nominal_interval")),
-        "REJECTION_THRESHOLD": yaml_number(math.sqrt(p.gate or 0.0)),
-        "FIX_ENTRIES": _entries("odom0", X, Y),
+        "mounting": mounting,
+        "transform": " ".join(f"--{name} {angle:.9g}" for name, angle in angles),
+        "frequency": yaml_number(in_range(round(1 / interval, 3) or 1 / interval, "1 / nominal_interval")),
+        "rejection_threshold": yaml_number(math.sqrt(p.gate or 0.0)),
+        "fix_entries": _entries("odom0", X, Y),
     }
 
 
@@ -80,32 +80,28 @@ def _configuration(p: FilterParameters, interval: float, mounting: Angles | None
         "" if p.accuracy_scale is None else f"{p.accuracy_scale:.6g} times the receiver's variance, plus "
     )
     numbers = {
-        **dict(zip(("R_GYRO", "R_ACCEL"), p.imu_noise, strict=False)),
-        "R_ODOMETER": p.odometer_noise or 1.0,
-        "R_HEADING": p.heading_noise or 1.0,
-        "GYRO_THRESHOLD": math.sqrt(p.imu_gate[0]),
-        "ACCEL_THRESHOLD": math.sqrt(p.imu_gate[1]),
+        **dict(zip(("r_gyro", "r_accel"), p.imu_noise, strict=False)),
+        "r_odometer": p.odometer_noise or 1.0,
+        "r_heading": p.heading_noise or 1.0,
+        "gyro_threshold": math.sqrt(p.imu_gate[0]),
+        "accel_threshold": math.sqrt(p.imu_gate[1]),
     }
-    values = _shared(p, interval, mounting) | {
+    values = context_of(p, interval) | _shared(p, interval, mounting)
+    values |= {
         **{name: yaml_number(value) for name, value in numbers.items()},
-        "IMU_ENTRIES": _entries("imu0", YAW_RATE, AX),
-        "HEADING_ENTRIES": _entries("imu1", YAW),
-        "WHEEL_ENTRIES": _entries("odom1", VX),
-        "LATERAL_ENTRIES": _entries("twist0", VY),
-        "VERSION": __version__,
-        "REMOVE_GRAVITY": "false",
-        "INITIAL_COVARIANCE": _diagonal(start),
-        "PROCESS_NOISE": _diagonal(noise),
-        "TWIST_COVARIANCE": ", ".join(lateral if k % 7 == 0 else "0.0" for k in range(36)),
-        "R_LATERAL": lateral,
-        "FIX_COVARIANCE": f"{stated}{r_x!r} and {r_y!r} m2",
-    }
-    used = features_of(p) | {
-        "USE_IMU_GATE": math.isfinite(max(p.imu_gate)),
-        "USE_MOUNTING": mounting is not None,
+        "imu_entries": _entries("imu0", YAW_RATE, AX),
+        "heading_entries": _entries("imu1", YAW),
+        "wheel_entries": _entries("odom1", VX),
+        "lateral_entries": _entries("twist0", VY),
+        "imu_gate": math.isfinite(max(p.imu_gate)),
+        "initial_covariance": _diagonal(start),
+        "process_noise": _diagonal(noise),
+        "twist_covariance": ", ".join(lateral if k % 7 == 0 else "0.0" for k in range(36)),
+        "r_lateral": lateral,
+        "fix_covariance": f"{stated}{r_x!r} and {r_y!r} m2",
     }
     names = {"ekf.yaml": "ekf.yaml.in", "ekf.launch.py": "ekf.launch.py.in", "README.md": "ekf_readme.md.in"}
-    return {file: fill(template, used, values) for file, template in names.items()}
+    return {file: fill(template, values) for file, template in names.items()}
 
 
 def process_noise(p: FilterParameters, interval: float) -> list[float]:

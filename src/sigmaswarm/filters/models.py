@@ -27,7 +27,7 @@ MEASURED = {
 """Measurements other than fixes, and the unit of their variance.
 
 A filter uses the measurement NAME if its parameter NAME_noise is a number. NAME is also the option of ``tune --use``
-and the event in `drives.events`; the kernels' row is R_NAME, and the macros in C are USE_NAME and NAME_NOISE.
+and the event in `drives.events`; the kernels' row is R_NAME, and the macro in C is NAME_NOISE.
 """
 NOISE_OF = {name: f"{name}_noise" for name in MEASURED}
 
