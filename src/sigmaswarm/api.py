@@ -247,9 +247,10 @@ def export(
     InputError
         If the target is unknown or does not support the model.
     """
+    from sigmaswarm.exports.names import target_named
     from sigmaswarm.exports.targets import export_texts, write_texts
 
-    tuned = tuned_filter(parameters)
+    tuned, to = tuned_filter(parameters), target_named(to)
     settings = tuned.settings("as_recorded", "mounting", "imu_axes", **options)
     texts = export_texts(tuned.parameters, to, **settings)
     if folder is not None:

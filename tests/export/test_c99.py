@@ -169,7 +169,9 @@ def test_frozen_fixes_and_gaps_are_those_of_the_run(tmp_path: Path, model: str, 
 def test_one_that_was_tuned_as_recorded_says_so_in_its_header():
     p = given("planar5", "ukf", "plain")
     wanted = "#define INS_GPS_AS_RECORDED"
-    assert [wanted in c99(p, 0.01, as_recorded)["ins_gps.h"] for as_recorded in (False, True)] == [
+    assert [
+        wanted in c99(p, 0.01, as_recorded=as_recorded)["ins_gps.h"] for as_recorded in (False, True)
+    ] == [
         False,
         True,
     ]

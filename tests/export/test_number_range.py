@@ -14,7 +14,7 @@ import yaml
 
 from exported import STRICT, export_filter, needs_gcc, tuned, write
 from sigmaswarm.errors import InputError
-from sigmaswarm.exports.targets import TARGETS
+from sigmaswarm.exports.names import DESCRIPTIONS
 from support import some
 
 P = tuned("planar5", "ukf", 0.01)
@@ -116,7 +116,7 @@ def test_what_has_no_place_there_is_refused_in_one_line(
 
 
 @pytest.mark.parametrize("interval", [1e-3, 1.0, 1e5, 1e308])
-@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("target", DESCRIPTIONS)
 def test_a_slow_imu_is_no_hindrance(tmp_path: Path, target, interval: float):
     written = export_filter(replace(P, nominal_interval=interval), target, tmp_path)
     assert not re.search(r"(?<![a-z_])(inf|nan)(?![a-z_])", written[0].read_text().split("def ")[0])

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+import sigmaswarm
 from exported import tuned
 from sigmaswarm import evaluate
 from sigmaswarm.errors import InputError
@@ -171,7 +172,7 @@ def test_its_own_model_is_for_ros_alone(target: Target):
 
 
 def test_a_hyphen_will_do():
-    assert export_texts(ROBOT, "robot-localization") == export_texts(ROBOT, "robot_localization")
+    assert sigmaswarm.export(ROBOT, "robot-localization") == export_texts(ROBOT, "robot_localization")
 
 
 @pytest.mark.parametrize("value", [1e-5, 1.5e-12, 1e22, 0.1, 3.0, 0.0, 5e-324])

@@ -8,8 +8,7 @@ import pytest
 
 from exported import export_filter, tuned
 from sigmaswarm.errors import InputError
-from sigmaswarm.exports.names import Target, next_command
-from sigmaswarm.exports.targets import TARGETS
+from sigmaswarm.exports.names import DESCRIPTIONS, Target, next_command
 from support import make_drive
 
 P = tuned("planar5", "ukf", 0.01, everything=False)
@@ -25,10 +24,10 @@ FILES = {
 
 
 def test_every_target_is_known():
-    assert list(TARGETS) == list(get_args(Target)) == list(FILES)
+    assert list(DESCRIPTIONS) == list(get_args(Target)) == list(FILES)
 
 
-@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("target", DESCRIPTIONS)
 def test_it_writes_the_same_files_again(tmp_path: Path, target):
     written = export_filter(P, target, tmp_path / "a" / "b")
     assert written == [tmp_path / "a" / "b" / name for name in FILES[target]]
@@ -55,7 +54,7 @@ def test_a_replay_comes_beside_the_c_library(tmp_path: Path):
         ({"measurement_noise": (0.0, 1.0)}, "variance of the filter is not positive"),
     ],
 )
-@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("target", DESCRIPTIONS)
 def test_a_filter_that_can_not_be_handed_over_is_refused(tmp_path: Path, target, change: dict, said: str):
     with pytest.raises(InputError, match=said):
         export_filter(replace(P, **change), target, tmp_path / "out")

@@ -7,12 +7,11 @@ from itertools import product
 import pytest
 from jinja2 import UndefinedError
 
-from exported import tuned
+from exported import export, tuned
 from sigmaswarm.exports.c99 import c99
 from sigmaswarm.exports.c_emitter import Emitter
 from sigmaswarm.exports.features import fill
-from sigmaswarm.exports.lanes import Lanes
-from sigmaswarm.exports.targets import TARGETS
+from sigmaswarm.exports.names import DESCRIPTIONS
 from sigmaswarm.filters.compiled.measurements import update_fix
 from support import quickly
 
@@ -22,7 +21,7 @@ def test_a_place_without_a_value_is_an_error():
         fill("ins_gps.c.in", {"description": "x"})
 
 
-@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("target", DESCRIPTIONS)
 @pytest.mark.parametrize(
     ("model", "kind", "everything"),
     quickly(
@@ -39,10 +38,8 @@ def test_a_place_without_a_value_is_an_error():
 )
 def test_no_place_and_no_part_is_left_over(target, model: str, kind: str, everything: bool):
     p = tuned(model, kind, 0.01, everything=everything)
-    texts = [*TARGETS[target](p, 0.01).values(), *TARGETS[target](p, 0.01, False, (0.0, 10.0, 90.0)).values()]
-    if target == "c99":
-        texts += c99(p, 0.01, lanes=Lanes(3)).values()
-    for text in texts:
+    options = [{}, {"mounting": (0.0, 10.0, 90.0)}, *([{"lanes": 3}] if target == "c99" else [])]
+    for text in (text for given in options for text in export(p, target, **given).values()):
         assert re.findall(r"@[A-Z]|\{%|\{\{ ", text) == []
         assert text.endswith("\n")
 

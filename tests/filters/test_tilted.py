@@ -16,7 +16,7 @@ from exported import export_filter
 from oracles.extended import covariance_error, mean_error
 from sigmaswarm import InputError, LiveFilter, TuneConfig, initial_state, run_filter, run_textbook, tune
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.exports.targets import TARGETS
+from sigmaswarm.exports.names import DESCRIPTIONS
 from sigmaswarm.filters import tilted
 from sigmaswarm.filters.compiled.lanes import angle_of
 from sigmaswarm.filters.compiled.layout import QUATERNION, R
@@ -342,7 +342,7 @@ def test_it_is_extended_unless_another_kind_is_given():
     assert TuneConfig().kind == TuneConfig(model="planar8").kind == "ukf"
 
 
-@pytest.mark.parametrize("target", [t for t in TARGETS if t != "c99"])
+@pytest.mark.parametrize("target", [t for t in DESCRIPTIONS if t != "c99"])
 def test_targets_that_do_not_know_it_say_so(target: str, tmp_path):
     with pytest.raises(InputError, match=f"{target} .*tilted12.*planar8"):
         export_filter(parameters(nominal_interval=0.01), target, tmp_path / "out")

@@ -20,7 +20,7 @@ from sigmaswarm.cli.common import (
 )
 from sigmaswarm.cli.options import FIELDS, Json, Overwrite
 from sigmaswarm.cli.remarks import warn_of_unusable
-from sigmaswarm.exports.names import AnyTarget, next_command
+from sigmaswarm.exports.names import AnyTarget, Target, next_command, target_named
 
 if TYPE_CHECKING:
     from sigmaswarm.exports.check import ExportCheck
@@ -86,8 +86,8 @@ def export(
     from sigmaswarm.scoring.view import accuracy_section
     from sigmaswarm.tuning.record import TuningRecord
 
-    to, out = options.to, options.out
-    following = f"sigmaswarm export tuned --to {to} --out {quote(str(out))}"
+    to, out = target_named(options.to), options.out
+    following = f"sigmaswarm export tuned --to {options.to} --out {quote(str(out))}"
     require_tuning(tuning, f"tune first: sigmaswarm tune {quote(str(tuning))} --out tuned, then {following}")
     tuned = tuned_filter(tuning)
     record, parameters = TuningRecord.read(tuning), tuned.parameters
@@ -129,7 +129,7 @@ def _check_options(options: ExportOptions, *, ros: bool) -> None:
         )
 
 
-def _notes(target: AnyTarget, record: "TuningRecord", *, replay: bool) -> Iterator[str]:
+def _notes(target: Target, record: "TuningRecord", *, replay: bool) -> Iterator[str]:
     if record.mounting and target == "c99":
         angles = ", ".join(f"{angle:.4g}" for angle in record.mounting)
         yield (

@@ -23,7 +23,6 @@ from sigmaswarm.drives import (
     tilt_evidence,
     timeline,
 )
-from sigmaswarm.drives.mounting import Angles
 from sigmaswarm.exports.features import context_of, fill
 from sigmaswarm.filters import constants, fuzzy, models, requirements, student
 from sigmaswarm.filters.parameters import FilterParameters
@@ -60,13 +59,8 @@ DRIVE = {
 }
 
 
-def filterpy(
-    parameters: FilterParameters, interval: float, as_recorded: bool = False, _: Angles | None = None
-) -> dict[str, str]:
-    """Return the script by file name. Q refers to steps of ``interval`` s; ``as_recorded``: see `PreparedDrive`.
-
-    The mounting is ignored, since the script reads drives, whose samples are in the axes of the vehicle.
-    """
+def filterpy(parameters: FilterParameters, interval: float, *, as_recorded: bool = False) -> dict[str, str]:
+    """Return the script by file name. Q refers to steps of ``interval`` s; ``as_recorded``: see `PreparedDrive`."""
     p = parameters
     stated = {f.name: f for f in fields(p) if f.name not in _ABSENT}
     numbers = {name: getattr(p, name) for name in stated} | {"nominal_interval": interval}

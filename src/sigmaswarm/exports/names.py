@@ -8,7 +8,7 @@ from typing import Literal
 
 Target = Literal["c99", "filterpy", "robot_localization"]
 AnyTarget = Literal[Target, "robot-localization"]
-"""Targets; the name of the model robot-localization is accepted for the target robot_localization."""
+"""Targets as users may write them: see `target_named`."""
 LIBRARIES = ("libins_gps.so", "libins_gps_float.so")  # C libraries in double and in float
 
 
@@ -71,12 +71,13 @@ DESCRIPTIONS: dict[Target, Description] = {
 
 
 def target_named(target: AnyTarget) -> Target:
+    """Return a target; users may also write it as the model robot-localization."""
     return "robot_localization" if target == "robot-localization" else target
 
 
-def next_command(target: AnyTarget, folder: str | Path, texts: Mapping[str, str]) -> str:
+def next_command(target: Target, folder: str | Path, texts: Mapping[str, str]) -> str:
     """Return the shell command that uses exported ``texts`` (by file name) in a folder; "" for C without a drive."""
-    commands = DESCRIPTIONS[target_named(target)].commands
+    commands = DESCRIPTIONS[target].commands
     node = "ukf_node" if "\nukf_filter_node:" in texts.get("robot_localization.yaml", "") else "ekf_node"
     if target == "c99" and "replay.csv" not in texts:  # the program would wait for an input
         return ""

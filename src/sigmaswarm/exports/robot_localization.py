@@ -31,12 +31,11 @@ START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
 
 
 def robot_localization(
-    parameters: FilterParameters, interval: float, _: bool = False, mounting: Angles | None = None
+    parameters: FilterParameters, interval: float, *, mounting: Angles | None = None
 ) -> dict[str, str]:
     """Return the text of each file by name. Q refers to steps of ``interval`` s.
 
-    ``mounting``: roll, pitch and yaw of the IMU, deg, for the static transform that ROS needs. The third argument is
-    ignored, since robot_localization has no preprocessing.
+    ``mounting``: roll, pitch and yaw of the IMU, deg, for the static transform that ROS needs.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """Targets of an export."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from sigmaswarm.drives.drive import Drive
@@ -9,23 +9,16 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.exports.c99 import c99, replay_rows
 from sigmaswarm.exports.filterpy import filterpy
 from sigmaswarm.exports.lanes import Lanes
-from sigmaswarm.exports.names import DESCRIPTIONS, AnyTarget, Target, target_named
+from sigmaswarm.exports.names import DESCRIPTIONS, Target
 from sigmaswarm.exports.robot_localization import robot_localization
 from sigmaswarm.files import make_folder, staged_files, write_atomically
 from sigmaswarm.filters.models import MODELS, require_driven_by_imu
 from sigmaswarm.filters.parameters import FilterParameters, known_interval
 
-TARGETS: dict[Target, Callable[..., dict[str, str]]] = {
-    "c99": c99,
-    "filterpy": filterpy,
-    "robot_localization": robot_localization,
-}
-"""Functions that return texts by file name, from parameters, nominal interval (s), ``as_recorded`` and mounting."""
-
 
 def export_texts(
     parameters: FilterParameters,
-    target: AnyTarget,
+    target: Target,
     *,
     replay: Drive | None = None,
     as_recorded: bool = False,
@@ -41,7 +34,6 @@ def export_texts(
     parameters : FilterParameters
         Parameters with ``nominal_interval``, as in every tuning.
     target : {"filterpy", "c99", "robot_localization"}
-        robot-localization is also accepted.
     replay : Drive, optional
         c99: also write this drive as replay.csv, the input of the replay program.
     as_recorded : bool
@@ -61,16 +53,25 @@ def export_texts(
         If the target is unknown or does not support the model, ``replay`` or ``lanes``; if the parameters lack the
         nominal interval; or if a variance of Q is negative, or one of R is not positive.
     """
-    target = target_named(target)
     interval = _checked(parameters, target)
-    bank = Lanes(lanes, seed)
-    if target != "c99":
-        if replay is not None:
-            raise InputError(f"--replay is for --to c99 only: {target} has no program that replays a drive")
-        if lanes > 1:
-            raise InputError(f"--lanes is for --to c99 only: {target} runs one filter")
-        return TARGETS[target](parameters, interval, as_recorded, mounting)
-    texts = c99(parameters, interval, as_recorded, mounting, bank, imu_axes)
+    if target != "c99" and replay is not None:
+        raise InputError(f"--replay is for --to c99 only: {target} has no program that replays a drive")
+    if target != "c99" and lanes != 1:
+        raise InputError(f"--lanes is for --to c99 only: {target} runs one filter")
+    match target:
+        case "c99":
+            texts = c99(
+                parameters,
+                interval,
+                as_recorded=as_recorded,
+                mounting=mounting,
+                lanes=Lanes(lanes, seed),
+                imu_axes=imu_axes,
+            )
+        case "filterpy":
+            texts = filterpy(parameters, interval, as_recorded=as_recorded)
+        case "robot_localization":
+            texts = robot_localization(parameters, interval, mounting=mounting)
     if replay is not None:
         texts["replay.csv"] = replay_rows(
             replay, parameters.model, as_recorded=as_recorded, heading=parameters.heading_noise is not None
@@ -80,8 +81,8 @@ def export_texts(
 
 def _checked(parameters: FilterParameters, target: Target) -> float:
     """Check that a target supports a filter; return the nominal IMU interval of Q, s."""
-    if target not in TARGETS:
-        raise InputError(f"there is no export target {target!r}; choose one of {', '.join(TARGETS)}")
+    if target not in DESCRIPTIONS:
+        raise InputError(f"there is no export target {target!r}; choose one of {', '.join(DESCRIPTIONS)}")
     if MODELS[parameters.model].tilts and not DESCRIPTIONS[target].tilts:
         raise InputError(
             f"{target} does not support {parameters.model}; run the filter with `sigmaswarm run` or LiveFilter, "
@@ -104,12 +105,12 @@ def _checked(parameters: FilterParameters, target: Target) -> float:
     return interval
 
 
-def write_texts(texts: Mapping[str, str], folder: str | Path, target: AnyTarget) -> list[Path]:
+def write_texts(texts: Mapping[str, str], folder: str | Path, target: Target) -> list[Path]:
     """Write the files of an export into a folder, which is created if missing.
 
     An earlier export to the same target is replaced, and the files that were built from it are removed.
     """
-    folder, target = Path(folder), target_named(target)
+    folder = Path(folder)
     with staged_files(folder, f"export to {target}", built=DESCRIPTIONS[target].built) as new:
         for name, text in texts.items():
             make_folder((new / name).parent)
