@@ -29,10 +29,9 @@ from sigmaswarm.versions import __version__
 from sigmaswarm.wording import printable
 
 FILES = (
-    *("ins_gps.h", "ins_gps.c", "ins_gps_align.h", "ins_gps_align.c", "replay.c", "README.md"),
-    *("CMakeLists.txt", "library.json", "zephyr/module.yml", "zephyr/CMakeLists.txt", "zephyr/Kconfig"),
-    *("ins_gps.py", "ins_gps_shared.c"),
-)
+    "ins_gps.h", "ins_gps.c", "ins_gps_align.h", "ins_gps_align.c", "replay.c", "README.md", "CMakeLists.txt",
+    "library.json", "zephyr/module.yml", "zephyr/CMakeLists.txt", "zephyr/Kconfig", "ins_gps.py", "ins_gps_shared.c",
+)  # fmt: skip
 MIN_INTERVAL = 1e-4  # s; at this IMU interval, the history of one second takes 3 to 15 MB
 
 

@@ -9,43 +9,50 @@ from typing import Any, ClassVar
 from sigmaswarm.drives import alignment, alignment_fit, gyro_bias, tilt_evidence
 from sigmaswarm.exports.c_emitter import Emitter
 from sigmaswarm.exports.c_names import STATES
-from sigmaswarm.exports.c_rules import Rule
+from sigmaswarm.exports.c_rules import Rule, by_name
 from sigmaswarm.filters import divergence
 from sigmaswarm.filters.compiled import live, monitor
 from sigmaswarm.filters.tilted import add_tilt_evidence
 
 MODULES = alignment, alignment_fit, gyro_bias, tilt_evidence, divergence, monitor, live
 """Modules that define constants of the C text."""
-_FIX = ("motion.time", "x", "y", "motion.turned", "motion.gained", "motion.leaned[0]", "motion.leaned[1]")
-_NUMBERS = (
-    *(f"{name}[{k}]" for name in ("force", "force_variance", "turn", "drift") for k in range(2)),
-    *("speed", "assumed", "assumed_variance", "change[0]"),
-)
+_FIX = (
+    "motion.time", "x", "y", "motion.turned", "motion.gained", "motion.leaned[0]", "motion.leaned[1]", "motion.lateral",
+)  # fmt: skip
+_GYRO = (
+    "force[0]", "force[1]", "force_variance[0]", "force_variance[1]", "turn[0]", "turn[1]", "drift[0]", "drift[1]",
+    "speed", "assumed", "assumed_variance", "change[0]",
+)  # fmt: skip
 
 
 class _OfFit(Rule):
     """Translation of a function on fixes, paths and matrices."""
 
     times, enumerators = (), dict[str, str]()
-    fields: ClassVar = {
-        **dict.fromkeys(("fix", "fixes"), (*_FIX, "motion.lateral")),
-        **dict.fromkeys(("tilt", "seen"), _NUMBERS),
-    }
-    pointers: ClassVar = {
-        **dict.fromkeys(("fix", "fixes"), "const InsGpsAlignFix *"),
-        **dict.fromkeys(("covariance", "inverse", "matrix"), "real [][5]"),
-        **{"path": f"real [][{alignment_fit.COLUMNS}]", "rows": "real [][6]", "tilt": "InsGpsGyro *"},
-    }
+    fields: ClassVar = {"fix": _FIX, "fixes": _FIX, "tilt": _GYRO, "seen": _GYRO}
+    pointers: ClassVar = by_name(
+        {
+            "const InsGpsAlignFix *": "fix fixes",
+            "real [][5]": "covariance inverse matrix",
+            f"real [][{alignment_fit.COLUMNS}]": "path",
+            "real [][6]": "rows",
+            "InsGpsGyro *": "tilt",
+        }
+    )
 
 
 class _OfFilter(_OfFit):
     """Translation of a function on the state of a filter, with the names that states have in ins_gps.c."""
 
     enumerators: ClassVar = {"THETA": "HEADING", **{name: name for name in STATES}}
-    pointers: ClassVar = {
-        **dict.fromkeys(("observed", "unsure", "turns"), "const real *"),
-        **{"covariance": "real [][N]", "seen": "const InsGpsGyro *", "indices": "const int *"},
-    }
+    pointers: ClassVar = by_name(
+        {
+            "const real *": "observed unsure turns",
+            "real [][N]": "covariance",
+            "const InsGpsGyro *": "seen",
+            "const int *": "indices",
+        }
+    )
 
 
 class _OfMonitor(_OfFit):
@@ -53,11 +60,14 @@ class _OfMonitor(_OfFit):
 
     enumerators: ClassVar = {"THETA": "INS_GPS_HEADING"}
     fields: ClassVar = {"contradiction": ("checks", "since", "last")}
-    pointers: ClassVar = {
-        **dict.fromkeys(("fix", "variance", "lever"), "const real *"),
-        **{"mean": "const ins_gps_real *", "covariance": "ins_gps_real [][INS_GPS_STATES]"},
-        "contradiction": "InsGpsContradiction *",
-    }
+    pointers: ClassVar = by_name(
+        {
+            "const real *": "fix variance lever",
+            "const ins_gps_real *": "mean",
+            "ins_gps_real [][INS_GPS_STATES]": "covariance",
+            "InsGpsContradiction *": "contradiction",
+        }
+    )
 
 
 def alignment_of(*, biases: bool, tilted: bool) -> dict[str, str]:

@@ -13,10 +13,10 @@ from sigmaswarm.filters.compiled.layout import COVARIANCE, MEAN, N_KEPT, NAMES, 
 from sigmaswarm.filters.compiled.unroll import Kernel
 
 _SIGNS: dict[type, str] = {
-    **{ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Mod: "%"},
-    **{ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="},
-    **{ast.BitAnd: "&&", ast.BitOr: "||", ast.And: "&&", ast.Or: "||"},
-}
+    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Mod: "%",
+    ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!=",
+    ast.BitAnd: "&&", ast.BitOr: "||", ast.And: "&&", ast.Or: "||",
+}  # fmt: skip
 _UNKNOWN = (NameError, TypeError, AttributeError, KeyError, SyntaxError, ValueError)
 _MISSING = "no row in C: "
 

@@ -30,9 +30,19 @@ MODULES = lanes, vehicle, constants, tilt_evidence, fuzzy, student, live, swarm
 EVENTS = ("FIX", *map(str.upper, MEASURED))
 """Names of the bits of `drives.events` in C. An exported filter defines only those that its features use."""
 NAMES_IN_C = {
-    **{"_series": "sine_series", "_near": "sine_cosine_near", "sincos": "sine_cosine"},
-    **{"_turn": "turn_acceleration", "carry": "carry_fix_error"},
+    "_series": "sine_series",
+    "_near": "sine_cosine_near",
+    "sincos": "sine_cosine",
+    "_turn": "turn_acceleration",
+    "carry": "carry_fix_error",
 }
+
+_SAME_NAME = (
+    "QUARTER_GAMMA", "SHORTENS", "SPREAD", "LATENCY", "REAR_AXLE", "TIRE_SLIP", "ODOMETER_LATENCY", "FORGETTING",
+    "GATE", "WIDTH_RATIO", "WIDTH_TREND", "GAIN_R", "GAIN_Q", "PATIENCE", "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",
+)  # fmt: skip
+"""Rows of the kernel whose values are macros in C with the same name. `_FIELDS` are fields of the estimate."""
+_FIELDS = ("RECENT", "REJECTED", "QUICK", "SLOW", "TIMES_R", "TIMES_Q", "OUTLIERS", "SPAN")
 
 
 def kernels_of(p: FilterParameters, context: Mapping[str, Any]) -> dict[str, Any]:
@@ -44,10 +54,14 @@ def kernels_of(p: FilterParameters, context: Mapping[str, Any]) -> dict[str, Any
     lanes = context["lanes"] > 1
     settings = {
         **{name: 0 for name in (*EVENTS, "HIDDEN") if name not in used},
-        **{"settle": 0, "note_prior": 0, "unscented": 0, "noted": 0, "adaptive": 1},
-        **{"stores_innovation": context["nis"] or lanes, "gated": context["gate"]},
-        **{"fading": context["strong_tracking"], "fuzzy": context["fuzzy"]},
-        **{"robust": context["robust"], "adapting": context["adaptive"]},
+        **dict.fromkeys(("settle", "note_prior", "unscented", "noted"), 0),
+        "adaptive": 1,
+        "stores_innovation": context["nis"] or lanes,
+        "gated": context["gate"],
+        "fading": context["strong_tracking"],
+        "fuzzy": context["fuzzy"],
+        "robust": context["robust"],
+        "adapting": context["adaptive"],
         "inflate_observed": Kernel(adaptive.inflate_observed, n=n),
     }
     rows = _rows(p, context)
@@ -85,31 +99,27 @@ def _rows(p: FilterParameters, context: Mapping[str, Any]) -> dict[str, str | fl
     turns_along = p.model == "planar5"
     accuracy = "b->times_r * ACCURACY_SCALE" if fuzzy else "ACCURACY_SCALE"
     rows: dict[str, Any] = {
-        **{name: name if spread else 0.0 for name in ("QUARTER_GAMMA", "SHORTENS", "SPREAD")},
-        "SECOND": float(spread),
-        "Q": q,
+        **{name: name for name in _SAME_NAME},
+        **{name: f"b->{name.lower()}" for name in _FIELDS},
+        **{f"R_{name.upper()}": noise.upper() for name, noise in NOISE_OF.items()},
         **{f"Q_{letter}": q.format(state) for letter, state in zip(MEAN, STATES, strict=True)},
+        **dict.fromkeys(SUMS[: SUMS.index("OK")]),  # sums for scores, which C does not compute
+        **dict.fromkeys(("SIN_COS_VALID", "SIN_COS_VALID_ALL"), "b->faced" if turns_along else None),
+        "Q": q,
         "RX": r.format(0),
         "RY": r.format(1),
-        "ACCURACY": 0.0 if p.accuracy_scale is None else accuracy,
-        "LATENCY": "LATENCY" if p.latency else 0.0,
-        **{f"R_{name.upper()}": noise.upper() for name, noise in NOISE_OF.items()},
-        "REAR_AXLE": "REAR_AXLE",
-        "TIRE_SLIP": "TIRE_SLIP" if context["slip"] else 0.0,
         "R_RATE": "R(STANDSTILL_RATE_NOISE)",
+        "SECOND": float(spread),
         "ODOMETER_SCALE": "PER_ODOMETER_SCALE",
-        "ODOMETER_LATENCY": "ODOMETER_LATENCY",
-        **{"FORGETTING": "FORGETTING", "FADING": "FORGETTING", "RECENT": "b->recent"},
-        **{"GATE": "GATE", "REJECTED": "b->rejected"},
-        **{"FUZZY": "FORGETTING", "QUICK": "b->quick", "SLOW": "b->slow"},
-        **{"TIMES_R": "b->times_r", "TIMES_Q": "b->times_q"},
-        **{name: name for name in ("WIDTH_RATIO", "WIDTH_TREND", "GAIN_R", "GAIN_Q")},
-        **dict.fromkeys(SUMS[: SUMS.index("OK")]),  # sums for scores, which C does not compute
-        **{"DOF": "ROBUST_DOF", "PATIENCE": "PATIENCE", "OUTLIERS": "b->outliers", "SPAN": "b->span"},
+        "ACCURACY": 0.0 if p.accuracy_scale is None else accuracy,
+        "FADING": "FORGETTING",
+        "FUZZY": "FORGETTING",
+        "DOF": "ROBUST_DOF",
         "OK": "b->failed",
-        **{name: name for name in ("FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR")},
-        **dict.fromkeys(("SIN_COS_VALID", "SIN_COS_VALID_ALL"), "b->faced" if turns_along else None),
     }
+    if not spread:
+        rows |= dict.fromkeys(("QUARTER_GAMMA", "SHORTENS", "SPREAD"), 0.0)
+    rows |= {name: 0.0 for name in ("LATENCY", "TIRE_SLIP") if not context[name.lower()]}
     memory = "b" if turns_along else "work"
     rows |= {"COS": f"{memory}->cos", "SIN": f"{memory}->sin"}
     if not context["gate"]:

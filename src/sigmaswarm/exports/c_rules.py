@@ -20,31 +20,48 @@ from sigmaswarm.filters.compiled import live
 
 MODULES = gaps, stale_fixes, standstill, odometer, events
 """Modules with constants of the rules."""
-POINTERS = {
-    **dict.fromkeys(("fixes", "rows"), "const InsGpsFix *"),
-    **{"readings": "const InsGpsReading *", "wheels": "Wheels *"},
-    **{
-        "memory": "InsGpsBlock *",
-        "means": "const real *",
-        "until": "ins_gps_time *",
-        "done": "InsGpsEstimate *",
-    },
-}
+
+
+def by_name(names: Mapping[str, str]) -> dict[str, str]:
+    """Return the type of each name from the names of each type, which are separated by blanks."""
+    return {name: kind for kind, some in names.items() for name in some.split()}
+
+
+POINTERS = by_name(
+    {
+        "const InsGpsFix *": "fixes rows",
+        "const InsGpsReading *": "readings",
+        "Wheels *": "wheels",
+        "InsGpsBlock *": "memory",
+        "const real *": "means",
+        "ins_gps_time *": "until",
+        "InsGpsEstimate *": "done",
+    }
+)
 """C types of arrays; by default ``real *``. The array ``kinds`` is a field of the fixes."""
 FIELDS = {
-    **{"fixes": ("time", "x", "y"), "rows": ("time",), "readings": ("time", "speed"), "wheels": WHEELS},
+    "fixes": ("time", "x", "y"),
+    "rows": ("time",),
+    "readings": ("time", "speed"),
+    "wheels": WHEELS,
     "done": ("lateral_slot", "standstill_slot", "odometer_slot", "odometer_time"),
 }
 TIMES = ("now", "before", "taken")
 ENUMERATORS = {
-    **{"NEW": "INS_GPS_NEW", "HELD": "INS_GPS_AT_REST", "STALE": "INS_GPS_STALE"},
-    **{"STALE_MOVING": "INS_GPS_STALE_MOVING", "LATERAL": "EVENT_LATERAL", "STANDSTILL": "EVENT_STANDSTILL"},
-    "ODOMETER": "EVENT_ODOMETER",
+    "HELD": "INS_GPS_AT_REST",
+    **{name: f"INS_GPS_{name}" for name in ("NEW", "STALE", "STALE_MOVING")},
+    **{name: f"EVENT_{name}" for name in ("LATERAL", "STANDSTILL", "ODOMETER")},
 }
 SAMPLE = {
-    **{"slot": "slot_of(f, sample->time)", "now": "sample->time", "before": "before", "ay": "sample->ay"},
-    **{"stands": "stands", "readings": "f->readings"},
-    **{"come": "readings_until(f->readings, f->n_readings, sample->time)", "done": "b", "wheels": "&wheels"},
+    "slot": "slot_of(f, sample->time)",
+    "now": "sample->time",
+    "before": "before",
+    "ay": "sample->ay",
+    "stands": "stands",
+    "readings": "f->readings",
+    "come": "readings_until(f->readings, f->n_readings, sample->time)",
+    "done": "b",
+    "wheels": "&wheels",
 }
 """C arguments of `drives.events.sample_events`."""
 _TIME, _KIND = "ins_gps_time", "InsGpsFixKind"

@@ -37,7 +37,7 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
         "since_fix": adaptive or robust or p.fix_error is not None,
         "robust": robust,
         **{name: name in measured for name in MEASURED},
-        "slip": lateral and p.tire_slip != 0.0,
+        "tire_slip": lateral and p.tire_slip != 0.0,
         "slots": lateral or stands or wheels,
     }
 

@@ -9,8 +9,10 @@ from typing import Any
 LAYOUT_FILE = "foxglove-layout.json"
 PLOTS: Mapping[str, tuple[str, ...]] = {
     "Innovations and their standard deviations, m": (
-        *("innovation.vector.x", "innovation.vector.y"),
-        *("innovation_sigma.vector.x", "innovation_sigma.vector.y"),
+        "innovation.vector.x",
+        "innovation.vector.y",
+        "innovation_sigma.vector.x",
+        "innovation_sigma.vector.y",
     ),
     "NIS, 2 on average if the filter is consistent": ("nis.data",),
     "Standard deviations: x, y (m), heading (rad)": ("sigma.vector.x", "sigma.vector.y", "sigma.vector.z"),

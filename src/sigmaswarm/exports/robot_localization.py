@@ -17,12 +17,12 @@ from sigmaswarm.filters.robot_yaml import STATE_INDICES
 FILE = "robot_localization.yaml"
 X, Y, VX, VY, YAW, AX, _, YAW_RATE = STATE_INDICES
 DEFAULT_PROCESS_NOISE = (
-    *(0.05, 0.05, 0.06),
-    *(0.03, 0.03, 0.06),
-    *(0.025, 0.025, 0.04),
-    *(0.01, 0.01, 0.02),
-    *(0.01, 0.01, 0.015),
-)
+    0.05, 0.05, 0.06,
+    0.03, 0.03, 0.06,
+    0.025, 0.025, 0.04,
+    0.01, 0.01, 0.02,
+    0.01, 0.01, 0.015,
+)  # fmt: skip
 """Default process noise per second: x, y, z; roll, pitch, yaw; their rates; accelerations."""
 SMALL, FIRST_FIX = 1e-6, 1.0
 """Initial variance of states that `two_d_mode` keeps at 0, and smallest initial variance of x and y (m2)."""

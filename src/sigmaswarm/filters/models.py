@@ -285,7 +285,8 @@ _TILT = (1e-10, 1e-2)
 _TILT_START = np.radians(3.0)  # slopes of roads; not tuned, since a tuning has only a few starts
 _WALKS = {"accel": (1e-10, 1e-1), "gyro": (1e-14, 1e-4)}
 _TILTED = (
-    *(_X, _Y),
+    _X,
+    _Y,
     *(_per_second(state, (1e-5, 1e2)) for state in (_VX, _VY)),
     _HEADING,
     *(_per_second(state, _WALKS["accel"], "accel_bias") for state in (_FORWARD, _LEFT)),

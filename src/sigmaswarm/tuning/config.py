@@ -154,14 +154,11 @@ MODEL_REMEDIES = {
 """Remedies if options of built-in models are given for a custom model; for other options: leave them out."""
 
 
+_PAPER_DEFAULTS = (
+    "kind", "particles", "generations", "polish", "racing", "use", "worst", "cognitive", "social", "patience",
+)  # fmt: skip
 PAPER_OPTIONS: dict[str, Any] = {
-    **{
-        name: TuneConfig.model_fields[name].default
-        for name in (
-            *("kind", "particles", "generations", "polish", "racing", "use"),
-            *("worst", "cognitive", "social", "patience"),
-        )
-    },
+    **{name: TuneConfig.model_fields[name].default for name in _PAPER_DEFAULTS},
     "optimizer": "pso",
     "scale": "linear",
     "objective": "gps-rmse",

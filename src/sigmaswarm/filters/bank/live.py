@@ -233,11 +233,10 @@ class LiveFilterBank(LiveFilter):
         ancestor = int(begins.ancestors[leads])
         lever = self._filter_state[live.LEVER].copy()
         steps = LoggedSteps(self._kernel, self._logged_steps(begins.logged, settled.logged), lever)
-        return PendingSearch.begun(
-            *(settled.logged, leads, self.prior, steps, begins.lanes[:, ancestor]),
-            *(FilterEvidence(float(begins.evidence[ancestor]), begins.fixed_at), self.offsets[leads].copy()),
-            *(self._population, self._interval, (self._seed, self._n_begun)),
-        )
+        evidence = FilterEvidence(float(begins.evidence[ancestor]), begins.fixed_at)
+        leader = steps, begins.lanes[:, ancestor], evidence, self.offsets[leads].copy()
+        others = self._population, self._interval, (self._seed, self._n_begun)
+        return PendingSearch.begun(settled.logged, leads, self.prior, *leader, *others)
 
     def _is_logged(self, first: int) -> bool:
         return first >= int(self._numbers[swarm.LOGGED]) - int(self._numbers[swarm.LOG_LENGTH])

@@ -50,13 +50,11 @@ from sigmaswarm.tuning.optimizers.sampling import RandomSearch, SobolSearch
 
 __all__ = ["OPTIMIZERS", "Optimizer", "create_optimizer"]
 
-OPTIMIZERS: dict[str, type[AskTell]] = {
-    optimizer.name: optimizer
-    for optimizer in (
-        *(ParticleSwarm, GeneticAlgorithm, GeneticSwarm, DifferentialEvolution, QuantumSwarm, CmaEs),
-        *(BayesianOptimization, NelderMead, RandomSearch, SobolSearch),
-    )
-}
+_CLASSES: tuple[type[AskTell], ...] = (
+    ParticleSwarm, GeneticAlgorithm, GeneticSwarm, DifferentialEvolution, QuantumSwarm, CmaEs, BayesianOptimization,
+    NelderMead, RandomSearch, SobolSearch,
+)  # fmt: skip
+OPTIMIZERS: dict[str, type[AskTell]] = {optimizer.name: optimizer for optimizer in _CLASSES}
 
 
 def create_optimizer(
