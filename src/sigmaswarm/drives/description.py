@@ -33,9 +33,7 @@ _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
 CUT = "cut_from"  # table in the drive.toml of a part of a drive
 REPAIR_ALONE = "repair_alone"  # true: the part has other faults than the rest of the drive
 CUT_KEYS = frozenset({"drive", "sha256", "start_s", "end_s", REPAIR_ALONE})  # keys of the table `CUT`
-MIN_SIMILARITY = (
-    0.8  # smallest similarity of an unknown key to a known key with which it counts as misspelled
-)
+MIN_SIMILARITY = 0.8  # smallest similarity to a known key with which an unknown key counts as misspelled
 _ANGLES = {
     "heading_deg": "degrees counter-clockwise from east",
     "imu_mounting_deg": "roll, pitch and yaw in degrees",

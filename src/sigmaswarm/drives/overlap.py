@@ -57,11 +57,6 @@ class Landmarks:
     rates: Array
     width: float = LANDMARK_WIDTH
 
-    @property
-    def distinguishes_parts(self) -> bool:
-        """True if not only the whole drive but also parts of it can be recognized."""
-        return max(len(self.fixes), len(self.rates)) >= MIN_MATCHES
-
 
 @dataclass(frozen=True)
 class Overlap:
@@ -116,7 +111,8 @@ def overlap_of(drive: Landmarks, others: Iterable[Landmarks]) -> Overlap:
 def known_overlap(drive: Landmarks, others: Sequence[Landmarks]) -> Overlap | None:
     """Return `overlap_of`; None, for unknown, if it is empty and parts of some other drives can't be recognized."""
     overlap = overlap_of(drive, others)
-    return overlap if overlap or all(other.distinguishes_parts for other in others) else None
+    recognizes_parts = all(max(len(other.fixes), len(other.rates)) >= MIN_MATCHES for other in others)
+    return overlap if overlap or recognizes_parts else None
 
 
 def _common(one: Landmarks, other: Landmarks) -> tuple[float, float] | None:

@@ -95,11 +95,6 @@ def transition(n: int, phi: float) -> Array:
     return np.diag([1.0] * (n - 2) + [phi] * 2)
 
 
-def fix_error_noise(variance: Array, phi: float) -> Array:
-    """Return Q of b between two fixes, (2, 2), from the stationary variance g s^2, (2,) m2."""
-    return np.diag(variance * (1.0 - phi * phi))
-
-
 def add_start(mean: Array, covariance: Array, variance: Array) -> None:
     """Add b with the variance g s^2, (...) m2, to initial means (..., n) and covariances (..., n, n), in place."""
     for position, b in ((0, -2), (1, -1)):

@@ -196,10 +196,6 @@ class State:
         """The unit squared: m2/s4 for m/s2."""
         return re.sub(r"([a-z]+)(\d*)", lambda part: f"{part[1]}{2 * int(part[2] or 1)}", self.unit)
 
-    @property
-    def density_unit(self) -> str:
-        return f"{self.unit}/sqrt(s)"
-
 
 @dataclass(frozen=True)
 class CarModel:

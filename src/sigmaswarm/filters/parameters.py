@@ -404,7 +404,7 @@ def densities(parameters: FilterParameters) -> dict[str, str]:
     if p.nominal_interval is None or min(p.process_noise) < 0:
         return {}
     each = zip(MODELS[p.model].states, p.process_noise, strict=True)
-    return {s.name: f"{np.sqrt(q / p.nominal_interval):.4g} {s.density_unit}" for s, q in each}
+    return {s.name: f"{np.sqrt(q / p.nominal_interval):.4g} {s.unit}/sqrt(s)" for s, q in each}
 
 
 def _warn_of_age(table: dict[str, Any], path: Path) -> None:

@@ -49,9 +49,8 @@ N_FILTER = N_KEPT
 OK = R.OK
 TIME, SINCE = range(N_FILTER, N_FILTER + 2)
 DONE = slice(N_FILTER + 2, N_FILTER + 6)  # see `drives.events`
-STOP_TIME = (
-    DONE.stop
-)  # last time at which IMU and fixes showed a stop; then the stop, see `standstill.matches_stop`
+# Last time at which IMU and fixes showed a stop; then the stop, see `standstill.matches_stop`.
+STOP_TIME = DONE.stop
 STOP = slice(STOP_TIME + 1, STOP_TIME + 4)
 N_FILTER_STATE = STOP.stop
 # Settings. USED: bits of the constraints and the odometer, if the filter uses them.

@@ -219,8 +219,13 @@ def _keep_digits(w, *, n, tilted, unscented, fix_error):
 
 
 UPDATES = (
-    *(update_fix, forecast_fix, update_velocity, update_standstill),
-    *(update_lateral, update_odometer, update_heading),
+    update_fix,
+    forecast_fix,
+    update_velocity,
+    update_standstill,
+    update_lateral,
+    update_odometer,
+    update_heading,
 )
 
 

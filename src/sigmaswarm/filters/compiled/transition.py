@@ -15,7 +15,10 @@ COEFFICIENTS = {
     "planar8": (R.JEAST, R.JNORTH, R.COS, R.SIN),
     "tilted12": (R.EAST, R.NORTH, R.D11, R.D12, R.D13, R.D21, R.D22, R.D23, R.D31, R.D32, R.D33),
     UNSCENTED: (
-        *(R.D11, R.D12, R.D21, R.D22),
+        R.D11,
+        R.D12,
+        R.D21,
+        R.D22,
         *(SLOPE + 5 * column + output for output in (0, 1) for column in range(6)),
         *(SLOPE + 5 * column + output for output in (2, 3, 4) for column in range(3)),
     ),

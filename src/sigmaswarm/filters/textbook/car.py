@@ -177,9 +177,8 @@ class TextbookCar(Car):
         p, filter = self.parameters, self.filter
         phi = float(np.exp(-self._since * self.timeline.nominal_interval / p.fix_error_time))
         f, q = fix_error.transition(len(filter.mean), phi), np.zeros_like(filter.covariance)
-        q[-2:, -2:] = fix_error.fix_error_noise(
-            (p.fix_error or 0.0) * np.where(stated > 0, stated, p.fix_std**2), phi
-        )
+        variance = (p.fix_error or 0.0) * np.where(stated > 0, stated, p.fix_std**2)
+        q[-2:, -2:] = np.diag(variance * (1.0 - phi * phi))  # Q of the error between two fixes
         filter.mean, filter.covariance = f @ filter.mean, f @ filter.covariance @ f.T + q
         filter.prediction = Prediction(filter.mean, filter.covariance, filter.prediction.cross @ f.T)
 
