@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState
@@ -128,7 +129,7 @@ def features_at(line: Timeline, end: Indices, *, axes: Sequence[str], window: fl
 
 def _means(time: Array, values: Array, edges: Array) -> Array:
     """Return the means (k, m) of a signal between times ``edges`` (k, m + 1), s; earlier values equal the first."""
-    whole = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
+    whole = cumulative_trapezoid(values, time, initial=0)
     inside = np.maximum(edges, time[0])
     length = np.diff(inside, axis=1)
     sums = np.diff(np.interp(inside, time, whole), axis=1)

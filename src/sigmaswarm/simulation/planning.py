@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
 from sigmaswarm.arrays import Array
@@ -127,7 +128,7 @@ def _in_time(distance: Array, speed: Array, waits: Array, ease: Array) -> Array:
     half = uniform_filter1d(width, round(0.5 / DRIVER_STEP), mode="nearest") / 2
     far = np.concatenate([[looks[0] - 2], looks, [looks[-1] + 2]])
     flat = np.concatenate([[planned[0]], planned, [planned[-1]]])
-    covered = np.concatenate([[0.0], np.cumsum((flat[1:] + flat[:-1]) / 2 * np.diff(far))])
+    covered = cumulative_trapezoid(flat, far, initial=0)
     eased = (np.interp(looks + half, far, covered) - np.interp(looks - half, far, covered)) / (2 * half)
     travelled = np.concatenate([[0.0], np.cumsum((eased[1:] + eased[:-1]) / 2) * DRIVER_STEP])
     return np.column_stack([eased, np.gradient(eased, DRIVER_STEP), travelled])
