@@ -24,6 +24,13 @@ def count_of(n: int, noun: str) -> str:
     return f"{n} {noun}{'' if n == 1 else 'es' if noun.endswith('x') else 's'}"
 
 
+def describe_change(percent: float, less: str, more: str) -> str:
+    """Compare two numbers: "12% lower than" or "equal within 0.5% to"; ``percent`` is positive for ``less``."""
+    if abs(percent) < 0.5:
+        return "equal within 0.5% to"
+    return f"{abs(percent):.0f}% {less if percent > 0 else more} than"
+
+
 def rows_left_out(count: int, rows: str = "") -> str:
     """State that rows are left out; ``rows`` describes them, as in " of imu.csv"."""
     return f"{count_of(count, 'row')}{rows} {'is' if count == 1 else 'are'} left out"

@@ -237,6 +237,20 @@ def test_gnss_logger(tmp_path: Path, old: bool):
     )  # fixes of the network are not the receiver's
 
 
+@pytest.mark.parametrize("kinds", [("Fix", "UncalAccel"), ("UncalAccel", "UncalGyro"), ("Fix", "UncalGyro")])
+def test_of_repeated_columns_of_gnss_logger_the_first_is_reported(tmp_path: Path, kinds: tuple[str, str]):
+    """The order of the header decides, not the order of a set, which depends on the hash seed."""
+    for first, second in (kinds, kinds[::-1]):
+        path = gnss_logger(tmp_path / "gnss_log.txt")
+        text = path.read_text()
+        heads = {k: next(li for li in text.splitlines() if li.startswith(f"# {k},")) for k in kinds}
+        rest = "\n".join(line for line in text.splitlines() if line not in heads.values())
+        doubled = "\n".join(f"{heads[kind]},{kind}Again,{kind}Again" for kind in (first, second))
+        path.write_text(f"{doubled}\n{rest}")
+        with pytest.raises(InputError, match=f"column '{first}Again' appears twice"):
+            imported(path)
+
+
 @pytest.mark.parametrize("write", [sensor_logger, phyphox])
 @pytest.mark.parametrize("damage", ["cut zip", "no gyroscope", "no place", "empty table"])
 def test_broken_export(tmp_path: Path, write, damage: str):

@@ -2,6 +2,8 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -231,6 +233,35 @@ def test_where_the_filter_is_worse_than_the_raw_fixes_is_said_in_a_sentence(eval
         "on town the tuned filter is WORSE than the raw fixes: RMSE 3 m instead of 2 m, 95% 7.25 m instead of 4 m",
         "on field the tuned filter is WORSE than the raw fixes: 50% 1 m instead of 0.5 m",
     )
+
+
+@pytest.mark.parametrize(
+    ("own", "baseline", "words"),
+    [
+        (2.0, 2.0, "equal within 0.5% to"),
+        (2.004, 2.0, "equal within 0.5% to"),
+        (1.995, 2.0, "equal within 0.5% to"),
+        (1.9, 2.0, "5% lower than"),
+        (2.1, 2.0, "5% HIGHER than"),
+    ],
+)
+@pytest.mark.parametrize("measure", ["position_rmse", "outage_drift"])
+def test_equal_errors_are_called_equal(own: float, baseline: float, words: str, measure: str):
+    methods: dict[str, Any] = dict.fromkeys(METHODS, Score())
+    methods |= {"tuned": Score(**{measure: own}), "untuned": Score(**{measure: baseline})}
+    headline = Evaluation({"town": DriveResult(methods)}).view.result()
+    assert f"{words} the baseline ({baseline:.3g} m)" in headline
+
+
+@pytest.mark.parametrize("name", ["second.toml", "tunings/second.toml", "a b/tuning.toml"])
+def test_the_row_of_another_filter_shows_its_path(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    Path(name).parent.mkdir(exist_ok=True)
+    PLANAR8.save(Path(name))
+    found = evaluate(DRIVES[:1], GOOD, against=name)
+    assert found.names["against"] == f"other UKF, planar8 ({name})"
+    assert found.setup.against and found.setup.against.called == f"UKF, planar8 ({name})"
+    assert f"the other UKF, planar8 ({name})" in found.view.result()
 
 
 def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evaluation: Evaluation):

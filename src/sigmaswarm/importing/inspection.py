@@ -179,9 +179,8 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal |
         chosen = [part.table for part in parts if part.table in there] or list(there)
         names = {table: there[table].columns for table in chosen}
         unnamed = ((table, columns_by_values(there[table], role)) for table in chosen)
-        proposed = propose_columns(names, role, known) or next(
-            (u for u in unnamed if u[1] and not known), None
-        )
+        by_values = None if known else next((found for found in unnamed if found[1]), None)
+        proposed = by_values or propose_columns(names, role, known)
         if proposed is None:
             continue
         table, columns = proposed

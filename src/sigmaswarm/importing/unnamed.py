@@ -8,11 +8,11 @@ import numpy as np
 import polars as pl
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.importing.names import read_name
+from sigmaswarm.importing.names import read_name, read_names
 from sigmaswarm.importing.quantities import MAX_QUARTILE_RATIO, PER_G
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.times import column_time, date_time, median_of, quoted_column
-from sigmaswarm.importing.units import G
+from sigmaswarm.importing.times import column_time, date_time, median_of, quoted_column, time_of
+from sigmaswarm.importing.units import G, in_si
 
 UNNAMED = re.compile(r"(?:c|.*_)\d+|.*\[\d+\]")
 TIMES = ("received", "stamp")  # of a message
@@ -25,7 +25,9 @@ MAX_DEGREES = 2.0  # largest range of latitude and longitude in a log
 
 
 def columns_by_values(frame: pl.DataFrame, role: Role) -> dict[str, str]:
-    """Return the expressions of a role's columns in a table whose column names are numbers; {} if they are unclear."""
+    """Return the expressions of a role's columns in a table whose column names are numbers or letters; {} if unclear."""
+    if role == "imu" and (found := _letters(frame)):
+        return found
     names = [name for name in frame.columns if UNNAMED.fullmatch(name)]
     if len(frame) < 2 or any(name not in (*names, *TIMES) and "." not in name for name in frame.columns):
         return {}
@@ -35,6 +37,23 @@ def columns_by_values(frame: pl.DataFrame, role: Role) -> dict[str, str]:
     return (
         {"t": time, **{what: quoted_column(name) for what, name in place.items()}} if place and time else {}
     )
+
+
+def _letters(frame: pl.DataFrame) -> dict[str, str]:
+    """Read x, y, z as the specific force if their magnitude is gravity and the table also has rates about three axes."""
+    letters = {name.plain: name for name in read_names(frame.columns)}
+    forces = [letters[axis] for axis in "xyz" if axis in letters]
+    named = {n.meaning: n for n in letters.values()}
+    rates = [named[axis] for axis in ("gx", "gy", "gz") if axis in named]
+    rates = rates or [letters[axis] for axis in "pqr" if axis in letters]
+    time = time_of(frame) if len(frame) else None
+    if len(forces) < 3 or len(rates) < 3 or time is None or {"ax", "ay"} <= named.keys():
+        return {}
+    values = {n.column: frame[n.column].cast(pl.Float64, strict=False).to_numpy() for n in (*forces, *rates)}
+    units = {n.column: n.unit for n in rates}
+    found = {what: (quoted_column(name), units.get(name)) for what, name in _axes(values).items()}
+    texts = {what: in_si(unit, text) if unit and unit.known else text for what, (text, unit) in found.items()}
+    return {"t": time, **texts} if texts else {}
 
 
 def _times(frame: pl.DataFrame) -> Iterator[str]:

@@ -108,9 +108,8 @@ def read_view(folder: Path, file: TuningRecord) -> EvaluationView:
     scores = load_record(ScoresRecord, folder / SCORES_FILE)
     setup = load_record(EvaluationRecord, folder / EVALUATION_FILE)
     verify_checksums(folder, setup)
-    other = setup.against and (setup.against.kind, setup.against.model)
     kind, model = str(file.filter.get("kind", "ukf")), str(file.filter.get("model", "planar5"))
-    names = method_names(kind, model, also=scores.mean, against=other)
+    names = method_names(kind, model, also=scores.mean, against=setup.against and setup.against.called)
     data = [with_training(drive, file.data) for drive in setup.data]
     return EvaluationView(scores, setup.model_copy(update={"data": data}), names)
 

@@ -13,6 +13,7 @@ from sigmaswarm.reports.page import KeyFigure, Report, Section, TrackView
 from sigmaswarm.reports.study_charts import convergence_chart, curve_charts, means_chart, quantile_chart
 from sigmaswarm.reports.study_tables import DRIFT, ERRORS, HEADING, POSITION, comparison
 from sigmaswarm.reports.style import STUDY_STYLES
+from sigmaswarm.wording import describe_change
 
 COMPARED_METHODS = ("ukf-datasheet", "ukf-defaults", "raw-gps")
 CONSISTENT_NIS = 2.0  # mean NIS of a consistent filter
@@ -82,8 +83,11 @@ def _result(results: Results, protocol: str) -> str:
     against: list[str] = []
     for c in (comparison(results, protocol, POSITION, rival) for rival in COMPARED_METHODS):
         if c is not None:
-            less = "" if c.improvement is None else "less" if c.improvement >= 0 else "MORE"
-            change = f"{abs(c.improvement or 0.0):.0f}% {less} than" if less else "no comparison with"
+            change = (
+                "no comparison with"
+                if c.improvement is None
+                else describe_change(c.improvement, "less", "MORE")
+            )
             against.append(f"{change} {results.label(c.against)}")
     rmse = f"has a position RMSE of {summary.mean:.3g} m{interval} on held-out drives"
     return f"{start} {rmse}{': ' if against else ''}{'; '.join(against)}."

@@ -164,6 +164,8 @@ class Evaluation:
         Length of the medium outages, s, and seed of the short (1 s), medium and long (30 s) outages.
     against : FilterParameters or None
         Other filter in the comparison.
+    against_source : str
+        Path of this filter; "" for parameters from Python.
     parameters : FilterParameters or None
         Evaluated filter.
     fixes_alone : MotionNoise or None
@@ -175,6 +177,7 @@ class Evaluation:
     outage_length: float = OUTAGE_LENGTH
     outage_seed: int = 0
     against: FilterParameters | None = None
+    against_source: str = ""
     parameters: FilterParameters | None = None
     fixes_alone: MotionNoise | None = None
     as_recorded: bool = False
@@ -269,7 +272,7 @@ class Evaluation:
             outage_seed=self.outage_seed,
             versions=versions(),
             data=[result.record for result in self.drives.values()],
-            against=None if other is None else AgainstRecord(kind=other.kind, model=other.model),
+            against=None if other is None else AgainstRecord.of(other, self.against_source),
             findings=self._by_drive(lambda result: list(result.findings)),
             truth_offsets=self._by_drive(lambda result: result.truth_offset),
             fixes_alone=self.fixes_alone,
@@ -340,8 +343,9 @@ def evaluate(
     if "swarm" in options:
         warn_deprecated("evaluate(swarm=...)", "bank")
         options["bank"] = options.pop("swarm")
-    if (other := options.pop("against", None)) is not None:
-        other = filter_for(other, dataset)
+    given = options.pop("against", None)
+    other = None if given is None else filter_for(given, dataset)
+    against = None if other is None else AgainstRecord.of(other, given)
     chosen = EvaluationOptions(other, **options)
     one = partial(_evaluated, parameters=parameters, options=chosen, marked=seen is not None)
     results: dict[str, DriveResult] = {}
@@ -353,14 +357,14 @@ def evaluate(
             part = {"seen_s": overlap.seconds, "seen_in": list(overlap.of)}
             results[name] = replace(results[name], record=results[name].record.model_copy(update=part))
     also = (*([AGAINST] if other else []), *chosen.optional_runs(parameters))
-    against = None if other is None else (other.kind, other.model)
-    names = method_names(parameters.kind, parameters.model, also=also, against=against)
+    names = method_names(parameters.kind, parameters.model, also=also, against=against and against.called)
     return Evaluation(
         results,
         names,
         outage_length=chosen.outage_length,
         outage_seed=chosen.outage_seed,
         against=other,
+        against_source=against.source if against else "",
         parameters=parameters,
         fixes_alone=chosen.fixes_alone,
         as_recorded=chosen.as_recorded,

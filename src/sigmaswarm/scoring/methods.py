@@ -38,14 +38,14 @@ def method_names(
     model: str = "planar5",
     *,
     also: Collection[str] = (),
-    against: tuple[str, str] | None = None,
+    against: str | None = None,
 ) -> dict[str, str]:
     """Return the display names of the methods.
 
-    ``also``: optional rows from `OPTIONAL_METHODS`; `AGAINST` adds the row of another filter. ``against``: type and
-    model of that filter, if known.
+    ``also``: optional rows from `OPTIONAL_METHODS`; `AGAINST` adds the row of another filter. ``against``: description
+    of that filter, if known.
     """
-    first = {AGAINST: f"other {filter_called(*against) if against else 'filter'}"} if AGAINST in also else {}
+    first = {AGAINST: f"other {against or 'filter'}"} if AGAINST in also else {}
     first |= {"tuned": f"tuned {filter_called(kind, model)}"}
     optional = {method: name for method, name in OPTIONAL_METHODS.items() if method in also}
     return first | optional | METHODS | first

@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Self
 
 from pydantic import BaseModel, Field
 
@@ -10,10 +11,12 @@ from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json
 from sigmaswarm.filters.fixes_alone import MotionNoise
+from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.record_files import load_record
 from sigmaswarm.scoring.consistency import Consistency
+from sigmaswarm.scoring.methods import filter_called
 from sigmaswarm.scoring.radius import RadiusRecord
-from sigmaswarm.wording import count_of
+from sigmaswarm.wording import count_of, printable
 
 SCORES_FILE, EVALUATION_FILE, AGAINST_FILE = "scores.json", "evaluation.json", "against.toml"
 Measured = dict[str, float | None]
@@ -80,6 +83,18 @@ EVALUATION = "evaluation"  # kind of result, in the record of its folder
 class AgainstRecord(BaseModel):  # another filter in the comparison
     kind: str
     model: str
+    source: str = ""  # path of the filter; empty for parameters from Python
+
+    @classmethod
+    def of(cls, other: FilterParameters, given: FilterParameters | str | Path) -> Self:
+        """``given``: the filter's path, or its parameters."""
+        source = "" if isinstance(given, FilterParameters) else str(given)
+        return cls(kind=other.kind, model=other.model, source=source)
+
+    @property
+    def called(self) -> str:
+        called = filter_called(self.kind, self.model)
+        return f"{called} ({printable(self.source)})" if self.source else called
 
 
 class EvaluationRecord(BaseModel):

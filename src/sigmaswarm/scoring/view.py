@@ -29,6 +29,7 @@ from sigmaswarm.scoring.remarks import (
 from sigmaswarm.scoring.score import MIN_HEADING_SPEED
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH
 from sigmaswarm.tables import Cell, Column, Table
+from sigmaswarm.wording import describe_change
 
 LATE_START = 5.0  # s from the start of a drive; if the scores start later, this is reported
 NO_TRUTH = (
@@ -384,8 +385,8 @@ def with_training(drive: DriveRecord, tuned_on: Sequence[DriveRecord]) -> DriveR
 
 
 def _compared(tuned: float, other: float, name: str) -> str:
-    change = 100 * (other - tuned) / other
-    return f"{abs(change):.0f}% {'lower' if change >= 0 else 'HIGHER'} than {name} ({other:.3g} m)"
+    change = describe_change(100 * (other - tuned) / other, "lower", "HIGHER")
+    return f"{change} {name} ({other:.3g} m)"
 
 
 def _sentence(text: str) -> str:

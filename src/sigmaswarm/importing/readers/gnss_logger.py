@@ -58,9 +58,9 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         text_lines(path, 0).with_row_index("row", 1).with_columns(kind).filter(pl.col("kind").is_not_null())
     )
     present = set(collect(lines.select(pl.col("kind").unique()), path, path.name)["kind"])
-    for kind in present & columns.keys():
-        require_distinct(columns[kind], path)
     columns = {kind: names for kind, names in columns.items() if kind in present}
+    for names in columns.values():
+        require_distinct(names, path)
     _require_one_clock(columns, path)
     if not columns:
         raise InputError(f"{path}: contains no lines of {', '.join(_KINDS)}; record fixes and sensors")
