@@ -361,6 +361,42 @@ def test_columns_without_names_are_recognized_by_their_values(tmp_path: Path, or
     np.testing.assert_allclose(np.ptp(drive.gps.x), np.ptp(gps.x), rtol=0.01)
 
 
+@pytest.mark.parametrize(
+    ("rates", "scale", "gravity"),
+    [
+        (("wx", "wy", "wz"), 1.0, 1.0),
+        (("gyro_x", "gyro_y", "gyro_z"), np.degrees(1.0), 1.0),
+        (("p", "q", "r"), 1.0, 1 / G),
+        (("gx [deg/s]", "gy [deg/s]", "gz [deg/s]"), np.degrees(1.0), 1.0),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::sigmaswarm.errors.SigmaswarmWarning")  # notes of the import
+@pytest.mark.parametrize("together", [True, False])
+def test_x_y_z_next_to_rates_are_proposed_as_accelerations(
+    tmp_path: Path, rates: tuple[str, str, str], scale: float, gravity: float, together: bool
+):
+    imu, gps = DRIVE.imu, DRIVE.gps
+    lat, lon, _ = enu_to_geodetic(np.column_stack([gps.x, gps.y, 0 * gps.x]), (50.0, 8.0, 100.0)).T
+    noise = 0.02 * np.random.default_rng(1).standard_normal((3, len(imu)))
+    forces = dict(zip("XYZ", gravity * (np.array([imu.ax, imu.ay, 0 * imu.ax + G]) + noise), strict=True))
+    turns = zip(rates, (scale * noise[0] / 10, scale * noise[1] / 10, scale * imu.gz), strict=True)
+    log = {"time": imu.time, **forces, **dict(turns)}
+    if together:
+        last = np.searchsorted(gps.time, imu.time, side="right") - 1
+        log |= {name: np.where(last < 0, np.nan, v[last]) for name, v in (("lat", lat), ("lon", lon))}
+    else:
+        pl.DataFrame({"time": gps.time, "lat": lat, "lon": lon}).write_csv(tmp_path / "gps.csv")
+    pl.DataFrame(log).write_csv(tmp_path / "imu.csv")
+    asked = Request(tmp_path)
+    with pytest.raises(InputError, match="--show"):
+        import_drive(asked, "log")
+    seen = inspect_request(asked)
+    assert seen.works and "signs, axes and units agree" in seen.evidence
+    drive = import_log(tmp_path, **seen.settings)
+    np.testing.assert_allclose(drive.imu.ax, imu.ax + noise[0], atol=1e-9)
+    np.testing.assert_allclose(drive.imu.gz, imu.gz, atol=1e-9)
+
+
 def test_rates_of_an_unknown_unit_are_not_imported(tmp_path: Path):
     """Without turns, the log does not show the scale of raw counts."""
     drive = simulate("accelerate", run=1, imu_rate=50.0, gps="white-1m", imu="icm-20602")

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -61,7 +62,7 @@ def assemble(
     origin = recipe.origin
     gps: Values = {}
     if "gps" in values:
-        gps, origin = placed_fixes(values["gps"], origin, say)
+        gps, origin = placed_fixes(values["gps"], origin, say, _texts(gathered["gps"]))
         _require_meters(seconds["gps"], gps, gathered["gps"])
         course, rows = chord_course(seconds["gps"], gps["x"], gps["y"])
         for angle in ("course", "heading"):
@@ -107,7 +108,7 @@ def _truth(
     recipe: Recipe,
     say: Say,
 ) -> tuple[Truth, Origin | None]:
-    placed, origin = _placed_truth(values, origin, gps)
+    placed, origin = _placed_truth(values, origin, gps, _texts(gathered))
     parts = [g.part for g in gathered]
     message = require_same_axes(seconds, placed, gps, parts) if gps else ""
     assumed = "lat" in gps and "lat" not in placed and recipe.origin is None
@@ -278,7 +279,14 @@ def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Ro
     return {role: (time - zero * SECOND) / SECOND for role, time in moved.items()}, zero
 
 
-def placed_fixes(values: Values, origin: Origin | None, say: Say) -> tuple[Values, Origin | None]:
+def _texts(parts: Sequence[PartColumns]) -> dict[str, str]:
+    return {name: text for part in parts for name, text in part.part.columns.items()}
+
+
+def placed_fixes(
+    values: Values, origin: Origin | None, say: Say, texts: Mapping[str, str] = MappingProxyType({})
+) -> tuple[Values, Origin | None]:
+    """Return the fixes with x and y, m, and the origin; ``texts``: expressions of the columns."""
     if "vx" in values and "vy" in values:
         vx, vy = values.pop("vx"), values.pop("vy")
         values["speed"], values["course"] = np.hypot(vx, vy), np.arctan2(vy, vx)
@@ -291,7 +299,7 @@ def placed_fixes(values: Values, origin: Origin | None, say: Say) -> tuple[Value
         if not len(values["lat"]):
             raise InputError("gps: no fix remains; --show shows the contents of the log")
         origin = origin or _first_place(values)
-        values = add_local_position(values, values.get("alt", origin[2]), origin, "gps")
+        values = add_local_position(values, values.get("alt", origin[2]), origin, "gps", texts)
     elif not {"x", "y"} <= set(values):
         raise InputError(WITHOUT_POSITION)
     for given, missing in (("std_x", "std_y"), ("std_y", "std_x")):
@@ -307,7 +315,7 @@ def _require_meters(time: Array, gps: Values, parts: Sequence[PartColumns]) -> N
         return
     far = np.hypot(*(gps[n][apart:] - gps[n][:-apart] for n in ("x", "y")))
     if (speed := float(np.median(far / (time[apart:] - time[:-apart])))) > MAX_SPEED:
-        texts = {n: text for p in parts for n, text in p.part.columns.items() if n in ("x", "y")}
+        texts = {n: text for n, text in _texts(parts).items() if n in ("x", "y")}
         maps = (" ".join(f'"gps.{n}=({text})*1e-{k}"' for n, text in texts.items()) for k in (3, 2))
         raise InputError(
             f"the fixes move at {speed:.4g} m/s (median), so x and y are not in m, or the times are not in s; write "
@@ -320,7 +328,9 @@ def _first_place(values: Values) -> Origin:
     return lat, lon, alt
 
 
-def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[Values, Origin | None]:
+def _placed_truth(
+    values: Values, origin: Origin | None, gps: Values, texts: Mapping[str, str]
+) -> tuple[Values, Origin | None]:
     """Return the truth with x and y, m, and the origin; without a given origin, it is the truth's first position.
 
     If the fixes have no altitude, the truth also gets the origin's altitude, since a difference of 1000 m would stretch
@@ -334,7 +344,7 @@ def _placed_truth(values: Values, origin: Origin | None, gps: Values) -> tuple[V
         origin = origin or _first_place(values)
         flat = "lat" in gps and "alt" not in gps
         values = add_local_position(
-            values, origin[2] if flat else values.get("alt", origin[2]), origin, "truth"
+            values, origin[2] if flat else values.get("alt", origin[2]), origin, "truth", texts
         )
     if not {"x", "y"} <= set(values) or len(values["x"]) < 2:
         raise InputError(

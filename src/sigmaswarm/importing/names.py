@@ -256,6 +256,7 @@ def read_name(column: str) -> Name:
     timed = re.fullmatch(CLOCK, again.plain) is not None
     # a last letter after a split is not a unit: LatG, LatD
     stated = timed or again.unit is None or split[-1] in ")]" or len(again.unit.text) > 3
+    stated = stated or (again.unit is not None and again.unit.text == "e7")
     return again if (timed or again.meaning is not None) and stated else name
 
 

@@ -1,6 +1,8 @@
 """Check positions and headings: rows without a fix, longitudes beyond 180 degrees, conventions of headings."""
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +10,7 @@ from numpy.typing import NDArray
 from sigmaswarm.arrays import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import geodetic_to_enu, wrap_angle
+from sigmaswarm.importing.units import other_units, possible_units
 from sigmaswarm.wording import rows_left_out
 
 Say = Callable[[str], None]
@@ -102,14 +105,21 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
 
 
 def add_local_position(
-    values: Values, altitude: Array | float, origin: tuple[float, float, float], role: str
+    values: Values,
+    altitude: Array | float,
+    origin: tuple[float, float, float],
+    role: str,
+    texts: Mapping[str, str] = MappingProxyType({}),
 ) -> Values:
-    """Add the x and y, m, of latitude and longitude, deg, relative to an origin."""
+    """Add the x and y, m, of latitude and longitude, deg, relative to an origin; ``texts``: their expressions."""
     for name, most in (("lat", 90.0), ("lon", 180.0)):
         wrong = values[name][np.abs(values[name]) > most]
         if len(wrong):
-            raise InputError(
-                f"{role}: {name} = {wrong[0]:g} is not in degrees; map the column, for example --map {name}={name}*1e-7"
-            )
+            both = [
+                f"({text})" if re.search(r"\W", text := texts.get(n, n)) else text for n in ("lat", "lon")
+            ]
+            possible = possible_units(*(float(np.median(np.abs(values[n]))) for n in ("lat", "lon")))
+            remedy = f"write {other_units(role, both, possible)}"
+            raise InputError(f"{role}: {name} = {wrong[0]:g} is not in degrees; {remedy}")
     enu = geodetic_to_enu(values["lat"], values["lon"], altitude, origin)
     return {**values, "x": enu[:, 0], "y": enu[:, 1]}

@@ -9,10 +9,11 @@ import polars as pl
 from sigmaswarm.importing.names import Name, read_name
 from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.times import TimeExpression, column_numbers, median_of, quoted_column, unknown_unit
-from sigmaswarm.importing.units import COUNTS, UnitDimension, in_si
+from sigmaswarm.importing.units import COUNTS, UnitDimension, in_si, other_units, possible_units
 from sigmaswarm.wording import quoted
 
-FRACTIONS = {"3600": " for arcseconds", "3.6e6": " for milliarcseconds"}
+# Units of time that mean fractions of a degree in the names of latitude and longitude, by factor to s
+_ARCS = {60.0: "60", 1.0: "3600"}
 # Texts for a missing number: without letters and digits (---.---), or written by a C library or a spreadsheet
 NO_NUMBER = r"^[^0-9A-Za-z]*$|#(?:IND|QNAN|SNAN|INF|N/A|NUM!|VALUE!|DIV/0!)"
 PLACEHOLDERS = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, 1e10, -1e10)
@@ -214,6 +215,9 @@ def geographic_position(columns: Columns, role: Role) -> dict[str, TimeExpressio
     both = ("lat", "lon")
     dms = _are_dms(*(columns.frame[columns.names[what].column] for what in both))
     forms = dict.fromkeys(both, "dms({})") if dms else dict[str, str]()
+    possible = _possible(columns)
+    # lat_min may also be the smallest latitude in degrees
+    arcs = {} if "1" in possible else {f: k for f, k in _ARCS.items() if k in possible}
     for what in () if dms else both:
         name = columns.names[what]
         if name.unit is None:
@@ -223,8 +227,11 @@ def geographic_position(columns: Columns, role: Role) -> dict[str, TimeExpressio
         elif name.unit.dimension == "angle":
             text = in_si(name.unit, "{}")
             forms[what] = text[len("radians(") : -1] if text.startswith("radians(") else f"degrees({text})"
+        elif name.unit.dimension == "time" and name.unit.factor in arcs:
+            forms[what] = f"{{}}/{arcs[name.unit.factor]}"
         else:
-            return {what: TimeExpression("", fault=unknown_unit(name, what, "angle", role))}
+            fault = unknown_unit(name, what, "angle", role).partition("; ")[0]
+            return {what: TimeExpression("", fault=f"{fault}; {_with_other_units(columns, role)}")}
     found = TimeExpression("{}") if forms else _place_form(columns, role)
     if found.fault:
         return dict.fromkeys(both, found)
@@ -359,19 +366,23 @@ def _place_form(columns: Columns, role: Role) -> TimeExpression:
         return TimeExpression("", fault=fault)
     minutes = all((v % 100 >= 60).sum() <= MAX_DAMAGED_SHARE * len(v) for v in (lat, lon))
     if low <= 9000 and high <= 18060 and minutes:
-        return TimeExpression("ddmm({})", "latitude and longitude are read as degrees and minutes, ddmm.mmmm")
+        note = "latitude and longitude are read as degrees and minutes, ddmm.mmmm"
+        other = f"; if they are arcminutes, write {_maps(columns, role, both, '{}/60')}"
+        return TimeExpression("ddmm({})", note + other * (low <= 5400 and high <= 10800))
     if low <= 9e8 and high <= 36e8 and (low > 90e6 or high > 180e6):
         other = f"; if they are milliarcseconds, write {_maps(columns, role, both, '{}/3.6e6')}"
         note = "latitude and longitude are read as 1e-7 degrees"
         return TimeExpression("{}*1e-7", note + (other if low <= 90 * 3.6e6 and high <= 180 * 3.6e6 else ""))
-    # the largest units with which the angles are possible
-    fitting = [
-        k for k in ("3600", "1e5", "1e6", "3.6e6", "1e7") if low <= 90 * float(k) and high <= 360 * float(k)
-    ]
-    options = [_maps(columns, role, both, f"{{}}/{k}") + FRACTIONS.get(k, "") for k in fitting[:3] or ["1e7"]]
-    maps = f"{' or '.join(options)} (or another factor)"
-    fault = f"latitude and longitude of about {low:.6g} and {high:.6g} are not degrees; write {maps}"
-    return TimeExpression("", fault=fault)
+    fault = f"latitude and longitude of about {low:.6g} and {high:.6g} are not degrees"
+    return TimeExpression("", fault=f"{fault}; {_with_other_units(columns, role)}")
+
+
+def _with_other_units(columns: Columns, role: Role) -> str:
+    return f"write {other_units(role, [columns.text(n) for n in ('lat', 'lon')], _possible(columns))}"
+
+
+def _possible(columns: Columns) -> list[str]:
+    return possible_units(*(median_of(columns.numbers(what).abs()) for what in ("lat", "lon")))
 
 
 def heading(columns: Columns, what: str, role: Role) -> TimeExpression:

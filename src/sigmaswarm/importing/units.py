@@ -5,6 +5,7 @@ A unit is a product of powers of base units, such as m/s^2, deg/sec, rad s^-1 or
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -75,10 +76,17 @@ _MORE: tuple[tuple[UnitDimension, float, str], ...] = (
     ("speed", 0.01, "cmps"),
     ("speed", 1e-3, "mmps"),
     ("angle", math.pi / 2**31, "semicircle semicircles"),
-    ("angle", _DEGREE * 1e-7, "dege7 deg_e7 1e-7deg deg1e-7 1e7deg deg1e7 deg*1e7 deg*1e-7 e7"),
+    ("angle", _DEGREE * 1e-7, "dege7 deg_e7 1e-7deg deg1e-7 1e7deg deg1e7 deg*1e7 deg*1e-7 e7 1e7 1e-7"),
+    ("angle", _DEGREE / 60, "' ′ arcminute arcminutes"),
+    ("angle", _DEGREE / 3600, "\" ″ '' arcsecond arcseconds"),
 )
 _WORDS: dict[str, tuple[UnitDimension, float]] = {
     word: (dimension, factor) for dimension, factor, text in _MORE for word in text.split()
+}
+# Units of latitude and longitude per degree, from the largest
+PER_DEGREE = {
+    **{"1": " for degrees", "60": " for arcminutes", "3600": " for arcseconds", "1e5": "", "1e6": ""},
+    **{"3.6e6": " for milliarcseconds", "1e7": ""},
 }
 # Words in brackets that are not units
 NOT_UNITS = (
@@ -138,6 +146,21 @@ def parse_unit(text: str) -> Unit | None:
             factor *= base**power
     dimension = _DIMENSIONS.get((powers["L"], powers["T"], powers["A"]))
     return Unit(text, dimension, factor if dimension else 0.0)
+
+
+def possible_units(lat: float, lon: float) -> list[str]:
+    """Return the units per degree with which an absolute latitude and longitude are possible, from the largest."""
+    return [k for k in PER_DEGREE if lat <= 90 * float(k) and lon <= 360 * float(k)]
+
+
+def other_units(role: str, texts: Sequence[str], possible: Sequence[str]) -> str:
+    """Return options for latitude and longitude, written as ``texts``, in the largest of the possible units."""
+    options = [
+        " ".join(["--map", *(f'"{role}.{n}={t}/{k}"' for n, t in zip(("lat", "lon"), texts, strict=True))])
+        + PER_DEGREE[k]
+        for k in possible[:3] or ["1e7"]
+    ]
+    return f"{' or '.join(options)} (or another factor)"
 
 
 def factor_of(text: str) -> float:

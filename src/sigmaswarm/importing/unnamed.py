@@ -25,7 +25,7 @@ MAX_DEGREES = 2.0  # largest range of latitude and longitude in a log
 
 
 def columns_by_values(frame: pl.DataFrame, role: Role) -> dict[str, str]:
-    """Return the expressions of a role's columns in a table whose column names are numbers or letters; {} if unclear."""
+    """Return the expressions of a role's columns in a table whose names are numbers or letters; {} if unclear."""
     if role == "imu" and (found := _letters(frame)):
         return found
     names = [name for name in frame.columns if UNNAMED.fullmatch(name)]
@@ -40,7 +40,7 @@ def columns_by_values(frame: pl.DataFrame, role: Role) -> dict[str, str]:
 
 
 def _letters(frame: pl.DataFrame) -> dict[str, str]:
-    """Read x, y, z as the specific force if their magnitude is gravity and the table also has rates about three axes."""
+    """Read x, y, z as the specific force if their magnitude is gravity and the table also has three rates."""
     letters = {name.plain: name for name in read_names(frame.columns)}
     forces = [letters[axis] for axis in "xyz" if axis in letters]
     named = {n.meaning: n for n in letters.values()}
