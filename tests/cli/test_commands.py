@@ -507,6 +507,49 @@ def test_split_in_time(sigmaswarm, drives: Path, here: Path):
         )
 
 
+@pytest.mark.parametrize(
+    ("at", "short", "tuned"), [(11.0, "train", "test"), (25.0, "", "train"), (40.0, "", "train")]
+)
+def test_a_part_that_is_too_short_is_not_proposed(sigmaswarm, here: Path, at: float, short: str, tuned: str):
+    """Less than 10 s follow the start."""
+    write_drive(simulate("urban", duration=75.0, imu_rate=50.0, run=1, gps="white-1m"), "long")
+    said = sigmaswarm("split", "long", "--out", "parts", "--at", at).out
+    (part,) = re.findall(r"sigmaswarm tune parts/\S+-(\w+) ", said)
+    assert part == tuned
+    assert re.findall(r"note: \S+-(\w+) is too short for a tuning", said) == [short] * bool(short)
+    assert ("sigmaswarm evaluate" in said) is not bool(short)
+
+
+@pytest.mark.parametrize(("delay", "proposed"), [(0.0, True), (0.1, True), (0.6, False)])
+def test_an_unused_velocity_is_the_next_step(sigmaswarm, here: Path, delay: float, proposed: bool):
+    """The doctor, split and tune propose a second tuning, unless the velocity lags behind the positions."""
+    drive = simulate("urban", duration=75.0, imu_rate=50.0, run=1, gps="white-1m")
+    true, rng = drive.truth, np.random.default_rng(3)
+    east, north = (np.interp(drive.gps.time - delay, true.time, v) for v in (true.vx, true.vy))
+    east, north = (v + 0.05 * rng.standard_normal(len(v)) for v in (east, north))
+    velocity = {"speed": np.hypot(east, north), "course": np.arctan2(north, east)}
+    write_drive(replace(drive, gps=replace(drive.gps, **velocity)), "car")
+    tune = ("--particles", 6, "--generations", 2)
+    said = [sigmaswarm("doctor", "car").out, sigmaswarm("split", "car", "--out", "parts").out]
+    said.append(sigmaswarm("tune", "car", "--out", "t", "--trust-log", *tune).out)
+    options = [re.findall(r"--use ([a-z -]*velocity)", text) for text in said]
+    assert all(map(bool, options)) is proposed
+    assert "sigmaswarm tune car --out tuned-velocity --use" in said[2] or not proposed
+    if proposed and delay == 0.0:  # the command works, and then nothing is proposed
+        again = sigmaswarm("tune", "car", "--out", "v", "--use", *options[2][0].split(), *tune)
+        assert again.code == 0 and "tuned-velocity" not in again.out
+
+
+def test_a_drive_that_is_too_short_is_not_proposed(sigmaswarm, here: Path):
+    whole = simulate("urban", duration=30.0, imu_rate=50.0, run=1, gps="white-1m")
+    write_drive(clip(whole, 0, 18), "short")
+    said = sigmaswarm("split", "short", "--out", "parts", "--at", 9).out
+    assert "next: use a longer drive, or split at another time" in said and "sigmaswarm tune" not in said
+    write_drive(clip(whole, 0, 9), "part")
+    said = sigmaswarm("doctor", "part").out
+    assert "next: use a longer drive; " in said and "sigmaswarm tune" not in said
+
+
 def test_the_demo_is_the_quick_study(sigmaswarm, here: Path, monkeypatch: pytest.MonkeyPatch):
     """With a smaller swarm and fewer drives than at home; a second demo continues the first."""
     small = {"maneuvers": ("turns", "brake"), "environments": ("clear",)}

@@ -1,5 +1,6 @@
 """A role of several tables: the first one's times, the others in between, angles the short way round."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +8,10 @@ import polars as pl
 import pytest
 
 from importing.logs import imported
+from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.importing.recipe import Recipe
+from sigmaswarm.importing.source import TableChoice
 
 RATE = 0.5
 """rad/s of the circle: the course wraps every 12.6 s."""
@@ -101,3 +104,23 @@ def test_samples_of_one_time_keep_every_bit(circle: Path):
     recipe = 'x = "x"\ny = "y"\n[[truth]]\ntable = "places.csv"\nt = "t"\nx = "x"\ny = "y"\n'
     recipe += '[[truth]]\ntable = "heading.csv"\nt = "t"\ntheta = "theta"\n'
     np.testing.assert_array_equal(joined(circle, recipe).truth.theta, theta)
+
+
+@pytest.mark.parametrize("chosen", [{"imu": "imu.csv"}, {"imu": "imu.csv", "gps": "fixes.csv"}])
+@pytest.mark.parametrize("others", [("gps",), ("truth",), ("gps", "truth"), ("gps", "odometer")])
+def test_a_chosen_table_is_that_of_the_role_s_log(
+    circle: Path, chosen: dict[str, str], others: tuple[str, ...]
+):
+    """--imu-table next to --gps or --truth: other logs need no table of this name."""
+    (circle / "places.csv").rename(circle / "fixes.csv")
+    shutil.copy(circle / "imu.csv", circle / "spare_imu.csv")
+    beside = circle / "beside"
+    beside.mkdir()
+    shutil.copy(circle / "fixes.csv", beside / "fixes.csv")
+    write(beside, "odometer.csv", t=FIXES, wheel_speed=10 + 0 * FIXES)
+    files = {"gps": beside / "fixes.csv", "truth": beside / "fixes.csv", "odometer": beside / "odometer.csv"}
+    drive = imported(circle, choice=TableChoice(chosen), **{role: files[role] for role in others}).drive
+    assert len(drive.imu) == len(TIME) and len(drive.gps) == len(FIXES)
+    assert (drive.truth is not None) == ("truth" in others)
+    with pytest.raises(InputError, match=r"no table 'none\.csv'; choose from fixes\.csv, imu\.csv"):
+        imported(circle, choice=TableChoice({"imu": "none.csv"}), gps=files["gps"])

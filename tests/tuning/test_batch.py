@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import AlignmentError, InputError
 from sigmaswarm.filters.presets import DEFAULTS, PAPER
 from sigmaswarm.filters.run import run_filter
@@ -129,3 +131,13 @@ def test_what_is_no_drive_no_parameters_no_executor_is_said(drives: Any, sets: A
 def test_one_of_each_is_a_batch():
     drive = make_drive(duration=20)
     assert run_batch(drive, DEFAULTS).costs.tolist() == run_batch([drive], [DEFAULTS]).costs.tolist()
+
+
+@pytest.mark.parametrize("interval", [1.0, 1.5, 2.0])
+def test_a_drive_without_fixes_after_the_start_is_called_too_short(interval: float):
+    """Not a drive on which every filter failed. The start needs all fixes."""
+    drive = make_drive(duration=30.0, gps_rate=1 / interval)
+    begin = initial_state(drive).time
+    short = clip(drive, end=begin + 0.5 * interval)
+    with pytest.raises(InputError, match=r"no fix follows the start .* longer drive"):
+        run_batch(short, SETS[:1])

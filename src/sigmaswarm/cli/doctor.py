@@ -60,7 +60,6 @@ def doctor(
         sigmaswarm doctor drives/friday --json
     """
     from sigmaswarm.drives.reader import drive_folders
-    from sigmaswarm.drives.split import part_of
 
     read, fix = _read(drives), options.fix
     if fix is not None:
@@ -82,7 +81,7 @@ def doctor(
         serious |= diagnosis.serious
         folder = fix / drive.name if fix else drive_folders(drives[0])[0]
         if len(read) == 1 and (folder / "drive.toml").exists():
-            following = [*next_steps(diagnosis, folder, part_of(drive))]
+            following = [*next_steps(diagnosis, folder, drive)]
     content = {"drives": result, "serious": serious, **({"lever_arm": arm.to_dict()} if arm else {})}
     print_result(options.json, content, *([f"lever arm: {arm}"] if arm else []), *following)
     if serious:

@@ -14,6 +14,7 @@ from sigmaswarm.wording import count_of, printable
 if TYPE_CHECKING:
     from sigmaswarm.datasets.dataset import Dataset
     from sigmaswarm.doctor.findings import Diagnosis, Finding
+    from sigmaswarm.drives.drive import Drive
     from sigmaswarm.drives.reader import Location
 
 Remedy = tuple[str, Path | None]
@@ -197,11 +198,42 @@ def repair_whole(diagnosis: "Diagnosis", part: "Location") -> "tuple[list[str], 
     ], part
 
 
-def next_steps(diagnosis: "Diagnosis", out: Path, part: str = "") -> Iterator[str]:
-    """Yield the next steps after a printed diagnosis of the drive in the folder ``out``.
+def too_short_for_outages(drive: "Drive") -> str:
+    """Describe a drive in which the first outage would begin after its end; "" for a longer drive."""
+    from sigmaswarm.drives.alignment import StartFailure, find_start
+    from sigmaswarm.scoring.targets import OUTAGE_FIRST_AFTER as least
 
-    ``part``: "train" or "test" for a part of a drive.
-    """
+    start = find_start(drive)
+    if isinstance(start, StartFailure) or (left := float(drive.imu.time[-1]) - start.time) >= least:
+        return ""
+    return (
+        f"{printable(drive.name)} is too short for a tuning: {left:.1f} s follow the start of a "
+        f"filter, and at least {least:g} s are needed"
+    )
+
+
+def velocity_options(diagnosis: "Diagnosis") -> str:
+    """Return the options of `tune` that add the receiver's velocity, if it agrees with the positions; else ""."""
+    use = " ".join(finding.what for finding in diagnosis.findings if finding.code == "use")
+    options = re.search(r"write (--use .*)$", use)
+    return options[1] if options and "velocity" in options[1].split() else ""
+
+
+def with_velocity(diagnosis: "Diagnosis") -> list[str]:
+    """Return the lines after the command of a tuning, if the log has a velocity that `tune` does not use by default."""
+    if not (options := velocity_options(diagnosis)):
+        return []
+    reason = "the log has the receiver's velocity, which may reduce the errors, but tune does not use it by default"
+    return [
+        f"      ({reason}; tune a second filter with {options}, and compare both with evaluate --against)"
+    ]
+
+
+def next_steps(diagnosis: "Diagnosis", out: Path, drive: "Drive") -> Iterator[str]:
+    """Yield the next steps after a printed diagnosis of a drive, which is in the folder ``out``."""
+    from sigmaswarm.drives.split import part_of
+
+    part = part_of(drive)
     ready, following = out, f"sigmaswarm plot {shlex.quote(str(out))}"
     if cut := split_command(diagnosis, out):
         yield from (f"next: {cut}", f"then: sigmaswarm doctor {free_path('parts')} --fix mended")
@@ -219,6 +251,9 @@ def next_steps(diagnosis: "Diagnosis", out: Path, part: str = "") -> Iterator[st
     elif no_start := next((finding for finding in diagnosis.findings if finding.code == "no-start"), None):
         yield f"next: {no_start.remedy}"
         return
+    elif part != "test" and (short := too_short_for_outages(drive)):
+        yield f"next: use a longer drive; {short}"
+        return
     yield f"next: {following}"
     if part == "test":
         yield f"then: sigmaswarm evaluate TUNING {shlex.quote(str(ready))} --out {free_path('evaluation')}"
@@ -227,7 +262,9 @@ def next_steps(diagnosis: "Diagnosis", out: Path, part: str = "") -> Iterator[st
     if part:
         yield f"then: sigmaswarm tune {shlex.quote(str(ready))} --out {free_path('tuned')}"
         yield "      (keep the other part for the evaluation)"
+        yield from with_velocity(diagnosis)
         return
     yield f"then: sigmaswarm split {shlex.quote(str(ready))} --out {free_path('parts')}"
     tune = f"sigmaswarm tune {shlex.quote(str(ready))} --out {free_path('tuned')}"
     yield f"      (if you have another drive for the evaluation, do not split; instead: {tune})"
+    yield from with_velocity(diagnosis)

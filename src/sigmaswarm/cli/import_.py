@@ -228,7 +228,7 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
     print_lines(*_report(imported, out, diagnosis))
     print_diagnosis(diagnosis)
     again = _with_exchanged_fixes(diagnosis)
-    print_lines(*([f"next: {again}"] if again else next_steps(diagnosis, out)))
+    print_lines(*([f"next: {again}"] if again else next_steps(diagnosis, out, imported.drive)))
 
 
 def _with_exchanged_fixes(diagnosis: "Diagnosis") -> str:

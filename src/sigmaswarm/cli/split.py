@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 import sigmaswarm
 from sigmaswarm.cli.common import print_json, print_lines, read_silently, require_writable
-from sigmaswarm.cli.findings import has_unrepairable, repair_and_split
+from sigmaswarm.cli.findings import has_unrepairable, repair_and_split, too_short_for_outages, with_velocity
 from sigmaswarm.cli.options import Json, Overwrite
 from sigmaswarm.files import free_path
 from sigmaswarm.wording import count_of
@@ -99,20 +99,29 @@ def _require_enough(whole: "sigmaswarm.Drive", parts: "Sequence[sigmaswarm.Drive
 def _next_steps(parts: "Sequence[sigmaswarm.Drive]", out: Path, *, own: bool) -> list[str]:
     from sigmaswarm.drives.alignment import StartFailure, find_start
 
-    train, test = (shlex.quote(str(out / part.name)) for part in parts)
+    short = [too_short_for_outages(part) for part in parts]
+    chosen = parts[::-1] if short[0] and not short[1] else parts  # tune on the part that is long enough
+    train, test = (shlex.quote(str(out / part.name)) for part in chosen)
     tuned = free_path("tuned")
     diagnoses = [sigmaswarm.diagnose(part) for part in parts]
     serious = any(diagnosis.serious for diagnosis in diagnoses)
     unusable = any(isinstance(find_start(part), StartFailure) for part in parts)
     if unusable or any(map(has_unrepairable, diagnoses)) or (serious and not own):
         return [f"next: sigmaswarm doctor {train} {test}"]
+    if all(short):
+        return [f"next: use a longer drive, or split at another time; {short[0]}"]
+    why = [f"note: {short[0]}"] if short[0] else []
     if serious:
-        repaired = shlex.quote(str(Path("mended") / parts[0].name))
+        repaired = shlex.quote(str(Path("mended") / chosen[0].name))
         return [
+            *why,
             f"next: sigmaswarm doctor {train} {test} --fix mended",
             f"then: sigmaswarm tune {repaired} --out {tuned}",
         ]
+    last = f"sigmaswarm evaluate {tuned} {test} --out {free_path('evaluation')}"
     return [
+        *why,
         f"next: sigmaswarm tune {train} --out {tuned}",
-        f"then: sigmaswarm evaluate {tuned} {test} --out {free_path('evaluation')}",
+        *with_velocity(sigmaswarm.diagnose(chosen[0])),
+        f"then: {'evaluate the tuning on another drive' if why else last}",
     ]

@@ -18,12 +18,13 @@ from sigmaswarm.cli.common import (
     read_datasets,
     require_result_folder,
 )
-from sigmaswarm.cli.findings import Remedy
+from sigmaswarm.cli.findings import Remedy, velocity_options
 from sigmaswarm.cli.options import FIELDS, MORE, Cluster, Json, Places, TrustLog, Workers, options_of
 from sigmaswarm.cli.remarks import local_folders, name_files, warn_of_unusable
 from sigmaswarm.cli.terminal import tuning_progress
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import free_path
+from sigmaswarm.filters.models import MODELS
 from sigmaswarm.tuning.config import DEFERRED_OPTIONS, RENAMED, TuneConfig
 from sigmaswarm.wording import TO_DO, count_of
 
@@ -123,7 +124,7 @@ def tune(
     remedies = None if options.trust_log else list[Remedy]()
     with cluster_at(options.cluster) as client:
         groups = read_datasets(drives, options.validation or [], cluster=client, remedies=remedies, gaps=True)
-        tuning, track, before, after = _tune(groups, drives[0], out, options, config)
+        tuning, track, before, after = _tune(groups, drives, out, options, config)
     from sigmaswarm.reports.tuning import save_tuning_figures  # imported late, since matplotlib takes memory
     from sigmaswarm.tuning.record import TuningRecord
 
@@ -148,7 +149,7 @@ def tune(
 
 
 def _tune(
-    groups: "Sequence[Dataset]", first: str, out: Path, options: TuneOptions, config: dict[str, Any]
+    groups: "Sequence[Dataset]", given: Places, out: Path, options: TuneOptions, config: dict[str, Any]
 ) -> "tuple[Tuning[Any], FirstTrack, list[str], list[str]]":
     """Tune; return the result, the track on the first drive, and the lines to print before and after the result."""
     from concurrent.futures import ThreadPoolExecutor
@@ -174,8 +175,12 @@ def _tune(
     (track,) = read.subset([0]).map(follow)
     (part,) = read.subset([0]).map(_is_part)
     alone = len(read) == 1 and not len(held_back)
-    evaluate, splitting = _next(out, first, everywhere[0].name, part=part) if alone else (_evaluate(out), [])
+    evaluate, splitting = (
+        _next(out, given[0], everywhere[0].name, part=part) if alone else (_evaluate(out), [])
+    )
     compare = _compare(evaluate, out, [one["sha256"] for one in tuning.data])
+    if not options.paper:
+        compare += _with_velocity(given, tuning.config, read)
     lines = [f"next:     {evaluate} --out {free_path('evaluation')}", *splitting, *compare]
     return tuning, track, [f"model:    {chosen}"] if chosen else [], lines
 
@@ -200,6 +205,25 @@ def _is_part(drive: "Drive") -> bool:
     from sigmaswarm.drives.description import CUT
 
     return CUT in drive.metadata
+
+
+def _has_velocity(drive: "Drive") -> bool:
+    """Return True if the drive has the receiver's velocity, and the doctor found no fault in it."""
+    return bool(velocity_options(sigmaswarm.diagnose(drive)))
+
+
+def _with_velocity(given: Places, config: TuneConfig, read: "Dataset") -> list[str]:
+    """Suggest a second tuning with the receiver's velocity, if model and logs permit it and the first one lacks it."""
+    model = MODELS.get(config.model)
+    allowed = model and "velocity" in (model.options or ("velocity",)) and "velocity" not in config.use
+    if not allowed or not all(read.map(_has_velocity)):
+        return []
+    drives, use = " ".join(map(quote, given)), " ".join((*config.use, "velocity"))
+    return [
+        f"then:     sigmaswarm tune {drives} --out {free_path('tuned-velocity')} --use {use}",
+        "          (the logs have the receiver's velocity, which this filter does not use and which may reduce the",
+        "          errors; compare both filters with evaluate --against)",
+    ]
 
 
 def _costs(tuning: "Tuning[Any]") -> "Iterable[str | RichTable]":

@@ -50,8 +50,10 @@ class Request:
         """The name of the source; for ".", the name of the current folder."""
         return self.source.name or self.source.resolve().name
 
-    def home(self, role: Role) -> Path:
-        return (None if role in ("imu", "mag") else getattr(self, role)) or self.source
+    def home(self, role: str) -> Path:
+        """Return the log of a role; velocities belong to the fixes."""
+        other: Path | None = getattr(self, "gps" if role == "velocity" else role, None)
+        return other if role not in ("imu", "mag") and other else self.source
 
 
 @dataclass(frozen=True)
@@ -186,12 +188,15 @@ def opened(request: Request) -> Generator[tuple[dict[Path, Log], dict[Path, Gues
 
 
 def _guess(log: Log, request: Request) -> Guess:
-    """Return the reader's guess; the only table of a log named with --truth or --odometer has this role."""
-    tables = dict(request.choice.tables)
+    """Return the reader's guess, with the chosen tables of this log's roles.
+
+    The only table of a log named with --truth or --odometer has this role.
+    """
+    tables = {role: t for role, t in request.choice.tables.items() if request.home(role) == log.path}
     for role, path in (("truth", request.truth), ("odometer", request.odometer)):
         if log.path == path and len(log.tables) == 1:
             tables[role] = next(iter(log.tables))
-    chosen = tables.pop("mag", None) if log.path == request.source else None
+    chosen = tables.pop("mag", None)
     guess = log.guess(replace(request.choice, mapped=mapped_roles(request.maps), tables=tables))
     if chosen is None:
         return guess

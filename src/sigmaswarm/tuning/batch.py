@@ -121,6 +121,11 @@ def scorer_for(objective: Objective, dataset: Dataset, seed: int, *, as_recorded
 
 def require_fit(scorer: BatchScorer, objective: str, seed: int) -> None:
     needs_truth = parse_objective(objective).needs_truth
+    for drive, initial in zip(scorer.drives, scorer.initial, strict=True):
+        if not (drive.gps.time > initial.time).any():
+            raise InputError(
+                f"{drive.name}: no fix follows the start of a filter at {initial.time:g} s; use a longer drive"
+            )
     for drive, initial, moments in zip(scorer.drives, scorer.initial, scorer.truth_moments, strict=True):
         if needs_truth and drive.truth is not None and not moments:
             raise InputError(
