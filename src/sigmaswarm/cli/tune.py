@@ -179,7 +179,7 @@ def _tune(
         _next(out, given[0], everywhere[0].name, part=part) if alone else (_evaluate(out), [])
     )
     compare = _compare(evaluate, out, [one["sha256"] for one in tuning.data])
-    if not options.paper:
+    if isinstance(tuning.config, TuneConfig) and not options.paper:
         compare += _with_velocity(given, tuning.config, read)
     lines = [f"next:     {evaluate} --out {free_path('evaluation')}", *splitting, *compare]
     return tuning, track, [f"model:    {chosen}"] if chosen else [], lines

@@ -11,6 +11,7 @@ from sigmaswarm.doctor.checks.noise import check_noise
 from sigmaswarm.doctor.checks.observability import check_observability, check_use
 from sigmaswarm.doctor.checks.odometer import check_odometer
 from sigmaswarm.doctor.checks.timing import check_clock, check_sampling
+from sigmaswarm.doctor.checks.truth import check_truth
 from sigmaswarm.doctor.checks.velocity import check_velocity
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.findings import SEVERITIES, Diagnosis, Finding, finding_of
@@ -32,6 +33,7 @@ CHECKS = (
     check_accelerometer,
     check_tilt,
     check_clock,
+    check_truth,
     check_velocity,
     check_heading,
     check_odometer,
@@ -45,7 +47,7 @@ _cache: dict[tuple[str, str], Diagnosis] = {}
 
 
 def diagnose(drive: Drive) -> Diagnosis:
-    """Find the faults of a drive. Its truth is not used.
+    """Find the faults of a drive. Of its truth only the clock is checked.
 
     Parameters
     ----------

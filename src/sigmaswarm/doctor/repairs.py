@@ -1,4 +1,4 @@
-"""Repair the faults in a diagnosis. The given drive and its truth are not changed."""
+"""Repair the faults in a diagnosis. The given drive is not changed; in the copy, only the truth's clock may differ."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -203,6 +203,7 @@ AXIS_ACTIONS = {"rotate", "gyro", "tilt-rates", "accelerometer", "turn"}
 ACTIONS: dict[str, Callable[..., Drive]] = {
     "exchange-fixes": _exchange_fixes,
     "shift-clock": partial(_shift, "gps"),
+    "shift-truth": partial(_shift, "truth"),
     "drop-samples": partial(_drop, "imu"),
     "drop-fixes": partial(_drop, "gps"),
     "rotate": _rotate,

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.arrays import Array
+from sigmaswarm.doctor.checks.truth import truth_delay
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import Origin, enu_to_geodetic, geodetic_to_enu
 from sigmaswarm.importing.positions import MAX_DISTANCE, Values
@@ -19,10 +20,8 @@ MIN_EXPLAINED, MIN_ROTATION, MIN_STRETCH = 0.9, np.radians(5), 0.05
 # of the unchanged truth at the best delay to that of the rotated truth
 LAGS, MIN_VARIANCE_RATIO = np.arange(-20.0, 20.1, 0.5), 4.0
 ANGLE_TOLERANCE = 0.02  # rad, angle within which axes count as exactly exchanged or reversed
-STEP = 0.01  # s, resolution of a reported delay
 # m per unit of length
 LENGTHS = {unit: factor_of(unit) for unit in ("mm", "cm", "dm", "ft", "yd", "km", "mi", "nmi")}
-MAX_DELAY = 2.5  # s, largest delay of a receiver
 MIN_FIXES = 10
 
 
@@ -34,6 +33,13 @@ def require_same_axes(
     With fixes z and truth w, as complex numbers minus their means, wrong axes or units give z = a w with a factor a
     unlike 1, or z = a conj(w). If a clock offset explains the difference, return a message with the offset, else "".
     """
+    places = [values["x"] + 1j * values["y"] for values in (gps, truth)]
+    if delay := truth_delay(seconds["gps"], places[0], seconds["truth"], places[1]):
+        message = (
+            f"truth: the times are about {abs(delay):g} s {'later' if delay > 0 else 'earlier'} than those of the "
+            f"fixes with the same velocity; write --truth-offset {-delay:g}"
+        )
+        return f"{message}, or --gps-offset {delay:g} if the fixes have the wrong clock"
     inside, true = _true(seconds, truth)
     if len(true) < MIN_FIXES:
         return ""
@@ -47,17 +53,6 @@ def require_same_axes(
     factor = complex(dots[mirrored] / max(float(np.mean(np.abs(w) ** 2)), 1e-9))
     left = power - float((dots[mirrored] * np.conj(factor)).real)
     late = [_apart(fixes, seconds, truth, lag) for lag in LAGS]
-    best = int(np.argmin(late))
-    limit = min(unexplained / MIN_VARIANCE_RATIO, (1 - MIN_EXPLAINED) * power, left)
-    if late[best] < limit and abs(LAGS[best]) > MAX_DELAY:
-        near = LAGS[best] + np.arange(LAGS[0] - LAGS[1], LAGS[1] - LAGS[0] + STEP / 2, STEP)
-        lag = round(float(min(near, key=lambda lag: _apart(fixes, seconds, truth, float(lag)))), 2)
-        when = "later" if lag > 0 else "earlier"
-        message = (
-            f"truth: the times are about {abs(lag):g} s {when} than those of the fixes on the same track; write "
-            f"--truth-offset {-lag:g}"
-        )
-        return f"{message}, or --gps-offset {lag:g} if the fixes have the wrong clock"
     if "lat" in truth:
         return ""
     stretched = abs(np.log(max(abs(factor), 1e-9))) > MIN_STRETCH

@@ -343,7 +343,7 @@ def evaluate(
     if "swarm" in options:
         warn_deprecated("evaluate(swarm=...)", "bank")
         options["bank"] = options.pop("swarm")
-    given = options.pop("against", None)
+    given: FilterParameters | str | Path | None = options.pop("against", None)
     other = None if given is None else filter_for(given, dataset)
     against = None if other is None else AgainstRecord.of(other, given)
     chosen = EvaluationOptions(other, **options)

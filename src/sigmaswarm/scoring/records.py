@@ -86,9 +86,9 @@ class AgainstRecord(BaseModel):  # another filter in the comparison
     source: str = ""  # path of the filter; empty for parameters from Python
 
     @classmethod
-    def of(cls, other: FilterParameters, given: FilterParameters | str | Path) -> Self:
+    def of(cls, other: FilterParameters, given: FilterParameters | str | Path | None) -> Self:
         """``given``: the filter's path, or its parameters."""
-        source = "" if isinstance(given, FilterParameters) else str(given)
+        source = "" if given is None or isinstance(given, FilterParameters) else str(given)
         return cls(kind=other.kind, model=other.model, source=source)
 
     @property

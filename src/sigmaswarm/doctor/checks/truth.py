@@ -1,0 +1,93 @@
+"""Compare the clock of the truth with that of the fixes, by their velocities."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import correlate
+
+from sigmaswarm.doctor.evidence import Evidence
+from sigmaswarm.doctor.findings import Finding, Repair
+from sigmaswarm.drives.drive import Array
+
+Positions = NDArray[np.complexfloating]
+STEP, FINE_STEP = 0.5, 0.01  # s, of the tried delays, and of those near the best one
+BASE = 2.0  # s, over which velocities are computed
+MAX_GAP = 3.0  # s, longest interval between positions within `BASE`
+MAX_SPEED = 150.0  # m/s, of a velocity that is compared
+MIN_TIME = 20.0  # s, shortest time with both velocities
+MIN_SPEED = 1.0  # m/s, lowest RMS speed
+MIN_DELAY = 2.5  # s, larger than the delay of a receiver
+# Largest difference of the velocities at the best delay, relative to their size; smallest ratio of the difference at
+# other delays, and without a delay, to that at the best one; width of the best one, s
+MAX_DIFFERENCE, MIN_RATIO, PEAK_WIDTH = 0.1, 3.0, 10.0
+
+
+def check_truth(evidence: Evidence) -> Iterator[Finding]:
+    truth, gps = evidence.drive.truth, evidence.drive.gps
+    if truth is None:
+        return
+    delay = truth_delay(gps.time, gps.x + 1j * gps.y, truth.time, truth.x + 1j * truth.y)
+    if delay is None:
+        return
+    size, way = f"{abs(delay):.2f} s", "late" if delay > 0 else "early"
+    what = f"the truth's clock is {size} {way}: with this offset, its velocity equals that of the fixes"
+    leap = "; GPS time is 18 s ahead of UTC" if abs(abs(delay) - 18) < 1 else ""
+    remedy = f"{'subtract' if delay > 0 else 'add'} {size} {'from' if delay > 0 else 'to'} the truth's times{leap}, "
+    remedy += f"or import the log with --truth-offset {-delay:.2f}"
+    span = float(truth.time[0]), float(truth.time[-1])
+    yield Finding(
+        "truth-clock", "serious", what, "truth.csv, t", span, 0.99, remedy, Repair("shift-truth", (-delay,))
+    )
+
+
+def truth_delay(time: Array, fixes: Positions, truth_time: Array, truth: Positions) -> float | None:
+    """Find the delay of the truth's clock, s, from its positions (m,) and the fixes (n,), east + i north, m.
+
+    Return None if the delay is small, or if no delay, or several delays, explain the velocities. The difference of the
+    velocities is the sum of |v - w|^2 over that of |v|^2 + |w|^2, in the time that both cover at a delay.
+    """
+    if min(len(time), len(truth_time)) < 3:
+        return None
+    (begin, v, known), (start, w, seen) = _velocities(time, fixes), _velocities(truth_time, truth)
+    if not known.any() or not seen.any():
+        return None
+    count = correlate(seen, known, method="fft")
+    power = correlate(seen, np.abs(v) ** 2, method="fft") + correlate(np.abs(w) ** 2, known, method="fft")
+    enough = count >= max(MIN_TIME / STEP, 0.5 * min(known.sum(), seen.sum()))
+    valid = enough & (power > 2 * MIN_SPEED**2 * count)
+    products = correlate(w, v, method="fft").real
+    apart = np.where(valid, 1 - 2 * products / np.where(valid, power, 1.0), np.inf)
+    delays = (np.arange(len(apart)) - (len(v) - 1)) * STEP + start - begin
+    best, none = int(np.argmin(apart)), int(np.argmin(np.abs(delays)))
+    least = MIN_RATIO * max(float(apart[best]), 1e-6)
+    others = apart[np.abs(delays - delays[best]) > PEAK_WIDTH]
+    without = float(apart[none]) if abs(delays[none]) < STEP else np.inf
+    clear = apart[best] < MAX_DIFFERENCE and min(without, others.min(initial=np.inf)) > least
+    if not clear or abs(delays[best]) < MIN_DELAY:
+        return None
+    near = delays[best] + np.arange(-STEP, STEP + FINE_STEP / 2, FINE_STEP)
+    inside = (time + near[0] >= truth_time[0]) & (time + near[-1] <= truth_time[-1])
+
+    def distance(delay: float) -> float:
+        apart = fixes[inside] - _at(time[inside] + delay, truth_time, truth)
+        return float(np.mean(np.abs(apart - np.mean(apart)) ** 2))
+
+    return round(float(min(near, key=distance)), 2)
+
+
+def _velocities(time: Array, position: Positions) -> tuple[float, Positions, Array]:
+    """Return velocities on a grid of `STEP` (k,), m/s, its first time, and 1 where the velocity is known, else 0."""
+    grid = np.arange(np.ceil(time[0] / STEP), np.floor(time[-1] / STEP) + 1) * STEP
+    first, last = (np.asarray(grid + side * BASE / 2, np.float64) for side in (-1, 1))
+    velocity = (_at(last, time, position) - _at(first, time, position)) / BASE
+    # A velocity is unknown in intervals without positions.
+    long = np.append(0, np.cumsum(np.diff(time) > MAX_GAP))
+    i, j = np.searchsorted(time, first), np.searchsorted(time, last, side="right") - 1
+    inside = (first >= time[0]) & (last <= time[-1]) & (np.abs(velocity) < MAX_SPEED)
+    known = inside & (long[np.clip(j + 1, 0, len(long) - 1)] == long[np.clip(i - 1, 0, len(long) - 1)])
+    return float(grid[0]) if len(grid) else 0.0, velocity * known, known.astype(np.float64)
+
+
+def _at(time: Array, known: Array, position: Positions) -> Positions:
+    return np.interp(time, known, position.real) + 1j * np.interp(time, known, position.imag)

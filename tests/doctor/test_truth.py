@@ -1,0 +1,58 @@
+"""A truth whose clock is wrong: it is found with its offset, repaired, and not mistaken for a delay of the fixes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sigmaswarm.doctor.diagnose import diagnose
+from sigmaswarm.doctor.repairs import repair
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.split import clip
+from sigmaswarm.simulation.scenarios import simulate
+
+DRIVES = {
+    "urban": simulate("urban", run=3, duration=120.0, imu_rate=50.0, gps="white-1m"),
+    "rain": simulate("urban", environment="rain", run=1, duration=90.0, imu_rate=50.0),
+    "slippery": simulate("urban", environment="slippery", run=2, duration=120.0, imu_rate=50.0),
+}
+
+
+def shifted(drive: Drive, seconds: float, *, move: float = 0.0) -> Drive:
+    truth = drive.truth
+    return replace(drive, truth=replace(truth, time=truth.time + seconds, x=truth.x + move))
+
+
+@pytest.mark.parametrize("name", DRIVES)
+@pytest.mark.parametrize("seconds", [50.0, 18.0, -18.0, 3600.0, -7.3])
+def test_a_wrong_clock_of_the_truth_is_found_and_repaired(name: str, seconds: float):
+    drive = shifted(DRIVES[name], seconds)
+    diagnosis = diagnose(drive)
+    (found,) = (f for f in diagnosis.findings if f.code == "truth-clock")
+    assert found.severity == "serious" and f"--truth-offset {-seconds:.0f}"[:18] in found.remedy
+    again = repair(drive, diagnosis)
+    np.testing.assert_allclose(again.truth.time, DRIVES[name].truth.time, atol=0.15)
+    assert "truth-clock" not in diagnose(again).codes
+
+
+@pytest.mark.parametrize("seconds", [50.0, 18.0, -50.0])
+def test_neither_a_part_nor_another_origin_hides_it(seconds: float):
+    whole = DRIVES["urban"]
+    part = replace(whole, truth=clip(whole, 20.0, 90.0).truth)
+    for drive in (shifted(whole, seconds, move=3e4), shifted(part, seconds)):
+        (found,) = (f for f in diagnose(drive).findings if f.code == "truth-clock")
+        assert found.repair.values[0] == pytest.approx(-seconds, abs=0.15)
+
+
+@pytest.mark.parametrize("name", DRIVES)
+@pytest.mark.parametrize("seconds", [0.0, 0.5, -1.0])
+def test_a_truth_with_the_delay_of_a_receiver_is_not_doubted(name: str, seconds: float):
+    assert "truth-clock" not in diagnose(shifted(DRIVES[name], seconds)).codes
+
+
+def test_fixes_with_a_wrong_clock_are_the_fixes_fault():
+    """IMU and truth agree, so only the fixes are moved."""
+    drive = DRIVES["urban"]
+    late = replace(drive, gps=replace(drive.gps, time=drive.gps.time + 18.0))
+    diagnosis = diagnose(late)
+    assert "clock-offset" in diagnosis.codes and "truth-clock" not in diagnosis.codes
