@@ -1,5 +1,6 @@
 """Import of a log: open it, guess or read a recipe, gather, assemble."""
 
+import math
 import os
 import re
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -22,10 +23,22 @@ from sigmaswarm.importing.long_tables import describe_kinds
 from sigmaswarm.importing.magnetometer import part_of, with_magnetometer
 from sigmaswarm.importing.mounting import AUTO, find_mount
 from sigmaswarm.importing.names import read_names
-from sigmaswarm.importing.rates import unit_of_rates
-from sigmaswarm.importing.recipe import COLUMNS, Recipe, mapped_roles, with_maps
+from sigmaswarm.importing.rates import MIN_CONFIRMED, turn_ratio, unit_of_rates
+from sigmaswarm.importing.recipe import COLUMNS, Recipe, mapped_columns, mapped_roles, with_maps
 from sigmaswarm.importing.row_times import gaps_by_clock, gaps_by_distance
-from sigmaswarm.importing.source import ROLES, Guess, ImportProgress, Limits, Log, Part, Role, TableChoice
+from sigmaswarm.importing.source import (
+    ROLES,
+    Guess,
+    ImportProgress,
+    Limits,
+    Log,
+    Part,
+    Role,
+    TableChoice,
+    TickRate,
+)
+from sigmaswarm.importing.ticks import Counter, describe_rate, rate_by_motion, time_of_ticks, usual_rate
+from sigmaswarm.importing.times import UNKNOWN_TICK, scaled_column
 from sigmaswarm.wording import list_names
 
 
@@ -84,6 +97,10 @@ RECEIVER_LOGS = (
     ".ubx",
 )  # endings of files next to tables that are read only with --gps
 MAX_FAULTS = 3  # in one message
+# Rates, Hz, with which a counter is read for a comparison of the motion
+# Largest logarithm of a ratio of turns, or of rates, that does not contradict a unit
+MAX_RATIO_ERROR = 0.2
+TRIAL_RATES = (1e4, 1e5, 1e6, 1e7, 1e8, 1e3)
 
 
 def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
@@ -114,15 +131,21 @@ def import_drive(
     Raise `InputError` for a damaged or incomplete log, or a column that cannot be computed.
     """
     require_name(name, "the drive")
-    recipe, gathered, notes, assumed, metadata, unitless = _read(request, ROLES, progress)
+    recipe, gathered, notes, assumed, metadata, unitless, counter = _read(request, ROLES, progress)
     progress(1.0)
     try:
         plain = replace(recipe, mount="") if recipe.mount == AUTO else recipe
         field = gathered.pop("mag", ())
-        drive = assemble(name, gathered, plain, notes.append, request.part)
+        other_rate = _rate_by_duration(counter, gathered, recipe)
+        try:
+            drive = assemble(name, gathered, plain, notes.append, request.part)
+        except InputError as error:
+            raise InputError("; ".join(filter(None, (str(error), other_rate)))) from None
         if any(ROW in part.expressions["t"].columns for part in gathered.get("gps", ())):
             notes += filter(None, [gaps_by_distance(drive)])
         parts = recipe.roles["imu"]
+        if fault := _wrong_tick(drive, counter, recipe, other_rate):
+            raise InputError(fault)
         impossible = {} if raw else impossible_rates(drive.imu, parts)
         unit = unit_of_rates(drive, recipe.roles, unitless | impossible)
         scales = [] if raw else wrong_scale(drive.imu, parts, {} if unit.fault else impossible)
@@ -144,6 +167,24 @@ def import_drive(
     return ImportResult(drive, recipe, tuple(dict.fromkeys(notes)), assumed)
 
 
+def _wrong_tick(drive: Drive, counter: Counter, recipe: Recipe, other_rate: str) -> str:
+    """Describe a wrong guess of the unit of a counter, with which IMU and fixes show another motion; else return "".
+
+    ``other_rate``: remedy if IMU and fixes have different durations.
+    """
+    if not (counter.shared or other_rate):
+        return ""
+    share, ratio = turn_ratio(drive)
+    if share > MIN_CONFIRMED and abs(math.log(max(ratio, 1e-9))) < MAX_RATIO_ERROR:
+        return ""
+    if counter.shared:
+        factor, found = rate_by_motion(drive), scaled_column(recipe.roles["imu"][0].columns["t"])
+        if factor is None or found is None or abs(math.log(factor)) < MAX_RATIO_ERROR:
+            return ""
+        other_rate = _shown_rate(counter.text, 1 / (found[1] * factor))
+    return f"{counter.text}: the unit of the times is unknown; {other_rate}"
+
+
 def import_imu(request: Request) -> tuple[Imu, tuple[str, ...]]:
     """Read the IMU of a log, with or without fixes; return the IMU and the assumptions of the import."""
     recipe, gathered, notes, *_ = _read(request, ("imu",), lambda done: None)
@@ -156,8 +197,13 @@ def import_imu(request: Request) -> tuple[Imu, tuple[str, ...]]:
 
 def _read(
     request: Request, roles: Sequence[Role], progress: ImportProgress
-) -> tuple[Recipe, dict[Role, list[PartColumns]], list[str], tuple[str, ...], dict[str, Any], dict[str, str]]:
-    """Return recipe, columns, notes, assumptions on the mounting, metadata of the logs, and columns without a unit."""
+) -> tuple[
+    Recipe, dict[Role, list[PartColumns]], list[str], tuple[str, ...], dict[str, Any], dict[str, str], str
+]:
+    """Return recipe, columns, notes, assumptions on the mounting, metadata of the logs, and columns without a unit.
+
+    The last element is the result of `guessed_counter`.
+    """
     with opened(request) as (logs, guesses):
         recipe = complete_recipe(request, guesses)
         wanted = {role: parts for role, parts in recipe.roles.items() if role in roles}
@@ -169,11 +215,11 @@ def _read(
             raise InputError(f"{fault}{SHOW_HINT}")
         gathered = _gather_all(request, logs, recipe, progress)
         metadata = {key: value for guess in guesses.values() for key, value in guess.metadata.items()}
-        notes, assumed = notes_of(logs, guesses, recipe), assumed_mounting(guesses, recipe)
+        notes, assumed = notes_of(request, logs, guesses, recipe), assumed_mounting(guesses, recipe)
         notes += gaps_by_clock(gathered)
         mapped = {entry.partition("=")[0].strip().removeprefix("imu.") for entry in request.maps}
         guessed = {name: text for name, text in unitless.items() if name not in mapped}
-        return recipe, gathered, notes, assumed, metadata, guessed
+        return recipe, gathered, notes, assumed, metadata, guessed, guessed_counter(request, guesses)
 
 
 @contextmanager
@@ -220,6 +266,7 @@ def complete_recipe(request: Request, guesses: Guesses) -> Recipe:
     mine: list[Role] = [role for role in ROLES if request.time and request.home(role) == request.source]
     times = dict.fromkeys(mine, request.time or "")
     roles = with_maps({role: parts for role, parts in roles.items() if parts}, request.maps, times)
+    roles = _with_tick_rates(request, roles, guesses)
     if request.recipe.gps_from_truth:
         roles.pop("gps", None)
     origins = [request.recipe.origin, *(g.origin for g in guesses.values())]
@@ -228,6 +275,43 @@ def complete_recipe(request: Request, guesses: Guesses) -> Recipe:
         return recipe
     lever = recipe.gps_lever_arm_m or (None if request.gps else placed.lever_arm)
     return replace(recipe, mount=recipe.mount or placed.mount, gps_lever_arm_m=lever)
+
+
+def _stated(request: Request, role: Role, column: str) -> bool:
+    """Return True if the user specified a column."""
+    mapped = mapped_columns(request.maps)
+    timed = column == "t" and request.time is not None and request.home(role) == request.source
+    return (role, column) in mapped or timed or role in request.recipe.roles
+
+
+def _with_tick_rates(
+    request: Request, roles: Mapping[Role, tuple[Part, ...]], guesses: Guesses
+) -> dict[Role, tuple[Part, ...]]:
+    """Use the rates of counters that follow from a known clock, also for other tables with the IMU's counter."""
+    rates = _tick_rates(guesses)
+    counter = guesses[request.source].ticks.get("imu", "")
+    changed = dict(roles)
+    for role, parts in roles.items():
+        own = guesses[request.home(role)].ticks.get(role, "")
+        shared = counter in rates and parts[0].table == rates[counter].table
+        text = own if own in rates else counter if shared else ""
+        if text and not _stated(request, role, "t"):
+            time = {"t": time_of_ticks(text, rates[text].rate)}
+            changed[role] = tuple(replace(part, columns={**part.columns, **time}) for part in parts)
+    return changed
+
+
+def _tick_rates(guesses: Guesses) -> dict[str, TickRate]:
+    return {text: rate for guess in guesses.values() for text, rate in guess.rates.items()}
+
+
+def guessed_counter(request: Request, guesses: Guesses) -> Counter:
+    both: tuple[Role, ...] = ("imu", "gps")
+    own, other = (guesses[request.home(role)].ticks.get(role, "") for role in both)
+    stated = [_stated(request, role, "t") for role in both]
+    if not own or own in _tick_rates(guesses) or stated[0] or (own == other and stated[1]):
+        return Counter()
+    return Counter(own, own == other)
 
 
 def faults_left(request: Request, recipe: Recipe, logs: Mapping[Path, Log], guesses: Guesses) -> list[str]:
@@ -245,9 +329,69 @@ def faults_left(request: Request, recipe: Recipe, logs: Mapping[Path, Log], gues
             if used and parts and not mapped and not any(fault.column in part.columns for part in parts):
                 where = path if path.name == fault.table else path / fault.table
                 left.append(f"{where}, {fault.sentence}")
-    return _with_unit_of_rates(
-        list(dict.fromkeys(left)), request, logs, recipe, guesses[request.source].unitless
+    left = _with_rate_of_ticks(list(dict.fromkeys(left)), request, logs, recipe, guesses)
+    return _with_unit_of_rates(left, request, logs, recipe, guesses[request.source].unitless)
+
+
+def _with_rate_of_ticks(
+    faults: list[str], request: Request, logs: Mapping[Path, Log], recipe: Recipe, guesses: Guesses
+) -> list[str]:
+    """Replace the remedy of a counter of unknown unit by the rate that the motion, or the duration, shows.
+
+    A counter that IMU and fixes share has also an unknown unit if its unit would differ.
+    """
+    counter = guessed_counter(request, guesses)
+    unknown = [fault for fault in faults if UNKNOWN_TICK in fault]
+    times = {part.columns.get("t") for role in ("imu", "gps") for part in recipe.roles.get(role, ())[:1]}
+    differ = counter.shared and len(times) > 1
+    if not counter.text or "gps" not in recipe.roles or not (unknown or differ):
+        return faults
+    remedy = _trial(counter, request, logs, recipe)
+    if remedy and not unknown:
+        return [*faults, f"{counter.text}: the unit of the times is unknown; {remedy}"]
+    shown = {fault: f"{fault.partition('; specify')[0]}; {remedy}" for fault in unknown if remedy}
+    return [shown.get(fault, fault) for fault in faults]
+
+
+def _trial(counter: Counter, request: Request, logs: Mapping[Path, Log], recipe: Recipe) -> str:
+    """Read a counter at a rate with possible steps, and return the remedy that follows; "" if none does."""
+    for trial in TRIAL_RATES:
+        maps = [f"{r}.t={time_of_ticks(counter.text, trial)}" for r in ("imu", "gps")[: 1 + counter.shared]]
+        plain = replace(recipe, roles=with_maps(recipe.roles, maps, {}), mount="")
+        try:
+            gathered = _gather_all(request, logs, plain, lambda done: None)
+            gathered.pop("mag", None)
+            if not counter.shared:
+                return _rate_by_duration(counter, gathered, plain)
+            drive = assemble("log", gathered, plain, lambda note: None, request.part)
+        except InputError:
+            continue
+        factor = rate_by_motion(drive)
+        return "" if factor is None else _shown_rate(counter.text, trial / factor)
+    return ""
+
+
+def _rate_by_duration(
+    counter: Counter, gathered: Mapping[Role, Sequence[PartColumns]], recipe: Recipe
+) -> str:
+    """Return the remedy for a counter with which the duration of the IMU differs from that of the fixes."""
+    scaled = scaled_column(recipe.roles["imu"][0].columns.get("t", ""))
+    if not counter.text or counter.shared or scaled is None or "gps" not in gathered:
+        return ""
+    imu, gps = (gathered[role][0].duration for role in ("imu", "gps"))
+    if not min(imu, gps) or abs(math.log(imu / gps)) < MAX_RATIO_ERROR:
+        return ""
+    rate = usual_rate(imu / gps / scaled[1], 0.01)
+    return (
+        f"if IMU and fixes cover the same {gps:.0f} s, {counter.text} has about {rate:,.10g} ticks per s; write "
+        f'--map "imu.t={time_of_ticks(counter.text, rate)}"'
     )
+
+
+def _shown_rate(counter: str, rate: float) -> str:
+    rate = usual_rate(rate)
+    maps = " ".join(f'"{role}.t={time_of_ticks(counter, rate)}"' for role in ("imu", "gps"))
+    return f"the motion of IMU and fixes agrees at {rate:,.10g} ticks per s; write --map {maps}"
 
 
 def _with_unit_of_rates(
@@ -271,9 +415,19 @@ def _with_unit_of_rates(
     return [shown.get(fault, fault) for fault in faults if fault not in rates[1:]]
 
 
-def notes_of(logs: Mapping[Path, Log], guesses: Guesses, recipe: Recipe) -> list[str]:
+def notes_of(request: Request, logs: Mapping[Path, Log], guesses: Guesses, recipe: Recipe) -> list[str]:
     made, found = recipe.mount, guesses.values()
-    notes = [note for guess in found for note in guess.notes]
+    notes: list[str] = []
+    used = {(r, n): text for r, parts in recipe.roles.items() for p in parts for n, text in p.columns.items()}
+
+    def read(role: Role, column: str, text: str) -> bool:
+        return used.get((role, column), "") == text and not _stated(request, role, column)
+
+    for guess in guesses.values():
+        notes += guess.notes_on(read)
+    rates = {time_of_ticks(text, rate.rate): (text, rate) for text, rate in _tick_rates(guesses).items()}
+    times = {parts[0].columns.get("t", ""): None for parts in recipe.roles.values()}
+    notes += [describe_rate(*rates[time]) for time in times if time in rates]
     notes += [n for guess in found if guess.placed for n in guess.placed.notes(made, recipe.gps_lever_arm_m)]
     return notes + [remark for log in logs.values() for remark in log.remarks]
 

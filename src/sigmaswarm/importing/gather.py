@@ -9,7 +9,7 @@ import polars as pl
 
 from sigmaswarm.arrays import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.dates import Nanoseconds
+from sigmaswarm.importing.dates import SECOND, Nanoseconds
 from sigmaswarm.importing.expressions import (
     Expression,
     compile_expression,
@@ -82,6 +82,12 @@ class PartColumns:
         usable = rows.filter(pl.col("t").is_not_null())
         self.timeless += len(rows) - len(usable)
         self.rows += [usable] if len(usable) else []
+
+    @property
+    def duration(self) -> float:
+        """Sum of the forward steps of the time, s, which hardly depends on wraps of a counter."""
+        steps = pl.concat(self.rows)["t"].diff() if self.rows else pl.Series([0])
+        return float(steps.filter(steps > 0).sum()) / SECOND
 
     def finish(self) -> tuple[Nanoseconds, dict[str, Array]]:
         """Return the times (n,), ns, and the columns (n,), NaN where the log has no value."""

@@ -19,6 +19,7 @@ from sigmaswarm.importing.quantities import (
     quantity,
 )
 from sigmaswarm.importing.source import Fault, Guess, Part, Role
+from sigmaswarm.importing.ticks import rates_by_clock
 from sigmaswarm.importing.times import TimeExpression, column_numbers, find_time, median_of, quoted_column
 from sigmaswarm.wording import list_names
 
@@ -95,6 +96,8 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
     roles: dict[Role, tuple[Part, ...]] = {}
     notes: list[str] = []
     faults: list[Fault] = []
+    about: dict[str, list[tuple[Role, str]]] = {}
+    ticks: dict[Role, str] = {}
     for role, tables in _candidates(found).items():
         if role in chosen and chosen[role] not in samples:
             raise InputError(f"there is no table {chosen[role]!r}; choose from {list_names(samples)}")
@@ -123,6 +126,9 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
             shared = "imu" in roles and table == roles["imu"][0].table
             for what, found_as in _expressions(found[table], role, "imu" if shared else role):
                 notes += [found_as.note] if found_as.note else []
+                about.setdefault(found_as.note, []).append((role, what))
+                if found_as.ticks:
+                    ticks.setdefault(role, found_as.ticks)
                 fault = found_as.fault.replace('"imu.t=', f'"{role}.t=')
                 faults += [Fault(role, what, table, fault)] if fault else []
                 expressions |= {what: found_as.expression} if found_as.expression else {}
@@ -133,7 +139,16 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
         w: c.text(w) for c in reversed(tables) for w in _WANTED["imu"] if w in c and not c.has_unit(w)
     }
     notes = [*dict.fromkeys(notes)]
-    return Guess(roles, tuple(notes), downward=downward, faults=tuple(faults), unitless=unitless)
+    return Guess(
+        roles,
+        tuple(notes),
+        downward=downward,
+        faults=tuple(faults),
+        unitless=unitless,
+        ticks=ticks,
+        rates=rates_by_clock(samples) if ticks else {},
+        about=about,
+    )
 
 
 def spread_rows(rows: pl.LazyFrame) -> pl.DataFrame:

@@ -120,7 +120,7 @@ def inspect_request(request: Request, progress: ImportProgress = lambda done: No
         down = not recipe.mount and any(guess.downward for guess in guesses.values())
         mount, tilted = tilted_mount(recipe, first[request.home("imu")], downward=down)
         assumed = (tilted,) if tilted else convert.assumed_mounting(guesses, recipe)
-        notes += (*convert.notes_of(logs, guesses, recipe), *assumed)
+        notes += (*convert.notes_of(request, logs, guesses, recipe), *assumed)
     evidence = ""
     if proposal:
         proposal, evidence, works = check_proposal(proposal, partial(_imported, request, progress))

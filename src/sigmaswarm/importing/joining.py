@@ -14,7 +14,15 @@ from sigmaswarm.importing.dates import SECOND, Nanoseconds
 from sigmaswarm.importing.gather import PartColumns
 from sigmaswarm.importing.positions import Say, Values, valid_positions, with_longitudes
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.timeline import from_digits, recordings, require_likely, sorted_times, unwrap
+from sigmaswarm.importing.timeline import (
+    from_digits,
+    recordings,
+    require_likely,
+    require_unwrappable,
+    sorted_times,
+    unwrap,
+)
+from sigmaswarm.importing.times import scaled_column
 from sigmaswarm.wording import count_of, printable, rows_left_out
 
 MIN_STD = 1e-6  # m or rad; a standard deviation of at most this value counts as missing
@@ -107,7 +115,9 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
         say(
             f"{where}: {count_of(count, 'value')} of {printable(name)} {are} left out, since {value:g} is a placeholder"
         )
-    time, part.period, note = unwrap(time)  # from all rows: a counter may wrap before the first fix
+    tick = (scaled_column(part.part.columns["t"]) or ("", 0.0))[1]
+    require_unwrappable(time, tick, where)
+    time, part.period, note = unwrap(time, tick)  # from all rows: a counter may wrap before the first fix
     filled = _finite(values, len(time)).any(axis=0)
     if 0 < (empty := int(np.count_nonzero(~filled))) < 0.5 * len(time):
         say(f"{role}: {rows_left_out(empty)}, since a cell is empty")
@@ -121,7 +131,7 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
         time, values = time[filled], _rows(values, filled)
     if not note:  # rows without values, now left out, may have had other times
         time, digits = from_digits(time)
-        time, part.period, note = unwrap(time)
+        time, part.period, note = unwrap(time, tick)
         note = "; ".join(filter(None, (digits, note)))
     if note:
         say(f"{where}: {note}")

@@ -70,7 +70,7 @@ def unit_of_rates(
     assumed = ASSUMED_UNITS[forms.pop()]
     columns = ", ".join(unitless[n] for n in used)
     raw = [getattr(drive.imu, n) / assumed for n in used]
-    share, ratio = _ratio(drive)
+    share, ratio = turn_ratio(drive)
     if share < MIN_EXPLAINED:
         if share > MIN_CONFIRMED and 1 / MIN_FACTOR_RATIO < ratio < MIN_FACTOR_RATIO:
             return RateUnit()
@@ -105,7 +105,7 @@ def _wrong_clock(ratio: float, columns: str, times: Mapping[Any, str]) -> str:
     return f"{message}, so the unit of the times is likely {10.0**power:g} times the assumed unit; write --map {maps}"
 
 
-def _ratio(drive: Drive) -> tuple[float, float]:
+def turn_ratio(drive: Drive) -> tuple[float, float]:
     """Return the fraction of the variance of course changes that the rates explain, and their ratio to the rates."""
     time, x, y, imu = drive.gps.time, drive.gps.x, drive.gps.y, drive.imu
     axes = np.array([v for v in (imu.gx, imu.gy, imu.gz) if v is not None])

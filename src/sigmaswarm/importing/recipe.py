@@ -164,13 +164,17 @@ def with_maps(
 
 
 def mapped_roles(maps: Sequence[str]) -> frozenset[str]:
-    """Return the roles with mapped columns other than the time; invalid entries are skipped, and refused later."""
-    roles: set[str] = set()
+    """Return the roles with mapped columns other than the time."""
+    return frozenset(role for role, column in mapped_columns(maps) if column != "t")
+
+
+def mapped_columns(maps: Sequence[str]) -> frozenset[tuple[Role, str]]:
+    """Return roles and columns of mappings; invalid entries are skipped, and refused later."""
+    columns: set[tuple[Role, str]] = set()
     for text in maps:
         with suppress(InputError):
-            role, column, _ = _entry(text)
-            roles |= {role} if column != "t" else set()
-    return frozenset(roles)
+            columns.add(_entry(text)[:2])
+    return frozenset(columns)
 
 
 def _entry(text: str) -> tuple[Role, str, str]:

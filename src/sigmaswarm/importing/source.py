@@ -107,6 +107,15 @@ class Placement:
 
 
 @dataclass(frozen=True)
+class TickRate:
+    """Rate of a counter, Hz, the expression of the known clock that shows it, and the table of both."""
+
+    rate: float
+    clock: str
+    table: str
+
+
+@dataclass(frozen=True)
 class Guess:
     """A reader's recipe for a log, and its assumptions."""
 
@@ -121,6 +130,26 @@ class Guess:
     placed: Placement | None = None
     # Columns of the IMU's table whose unit is unknown, as text of expressions, by column of the drive
     unitless: Mapping[str, str] = field(default_factory=dict[str, str])
+    # Counters whose unit is guessed from their steps, as text of expressions, by role; rates of counters
+    ticks: Mapping[Role, str] = field(default_factory=dict[Role, str])
+    rates: Mapping[str, TickRate] = field(default_factory=dict[str, TickRate])
+    # Roles and columns to which notes refer; such a note is for recipes that read a column as guessed
+    about: Mapping[str, Sequence[tuple[Role, str]]] = field(
+        default_factory=dict[str, Sequence[tuple["Role", str]]]
+    )
+
+    def notes_on(self, read: Callable[[Role, str, str], bool]) -> Iterator[str]:
+        """Yield the notes, without those on columns that are not read as guessed.
+
+        ``read`` receives role, column and guessed expression, and returns True for a column that is read in this way.
+        """
+        guessed = {
+            (r, n): text for r, parts in self.roles.items() for p in parts for n, text in p.columns.items()
+        }
+        for note in self.notes:
+            about = self.about.get(note, ())
+            if not about or any(read(*one, guessed.get(one, "")) for one in about):
+                yield note
 
 
 @dataclass(frozen=True)

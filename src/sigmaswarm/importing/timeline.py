@@ -13,6 +13,7 @@ from sigmaswarm.importing.times import MAX_DECREASING_SHARE, MAX_STEP, MIN_STEP,
 from sigmaswarm.wording import count_of, list_names, rows_left_out
 
 MINUTE = 60 * SECOND
+BITS = (16, 24, 31, 32)  # lengths of counters
 # Periods after which counters wrap, ns
 WRAPS: tuple[tuple[int, str], ...] = (
     (2**32 * 1000, "a counter of 2^32 microseconds"),
@@ -58,15 +59,19 @@ def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
     return fine, "the times are hours, minutes and seconds (hhmmss) and are converted"
 
 
-def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, int, str]:
-    """Unwrap a counter that wrapped; return the times, its period, ns, and a sentence; 0 and "" for other clocks."""
+def unwrap(time: Nanoseconds, tick: float = 0.0) -> tuple[Nanoseconds, int, str]:
+    """Unwrap a counter that wrapped; return the times, its period, ns, and a sentence; 0 and "" for other clocks.
+
+    ``tick``: unit of the counter, s; 0 if it is unknown.
+    """
     steps = np.diff(time)
     ahead = steps[steps > 0]
     if not len(ahead) or not 0 < np.mean(steps < 0) < MAX_DECREASING_SHARE:
         return time, 0, ""
     usual = float(np.median(ahead))
     fitting: list[tuple[float, int, str]] = []
-    for period, name in WRAPS:
+    of_ticks = {round(2**bits * tick * SECOND): f"a counter of 2^{bits} ticks" for bits in BITS if tick > 0}
+    for period, name in (of_ticks | dict(WRAPS)).items():
         wraps = steps < -0.5 * period
         # After a wrap, the times continue by about a usual step, unlike after two exchanged rows of a short log.
         lost = 5 if period >= 3600 * SECOND else 2.5  # a recording may end by chance near a short period
@@ -85,6 +90,18 @@ def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, int, str]:
     _, period, name = min(fitting)
     turns = np.concatenate([[0], np.cumsum(steps < -0.5 * period)])
     return time + turns * period, period, f"{name} wraps {count_of(int(turns[-1]), 'time')} and is unwrapped"
+
+
+def require_unwrappable(time: Nanoseconds, tick: float, where: str) -> None:
+    """Refuse a counter that wraps faster than rows follow each other; ``tick``: its unit, s, or 0."""
+    backwards = float(np.mean(np.diff(time) < 0)) if len(time) > MIN_ROWS else 0.0
+    span = int(np.ptp(time)) / SECOND if len(time) else 0.0
+    period = next((2**bits * tick for bits in BITS if 0.9 < span / max(2**bits * tick, 1e-12) < 1.001), None)
+    if backwards >= MAX_DECREASING_SHARE and period and int(time.min()) >= 0:
+        raise InputError(
+            f"{where}: the counter of the time wraps every {period:.3g} s, which is faster than rows follow each "
+            "other, so their times are ambiguous; specify another time column"
+        )
 
 
 def recordings(time: Nanoseconds) -> list[slice]:

@@ -55,6 +55,7 @@ DATE_FORMATS = (
 )
 # Smallest fraction of dates that must fit a format; the others are presumably damaged
 MIN_FITTING_SHARE = 0.99
+UNKNOWN_TICK = "have no likely unit"  # in the fault of a counter
 COUNTER_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 CALENDAR = ("year", "month", "day", "hour", "minute", "second")
 # Last words of the names of the six columns of a date
@@ -87,6 +88,16 @@ class TimeExpression:
     expression: str
     note: str = ""  # an assumption
     fault: str = ""  # reason not to use the expression
+    ticks: str = ""  # text of a counter whose unit is guessed from its steps
+
+
+def scaled_column(text: str) -> tuple[str, float] | None:
+    """Return the column of an expression ``column``, ``column*number`` or ``column/number``, and the factor."""
+    plain = re.fullmatch(r"\s*(`[^`]+`|[A-Za-z_]\w*)\s*(?:\*\s*([\d.eE+-]+)|/\s*([\d.eE+-]+))?\s*", text)
+    try:
+        return plain and (plain[1], float(plain[2] or 1.0) / float(plain[3] or 1.0))
+    except (ValueError, ZeroDivisionError):
+        return None
 
 
 def find_time(frame: pl.DataFrame, role: Role) -> TimeExpression | None:
@@ -407,14 +418,17 @@ def _of_numbers(values: pl.Series, text: str, role: Role) -> TimeExpression:
             f'"{scaled(text, COUNTER_UNITS[u])}" for {1 / (step * COUNTER_UNITS[u]):.4g} Hz'
             for u in ("ms", "us")
         )
-        message = f"column {quoted(column)}: steps of {step:g} have no likely unit"
+        message = f"column {quoted(column)}: steps of {step:g} {UNKNOWN_TICK}"
         return TimeExpression(
             "",
-            fault=f'{message}; specify the unit with --time: {rates}, or "{text}*1e-4" for ticks of 0.1 ms',
+            fault=f'{message}; specify the unit with --time: {rates}, "{text}*1e-4" for ticks of 0.1 ms, or the '
+            f'rate of the counter, for example "{text}/32768" for 32,768 ticks per s',
+            ticks=text,
         )
-    return TimeExpression(
-        scaled(text, UNITS[unit]), "" if unit == "s" else f"the times in {column} are read as {unit}"
-    )
+    if unit == "s":
+        return TimeExpression(text)
+    note, ticks = f"the times in {column} are read as {unit}", "" if dated else text
+    return TimeExpression(scaled(text, UNITS[unit]), note, ticks=ticks)
 
 
 def _too_short(numbers: pl.Series, text: str, column: str, step: float, role: Role) -> TimeExpression:
@@ -431,13 +445,9 @@ def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
 
     The unit is wrong if no sensor has such steps and another unit makes them plausible.
     """
-    plain = re.fullmatch(r"\s*(`[^`]+`|[A-Za-z_]\w*)\s*(?:\*\s*([\d.eE+-]+)|/\s*([\d.eE+-]+))?\s*", text)
-    name = plain[1].strip("`") if plain else ""
-    if plain is None or name not in rows.columns or not rows[name].dtype.is_numeric():
-        return ""
-    try:
-        scale = float(plain[2] or 1.0) / float(plain[3] or 1.0)
-    except (ValueError, ZeroDivisionError):
+    column, scale = scaled_column(text) or ("", 1.0)
+    name = column.strip("`")
+    if name not in rows.columns or not rows[name].dtype.is_numeric():
         return ""
     step, size, longest = step_of(rows[name]), median_of(column_numbers(rows[name]).abs()), 4 * MAX_STEP[role]
     likely = [(u, f) for u, f in UNITS.items() if MIN_STEP < step * f < longest]
@@ -451,5 +461,5 @@ def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
     option = '--time "' if role == "imu" else f'--map {role}.t="'
     return (
         f"with {text} in s, rows of the {role} would be {step * scale:.4g} s apart, in {unit} "
-        f'{step * factor:.4g} s; write {option}{plain[1]}{times}"'
+        f'{step * factor:.4g} s; write {option}{column}{times}"'
     )
