@@ -1,6 +1,5 @@
 """Import of a log: open it, guess or read a recipe, gather, assemble."""
 
-import math
 import os
 import re
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -23,7 +22,7 @@ from sigmaswarm.importing.long_tables import describe_kinds
 from sigmaswarm.importing.magnetometer import part_of, with_magnetometer
 from sigmaswarm.importing.mounting import AUTO, find_mount
 from sigmaswarm.importing.names import read_names
-from sigmaswarm.importing.rates import MIN_CONFIRMED, turn_ratio, unit_of_rates
+from sigmaswarm.importing.rates import unit_of_rates
 from sigmaswarm.importing.recipe import COLUMNS, Recipe, mapped_columns, mapped_roles, with_maps
 from sigmaswarm.importing.row_times import gaps_by_clock, gaps_by_distance
 from sigmaswarm.importing.source import (
@@ -37,8 +36,9 @@ from sigmaswarm.importing.source import (
     TableChoice,
     TickRate,
 )
-from sigmaswarm.importing.ticks import Counter, describe_rate, rate_by_motion, time_of_ticks, usual_rate
-from sigmaswarm.importing.times import UNKNOWN_TICK, scaled_column
+from sigmaswarm.importing.tick_evidence import rate_by_duration, rate_by_motion, shown_rate, wrong_tick
+from sigmaswarm.importing.ticks import Counter, describe_rate, time_of_ticks
+from sigmaswarm.importing.times import UNKNOWN_TICK
 from sigmaswarm.wording import list_names
 
 
@@ -98,8 +98,6 @@ RECEIVER_LOGS = (
 )  # endings of files next to tables that are read only with --gps
 MAX_FAULTS = 3  # in one message
 # Rates, Hz, with which a counter is read for a comparison of the motion
-# Largest logarithm of a ratio of turns, or of rates, that does not contradict a unit
-MAX_RATIO_ERROR = 0.2
 TRIAL_RATES = (1e4, 1e5, 1e6, 1e7, 1e8, 1e3)
 
 
@@ -136,7 +134,7 @@ def import_drive(
     try:
         plain = replace(recipe, mount="") if recipe.mount == AUTO else recipe
         field = gathered.pop("mag", ())
-        other_rate = _rate_by_duration(counter, gathered, recipe)
+        other_rate = rate_by_duration(counter, gathered, recipe)
         try:
             drive = assemble(name, gathered, plain, notes.append, request.part)
         except InputError as error:
@@ -144,7 +142,7 @@ def import_drive(
         if any(ROW in part.expressions["t"].columns for part in gathered.get("gps", ())):
             notes += filter(None, [gaps_by_distance(drive)])
         parts = recipe.roles["imu"]
-        if fault := _wrong_tick(drive, counter, recipe, other_rate):
+        if fault := wrong_tick(drive, counter, recipe, other_rate):
             raise InputError(fault)
         impossible = {} if raw else impossible_rates(drive.imu, parts)
         unit = unit_of_rates(drive, recipe.roles, unitless | impossible)
@@ -167,24 +165,6 @@ def import_drive(
     return ImportResult(drive, recipe, tuple(dict.fromkeys(notes)), assumed)
 
 
-def _wrong_tick(drive: Drive, counter: Counter, recipe: Recipe, other_rate: str) -> str:
-    """Describe a wrong guess of the unit of a counter, with which IMU and fixes show another motion; else return "".
-
-    ``other_rate``: remedy if IMU and fixes have different durations.
-    """
-    if not (counter.shared or other_rate):
-        return ""
-    share, ratio = turn_ratio(drive)
-    if share > MIN_CONFIRMED and abs(math.log(max(ratio, 1e-9))) < MAX_RATIO_ERROR:
-        return ""
-    if counter.shared:
-        factor, found = rate_by_motion(drive), scaled_column(recipe.roles["imu"][0].columns["t"])
-        if factor is None or found is None or abs(math.log(factor)) < MAX_RATIO_ERROR:
-            return ""
-        other_rate = _shown_rate(counter.text, 1 / (found[1] * factor))
-    return f"{counter.text}: the unit of the times is unknown; {other_rate}"
-
-
 def import_imu(request: Request) -> tuple[Imu, tuple[str, ...]]:
     """Read the IMU of a log, with or without fixes; return the IMU and the assumptions of the import."""
     recipe, gathered, notes, *_ = _read(request, ("imu",), lambda done: None)
@@ -198,7 +178,7 @@ def import_imu(request: Request) -> tuple[Imu, tuple[str, ...]]:
 def _read(
     request: Request, roles: Sequence[Role], progress: ImportProgress
 ) -> tuple[
-    Recipe, dict[Role, list[PartColumns]], list[str], tuple[str, ...], dict[str, Any], dict[str, str], str
+    Recipe, dict[Role, list[PartColumns]], list[str], tuple[str, ...], dict[str, Any], dict[str, str], Counter
 ]:
     """Return recipe, columns, notes, assumptions on the mounting, metadata of the logs, and columns without a unit.
 
@@ -362,36 +342,13 @@ def _trial(counter: Counter, request: Request, logs: Mapping[Path, Log], recipe:
             gathered = _gather_all(request, logs, plain, lambda done: None)
             gathered.pop("mag", None)
             if not counter.shared:
-                return _rate_by_duration(counter, gathered, plain)
+                return rate_by_duration(counter, gathered, plain)
             drive = assemble("log", gathered, plain, lambda note: None, request.part)
         except InputError:
             continue
         factor = rate_by_motion(drive)
-        return "" if factor is None else _shown_rate(counter.text, trial / factor)
+        return "" if factor is None else shown_rate(counter.text, trial / factor)
     return ""
-
-
-def _rate_by_duration(
-    counter: Counter, gathered: Mapping[Role, Sequence[PartColumns]], recipe: Recipe
-) -> str:
-    """Return the remedy for a counter with which the duration of the IMU differs from that of the fixes."""
-    scaled = scaled_column(recipe.roles["imu"][0].columns.get("t", ""))
-    if not counter.text or counter.shared or scaled is None or "gps" not in gathered:
-        return ""
-    imu, gps = (gathered[role][0].duration for role in ("imu", "gps"))
-    if not min(imu, gps) or abs(math.log(imu / gps)) < MAX_RATIO_ERROR:
-        return ""
-    rate = usual_rate(imu / gps / scaled[1], 0.01)
-    return (
-        f"if IMU and fixes cover the same {gps:.0f} s, {counter.text} has about {rate:,.10g} ticks per s; write "
-        f'--map "imu.t={time_of_ticks(counter.text, rate)}"'
-    )
-
-
-def _shown_rate(counter: str, rate: float) -> str:
-    rate = usual_rate(rate)
-    maps = " ".join(f'"{role}.t={time_of_ticks(counter, rate)}"' for role in ("imu", "gps"))
-    return f"the motion of IMU and fixes agrees at {rate:,.10g} ticks per s; write --map {maps}"
 
 
 def _with_unit_of_rates(

@@ -1,22 +1,18 @@
-"""Find the rate of a counter of ticks, such as 32,768 Hz, from a known clock in the same table or from the motion."""
+"""Find the rate of a counter of ticks, such as 32,768 Hz, from a known clock in the same table."""
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import polars as pl
 
-from sigmaswarm.doctor.evidence import gather
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Array
 from sigmaswarm.importing.dates import SECOND
 from sigmaswarm.importing.expressions import time_expression
 from sigmaswarm.importing.names import CLOCK, read_names
-from sigmaswarm.importing.rates import MIN_EXPLAINED, turn_ratio
 from sigmaswarm.importing.source import TickRate
 from sigmaswarm.importing.times import (
-    FASTEST_IMU,
-    SLOWEST_IMU,
     column_time,
     find_time,
     quoted_column,
@@ -30,9 +26,6 @@ MAX_JITTER = 0.5  # s, 90% quantile of the distance between counter and clock; a
 RATE_TOLERANCE = 1e-3
 # First digits of usual rates, besides powers of 2
 DIGITS = (1, 1.2, 1.25, 1.5, 1.6, 2, 2.4, 2.5, 3, 3.2, 3.6, 4, 4.8, 5, 6, 6.25, 6.4, 7.2, 8, 8.4, 9, 9.6)
-FIX_RATES = (0.1, 0.2, 0.5, 1, 2, 4, 5, 8, 10, 12.5, 16, 18, 20, 25, 50)  # Hz, of receivers
-# Largest relative difference of turns and of accelerations at the right rate
-MAX_TURN_ERROR, MAX_FORCE_ERROR = 0.08, 0.2
 
 
 @dataclass(frozen=True)
@@ -99,36 +92,6 @@ def usual_rate(rate: float, tolerance: float = RATE_TOLERANCE) -> float:
     usual = [*(digits * power for digits in DIGITS for power in powers), 2.0 ** round(math.log2(rate))]
     best = min(usual, key=lambda one: abs(rate / one - 1))
     return best if abs(rate / best - 1) < tolerance else float(f"{rate:.6g}")
-
-
-def rate_by_motion(drive: Drive) -> float | None:
-    """Return the factor of all times with which turns and accelerations agree with the fixes; None if it is unclear.
-
-    At a wrong rate, turns differ by the factor and accelerations by its square, unlike with a wrong unit of the gyro.
-    A receiver has a usual rate, so a counter that IMU and fixes share has few possible rates.
-    """
-    step, interval = (float(np.median(np.diff(sensor.time))) for sensor in (drive.imu, drive.gps))
-    possible = (1 / (rate * interval) for rate in FIX_RATES)
-    possible = [k for k in possible if FASTEST_IMU < k * step < SLOWEST_IMU]
-    fitting = [k for k in possible if _agrees(_at_rate(drive, k))]
-    return fitting[0] if len(fitting) == 1 else None
-
-
-def _at_rate(drive: Drive, factor: float) -> Drive:
-    imu, gps = (replace(sensor, time=sensor.time * factor) for sensor in (drive.imu, drive.gps))
-    return replace(drive, imu=imu, gps=gps, truth=None, odometer=None)
-
-
-def _agrees(drive: Drive) -> bool:
-    """Return True if turns and accelerations agree with the fixes, without regard to signs."""
-    share, ratio = turn_ratio(drive)
-    if share < MIN_EXPLAINED or abs(math.log(ratio)) > MAX_TURN_ERROR:
-        return False
-    mount = gather(drive).mount
-    if mount is None or not any(mount.known):
-        return False
-    scales = [size for (size, _), known in zip(mount.scale, mount.known, strict=True) if known]
-    return mount.unit == 1 and all(abs(size - 1) < MAX_FORCE_ERROR for size in scales)
 
 
 def describe_rate(text: str, found: TickRate) -> str:

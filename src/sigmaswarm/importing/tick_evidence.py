@@ -1,0 +1,91 @@
+"""Find the rate of a counter of ticks from the motion of IMU and fixes, or from their duration."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sigmaswarm.doctor.evidence import gather
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.importing.gather import PartColumns
+from sigmaswarm.importing.rates import MIN_CONFIRMED, MIN_EXPLAINED, turn_ratio
+from sigmaswarm.importing.recipe import Recipe
+from sigmaswarm.importing.source import Role
+from sigmaswarm.importing.ticks import Counter, time_of_ticks, usual_rate
+from sigmaswarm.importing.times import FASTEST_IMU, SLOWEST_IMU, scaled_column
+
+FIX_RATES = (0.1, 0.2, 0.5, 1, 2, 4, 5, 8, 10, 12.5, 16, 18, 20, 25, 50)  # Hz, of receivers
+# Largest relative difference of turns and of accelerations at the right rate
+MAX_TURN_ERROR, MAX_FORCE_ERROR = 0.08, 0.2
+# Largest logarithm of a ratio of turns, or of durations, that does not contradict a unit
+MAX_RATIO_ERROR = 0.2
+
+
+def wrong_tick(drive: Drive, counter: Counter, recipe: Recipe, other_rate: str) -> str:
+    """Describe a wrong guess of the unit of a counter, with which IMU and fixes show another motion; else return "".
+
+    ``other_rate``: remedy if IMU and fixes have different durations.
+    """
+    if not (counter.shared or other_rate):
+        return ""
+    share, ratio = turn_ratio(drive)
+    if share > MIN_CONFIRMED and abs(math.log(max(ratio, 1e-9))) < MAX_RATIO_ERROR:
+        return ""
+    if counter.shared:
+        factor, found = rate_by_motion(drive), scaled_column(recipe.roles["imu"][0].columns["t"])
+        if factor is None or found is None or abs(math.log(factor)) < MAX_RATIO_ERROR:
+            return ""
+        other_rate = shown_rate(counter.text, 1 / (found[1] * factor))
+    return f"{counter.text}: the unit of the times is unknown; {other_rate}"
+
+
+def rate_by_motion(drive: Drive) -> float | None:
+    """Return the factor of all times with which turns and accelerations agree with the fixes; None if it is unclear.
+
+    At a wrong rate, turns differ by the factor and accelerations by its square, unlike with a wrong unit of the gyro.
+    A receiver has a usual rate, so a counter that IMU and fixes share has few possible rates.
+    """
+    step, interval = (float(np.median(np.diff(sensor.time))) for sensor in (drive.imu, drive.gps))
+    possible = (1 / (rate * interval) for rate in FIX_RATES)
+    possible = [k for k in possible if FASTEST_IMU < k * step < SLOWEST_IMU]
+    fitting = [k for k in possible if _agrees(_at_rate(drive, k))]
+    return fitting[0] if len(fitting) == 1 else None
+
+
+def _at_rate(drive: Drive, factor: float) -> Drive:
+    imu, gps = (replace(sensor, time=sensor.time * factor) for sensor in (drive.imu, drive.gps))
+    return replace(drive, imu=imu, gps=gps, truth=None, odometer=None)
+
+
+def _agrees(drive: Drive) -> bool:
+    """Return True if turns and accelerations agree with the fixes, without regard to signs."""
+    share, ratio = turn_ratio(drive)
+    if share < MIN_EXPLAINED or abs(math.log(ratio)) > MAX_TURN_ERROR:
+        return False
+    mount = gather(drive).mount
+    if mount is None or not any(mount.known):
+        return False
+    scales = [size for (size, _), known in zip(mount.scale, mount.known, strict=True) if known]
+    return mount.unit == 1 and all(abs(size - 1) < MAX_FORCE_ERROR for size in scales)
+
+
+def rate_by_duration(counter: Counter, gathered: Mapping[Role, Sequence[PartColumns]], recipe: Recipe) -> str:
+    """Return the remedy for a counter with which the duration of the IMU differs from that of the fixes."""
+    scaled = scaled_column(recipe.roles["imu"][0].columns.get("t", ""))
+    if not counter.text or counter.shared or scaled is None or "gps" not in gathered:
+        return ""
+    imu, gps = (gathered[role][0].duration for role in ("imu", "gps"))
+    if not min(imu, gps) or abs(math.log(imu / gps)) < MAX_RATIO_ERROR:
+        return ""
+    rate = usual_rate(imu / gps / scaled[1], 0.01)
+    return (
+        f"if IMU and fixes cover the same {gps:.0f} s, {counter.text} has about {rate:,.10g} ticks per s; write "
+        f'--map "imu.t={time_of_ticks(counter.text, rate)}"'
+    )
+
+
+def shown_rate(counter: str, rate: float) -> str:
+    rate = usual_rate(rate)
+    maps = " ".join(f'"{role}.t={time_of_ticks(counter, rate)}"' for role in ("imu", "gps"))
+    return f"the motion of IMU and fixes agrees at {rate:,.10g} ticks per s; write --map {maps}"
