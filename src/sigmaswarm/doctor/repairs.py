@@ -93,6 +93,14 @@ def _shift(sensor: str, drive: Drive, seconds: float) -> Drive:
     return _with(sensor, drive, time=table and table.time + seconds)
 
 
+def _stretch(drive: Drive, factor: float, begin: float) -> Drive:
+    """Multiply the times of IMU and odometer since ``begin``, s, by a factor."""
+    for sensor in ("imu", "odometer"):
+        table = getattr(drive, sensor)
+        drive = _with(sensor, drive, time=table and begin + factor * (table.time - begin))
+    return drive
+
+
 def _drop(sensor: str, drive: Drive, *times: float) -> Drive:
     table = getattr(drive, sensor)
     return replace(drive, **{sensor: table.select(~np.isin(table.time, times))})
@@ -221,4 +229,5 @@ ACTIONS: dict[str, Callable[..., Drive]] = {
     "shift-odometer": partial(_shift, "odometer"),
     "cut-ends": _cut_ends,
     "close-jump": _close_jump,
+    "stretch-imu": _stretch,
 }

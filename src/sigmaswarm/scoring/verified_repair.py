@@ -17,7 +17,7 @@ from sigmaswarm.filters.presets import baseline_of
 from sigmaswarm.filters.run import run_innovations
 from sigmaswarm.scoring.batch import BatchScorer
 
-CLOCKS = {"shift-clock", "shift-fixes"}
+CLOCKS = {"shift-clock", "shift-fixes", "stretch-imu"}
 VERIFIED = CLOCKS | {"rotate", "gyro", "accelerometer", "turn", "level"}
 """Repairs of axes, signs, units and clocks, which change the motion that a filter computes."""
 MAX_ERROR_RATIO = 1.05

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sigmaswarm.arrays import Array
+from sigmaswarm.doctor.clock_drift import clock_drift
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of, finding_of
 from sigmaswarm.doctor.mounting import MIN_EXPLAINED
@@ -37,6 +38,17 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
         yield Finding(
             "clock-offset", "serious", what, where, span, 0.999, f"{move} the fixes' times{leap}", repair
         )
+    elif drift := clock_drift(evidence):
+        percent, fast = 100 * abs(drift.rate), "slow" if drift.rate > 0 else "fast"
+        what = (
+            f"the IMU's clock is {percent:.3f}% {fast} relative to that of the fixes (standard deviation "
+            f"{100 * drift.std:.3f}%): the delay of the fixes in turns changes by {drift.change:.2f} s over the drive"
+        )
+        factor, begin = 1 / (1 - drift.rate), float(evidence.drive.imu.time[0])
+        remedy = f"multiply the times of IMU and odometer, from the first sample on, by {factor:.6f}"
+        repair = Repair("stretch-imu", (factor, begin))
+        confidence = confidence_of(drift.rate / drift.std)
+        yield Finding("clock-drift", "serious", what, "imu.csv, t", span, confidence, remedy, repair)
     elif abs(delay) >= evidence.clock.least:
         # Changes of speed alone, as on a motorway, are not evidence for a repair.
         turns = fit is not None and fit.course_change > MIN_GAIN_TURN and fit.share > MIN_EXPLAINED

@@ -1,0 +1,80 @@
+"""Estimate the drift between the clocks of IMU and fixes from the delay of the course in turns along a drive."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sigmaswarm.doctor.evidence import Evidence
+from sigmaswarm.doctor.verdicts import MIN_TURN
+from sigmaswarm.doctor.windows import integral, smoothed
+from sigmaswarm.doctor.yaw_fit import yaw_windows
+from sigmaswarm.drives.drive import Array
+
+ROUNDS, MAX_CHANGE = 8, 0.7  # iterations; s, largest change of a delay in one
+OUTLIER_SIGMAS = 1.5  # residuals above have less weight
+OVERLAP = 2.0  # each fix lies in two windows, so the variance is that of half as many
+# Smallest drift in standard deviations, relative, and as a change of the delay over the drive, s
+MIN_SIGMAS, MIN_DRIFT, MIN_CHANGE = 6.0, 2e-4, 0.4
+MAX_DRIFT = 0.02  # the linear model of the delay does not determine a larger drift
+
+
+@dataclass(frozen=True)
+class ClockDrift:
+    rate: float  # change of the delay of the fixes per s: negative if the IMU's clock is fast
+    std: float
+    change: float  # s, change of the delay over the drive
+
+
+def clock_drift(evidence: Evidence) -> ClockDrift | None:
+    """Fit delay(t) = a + b t of the fixes, with which the gyro follows the course in all turns; None without a drift.
+
+    With the residual r of the course in windows and the yaw rate w at the delayed time, -r = w (da + t db). Windows are
+    the units of the standard deviation.
+    """
+    course, fit, yaw, imu = evidence.course, evidence.yaw_fit, evidence.yaw, evidence.drive.imu
+    if course is None or fit is None or not yaw.known or fit.course_change < MIN_TURN:
+        return None
+    rows = yaw_windows(course)
+    if len(rows) < 4:
+        return None
+    rate = yaw.factor * getattr(imu, yaw.column)
+    rate = rate - np.median(rate)
+    turned, since = integral(imu.time, rate), course.time - float(course.time[rows].mean())
+    within = course.time[rows] - course.time[rows].mean(axis=1, keepdims=True)
+    weight = np.minimum(np.abs(course.velocity[rows]) / 10, 1.0)
+    q = np.linalg.qr(weight[:, :, None] * np.stack([np.ones_like(within), within], axis=-1))[0]
+
+    def rest(angles: Array) -> Array:
+        """Return the weighted angles (w, n) minus a straight line in each window."""
+        weighted = (weight * angles)[:, :, None]
+        return (weighted - q @ (q.transpose(0, 2, 1) @ weighted))[:, :, 0]
+
+    seen, delay, length = rest(course.angle[rows]), np.array([fit.delay, 0.0]), float(np.ptp(course.time))
+
+    def linearized(delay: Array) -> tuple[Array, Array, Array]:
+        """Return the residuals (w, n), their slopes (w, n, 2) in a and b, and the robust weights (w, n)."""
+        at = course.time - delay[0] - delay[1] * since
+        column = rest(smoothed(imu.time, turned, at, course.span)[rows])
+        gain = float(np.vdot(column, seen).real) / max(float(np.vdot(column, column).real), 1e-12)
+        turning = -gain * smoothed(imu.time, rate, at, course.span)
+        residual, size = seen - gain * column, np.abs(seen - gain * column)
+        trust = np.minimum(1.0, OUTLIER_SIGMAS / 0.6745 * np.median(size) / np.maximum(size, 1e-12))
+        return residual, np.stack([rest(turning[rows]), rest((turning * since)[rows])], axis=-1), trust
+
+    def solved(delay: Array) -> tuple[Array, Array]:
+        """Return the correction of a and b (2,), and its covariance (2, 2) with windows as units."""
+        residual, slopes, trust = linearized(delay)
+        weighted = trust[:, :, None] * slopes
+        inverse = np.linalg.inv(np.einsum("wni,wnj->ij", weighted, slopes) + 1e-9 * np.eye(2))
+        step = inverse @ np.einsum("wni,wn->i", weighted, residual)
+        of_windows = np.sum(weighted * (residual - slopes @ step)[:, :, None], axis=1)
+        return step, OVERLAP * inverse @ of_windows.T @ of_windows @ inverse
+
+    for _ in range(ROUNDS):
+        step, _ = solved(delay)
+        largest = abs(float(step[0])) + abs(float(step[1])) * length / 2
+        delay = delay + step * min(1.0, MAX_CHANGE / max(largest, 1e-9))
+    std = float(np.sqrt(solved(delay)[1][1, 1]))
+    drift, change = float(delay[1]), float(delay[1]) * length
+    clear = abs(drift) > max(MIN_SIGMAS * std, MIN_DRIFT) and abs(change) > MIN_CHANGE
+    return ClockDrift(drift, std, change) if clear and abs(drift) < MAX_DRIFT else None
