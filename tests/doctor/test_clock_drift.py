@@ -10,7 +10,7 @@ from sigmaswarm.doctor.repairs import repair
 from sigmaswarm.drives.drive import Drive, Odometer
 from sigmaswarm.simulation.scenarios import simulate
 
-DRIVES = [simulate("urban", run=run, duration=240.0, imu_rate=50.0, gps="white-1m") for run in range(3)]
+DRIVES = [simulate("urban", run=run, duration=400.0, imu_rate=50.0, gps="white-1m") for run in range(3)]
 
 
 def stretched(drive: Drive, drift: float) -> Drive:

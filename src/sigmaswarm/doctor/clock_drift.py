@@ -15,7 +15,8 @@ OUTLIER_SIGMAS = 1.5  # residuals above have less weight
 OVERLAP = 2.0  # each fix lies in two windows, so the variance is that of half as many
 # Smallest drift in standard deviations, relative, and as a change of the delay over the drive, s
 MIN_SIGMAS, MIN_DRIFT, MIN_CHANGE = 6.0, 2e-4, 0.4
-MAX_DRIFT = 0.02  # the linear model of the delay does not determine a larger drift
+MAX_DRIFT = 0.01  # the linear model of the delay does not determine a larger drift
+MIN_WINDOWS = 4.0  # smallest effective number of windows with turns
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,9 @@ def clock_drift(evidence: Evidence) -> ClockDrift | None:
         largest = abs(float(step[0])) + abs(float(step[1])) * length / 2
         delay = delay + step * min(1.0, MAX_CHANGE / max(largest, 1e-9))
     std = float(np.sqrt(solved(delay)[1][1, 1]))
+    power = np.sum(linearized(delay)[1] ** 2, axis=1)  # (w, 2)
+    spread = float(np.min(np.sum(power, axis=0) ** 2 / np.maximum(np.sum(power**2, axis=0), 1e-300)))
     drift, change = float(delay[1]), float(delay[1]) * length
     clear = abs(drift) > max(MIN_SIGMAS * std, MIN_DRIFT) and abs(change) > MIN_CHANGE
-    return ClockDrift(drift, std, change) if clear and abs(drift) < MAX_DRIFT else None
+    known = abs(drift) < MAX_DRIFT and spread >= MIN_WINDOWS
+    return ClockDrift(drift, std, change) if clear and known else None
