@@ -10,6 +10,7 @@ import pytest
 import sigmaswarm
 from doctor.faults import flipped_yaw, reversed_force, right_and_down
 from sigmaswarm import Diagnosis, Drive
+from sigmaswarm.cli.findings import mirror_maps
 from sigmaswarm.doctor.fixes import course_of
 from sigmaswarm.doctor.mounting import rotate_imu
 from sigmaswarm.errors import InputError
@@ -83,6 +84,35 @@ def test_degrees_and_a_drive_with_truth_are_not_repaired(change: Callable[[Drive
     found = sigmaswarm.diagnose(change(good(4)))
     assert serious(found) == {"mirrored-fixes"}
     assert not any(finding.repair for finding in found.findings)
+
+
+def at(drive: Drive, origin: tuple[float, float, float], signs: tuple[int, int]) -> Drive:
+    """Fixes at a place, with latitudes and longitudes times ``signs``."""
+    lat, lon, alt = enu_to_geodetic(np.stack([drive.gps.x, drive.gps.y, 0 * drive.gps.x], -1), origin).T
+    other = (signs[0] * origin[0], signs[1] * origin[1], origin[2])
+    x, y, _ = geodetic_to_enu(signs[0] * lat, signs[1] * lon, alt, other).T
+    return replace(drive, gps=replace(drive.gps, x=x, y=y), frame="wgs84", origin=other)
+
+
+@pytest.mark.parametrize(
+    ("origin", "signs"),
+    quickly(
+        [((37.4, -122.1, 9.0), (1, -1)), ((40.7, -74.0, 9.0), (1, -1)), ((-33.9, 18.4, 9.0), (-1, 1))],
+        lambda origin, signs: origin[1] == -74.0,
+    ),
+)
+@pytest.mark.parametrize("axes", [6, 4])
+def test_a_missing_sign_of_degrees_is_reported_and_the_imu_is_kept(
+    axes: int, origin: tuple[float, float, float], signs: tuple[int, int]
+):
+    wrong = at(good(axes), origin, signs)
+    found = sigmaswarm.diagnose(wrong)
+    assert serious(found) == {"mirrored-fixes"}
+    finding = next(f for f in found.findings if f.code == "mirrored-fixes")
+    assert finding.repair is None
+    assert "lack a minus sign" in finding.what
+    assert mirror_maps(found) == ["gps.lon=-(COLUMN_OF_LON)"]
+    assert not sigmaswarm.diagnose(at(good(axes), origin, (1, 1))).serious
 
 
 def without_lateral(drive: Drive) -> Drive:

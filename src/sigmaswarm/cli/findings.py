@@ -164,16 +164,22 @@ def repair_and_split(diagnosis: "Diagnosis", folder: Path, options: Sequence[str
     yield f"then: {shlex.join(['sigmaswarm', 'split', str(copy), '--out', parts, *options])}"
 
 
+def mirror_maps(diagnosis: "Diagnosis") -> list[str]:
+    """Return the first --map in the remedy for mirrored fixes, with placeholders; [] if there is none, or a repair."""
+    mirrored = (f for f in diagnosis.findings if f.code == "mirrored-fixes" and not f.repair)
+    maps = re.search(r'--map((?: "[^"]*")+)', next((f.remedy for f in mirrored), ""))
+    return re.findall(r'"([^"]*)"', maps[1]) if maps else []
+
+
 def exchanging(diagnosis: "Diagnosis", folder: "Location") -> Remedy | None:
-    """Return the command that exchanges the coordinates of fixes in a copy of a drive, and the folder of the copy.
+    """Return the command that corrects mirrored fixes in a copy of a drive, and the folder of the copy.
 
     Return None if the fixes are not mirrored, or the doctor can repair them.
     """
-    exchange = next((f for f in diagnosis.findings if f.code == "mirrored-fixes" and not f.repair), None)
-    if exchange is None:
+    maps = [re.sub(r"COLUMN_OF_([A-Z]+)", lambda m: m[1].lower(), text) for text in mirror_maps(diagnosis)]
+    if not maps:
         return None
-    one, other = exchange.where.removeprefix("gps.csv, ").split(", ")
-    out, maps = _free(diagnosis), (f"gps.{one}={other}", f"gps.{other}={one}")
+    out = _free(diagnosis)
     return shlex.join(["sigmaswarm", "import", str(folder), "--out", str(out), "--map", *maps]), out
 
 

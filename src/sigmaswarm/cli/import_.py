@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from sigmaswarm.cli.common import parse_numbers, print_json, print_lines, require_free, stdout
-from sigmaswarm.cli.findings import affects_axes, next_steps, print_diagnosis
+from sigmaswarm.cli.findings import affects_axes, mirror_maps, next_steps, print_diagnosis
 from sigmaswarm.cli.options import FIELDS, MORE, Hyphened, Json, Overwrite
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.errors import DriveWarning, InputError
@@ -227,17 +227,16 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
         return
     print_lines(*_report(imported, out, diagnosis))
     print_diagnosis(diagnosis)
-    again = _with_exchanged_fixes(diagnosis)
+    again = _with_corrected_fixes(diagnosis)
     print_lines(*([f"next: {again}"] if again else next_steps(diagnosis, out, imported.drive)))
 
 
-def _with_exchanged_fixes(diagnosis: "Diagnosis") -> str:
-    """Return the user's command with a --map that exchanges the fixes' coordinates; "" if they are not mirrored.
+def _with_corrected_fixes(diagnosis: "Diagnosis") -> str:
+    """Return the user's command with a --map that corrects mirrored fixes; "" if they are not mirrored.
 
     A command that contains --map already is not changed; the result is also "".
     """
-    exchange = next((f for f in diagnosis.findings if f.code == "mirrored-fixes" and not f.repair), None)
-    maps = re.findall(r'"(gps\.\w+=[^"]*)"', exchange.remedy) if exchange else []
+    maps = mirror_maps(diagnosis)
     if not maps or "--map" in sys.argv:
         return ""
     typed = [word for word in sys.argv[1:] if word != "--overwrite"]

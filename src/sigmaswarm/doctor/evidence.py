@@ -1,13 +1,21 @@
 """Fits and masks that all checks use."""
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.doctor.acceleration_fit import DELAYS, AccelerationFit, fit_acceleration
 from sigmaswarm.doctor.clock_search import MAX_OFFSET, MIN_SEARCH_TURN, search_offset
-from sigmaswarm.doctor.fixes import Course, Mask, course_of, mark_jumps, with_exchanged_axes
+from sigmaswarm.doctor.fixes import (
+    Course,
+    Mask,
+    course_of,
+    mark_jumps,
+    with_exchanged_axes,
+    with_reversed_east,
+)
 from sigmaswarm.doctor.mounting import Mounting, mounting_of, rotate_imu
 from sigmaswarm.doctor.verdicts import (
     MAX_RECORDED_ANGLE,
@@ -41,6 +49,7 @@ MIN_FIXES = 20  # smallest number of fixes for the checks that need motion
 MAX_SCATTER_RATIO = 2.5
 CACHE_SIZE = 256  # number of drives whose scatter is cached, since each repetition of a tuning needs it
 _scatters: dict[str, float] = {}
+Mirror = Literal["", "exchanged", "reversed"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +68,9 @@ class Evidence:
     scatter: float  # m per axis, scatter of the fixes about the path over ten seconds
     mounting: Mounting | None  # for a log with six axes
     moved: float = 0.0  # s, subtracted from the fixes' times if the clocks are far apart
-    # x and y of the fixes are exchanged in the log; the other fields refer to corrected fixes
-    mirrored: bool = False
+    # The coordinates of the fixes are exchanged, or those in degrees have a wrong sign; the other fields refer to
+    # corrected fixes
+    mirrored: Mirror = ""
 
     @property
     def mounted(self) -> bool:
@@ -129,7 +139,7 @@ def _read(drive: Drive) -> Evidence:
 
 
 def _mirrored(found: Evidence, drive: Drive) -> Evidence | None:
-    """Return the evidence after an exchange of x and y of the fixes, or None if the exchange does not explain the IMU.
+    """Return the evidence for a mirror image of the fixes, or None if no mirror image explains the IMU.
 
     No rotation of the IMU reverses gz and ay while az points up and ax agrees with the motion. An IMU on its side or
     upside down is excluded, since reversed accelerometers have the same effect there.
@@ -144,18 +154,23 @@ def _mirrored(found: Evidence, drive: Drive) -> Evidence | None:
     turned_over = found.mounting is not None and found.mounting.repair[2, 2] < 0
     if yaw.known and yaw.factor > 0 and not turned_over:
         return None
-    other = with_exchanged_axes(drive)
-    if other is None:
-        return None
-    new = _read(other)
+    # an exchange changes the scale of degrees, unlike a sign, so the better fit shows which of them is the fault
+    others: dict[Mirror, Drive | None] = {
+        "exchanged": with_exchanged_axes(drive),
+        "reversed": with_reversed_east(drive),
+    }
+    read = [replace(_read(other), mirrored=kind) for kind, other in others.items() if other is not None]
+    return max(filter(_agrees, read), key=lambda new: new.yaw_fit.share if new.yaw_fit else 0.0, default=None)
+
+
+def _agrees(new: Evidence) -> bool:
     mount, upright = new.mount, np.diag(new.mounting.repair) if new.mounting else np.ones(3)
     right = new.yaw.known and new.yaw.factor > 0 and new.yaw.column == "gz"
     if not right or np.min(upright) < MIN_UPRIGHT_COSINE:
-        return None
+        return False
     if mount is None or not np.array_equal(mount.axes, np.eye(2)):
-        return None
-    clear = all(scale > MIN_SCALE_SIGMAS * std for scale, std in mount.scale)
-    return replace(new, mirrored=True) if clear else None
+        return False
+    return all(scale > MIN_SCALE_SIGMAS * std for scale, std in mount.scale)
 
 
 def _gather(drive: Drive) -> Evidence:

@@ -45,6 +45,11 @@ def with_exchanged_axes(drive: Drive) -> Drive | None:
     return replace(drive, gps=replace(gps, x=x, y=y, std_x=gps.std_y, std_y=gps.std_x))
 
 
+def with_reversed_east(drive: Drive) -> Drive | None:
+    """Reverse x of fixes in degrees, as the opposite sign of the longitudes does; None for fixes in meters."""
+    return replace(drive, gps=replace(drive.gps, x=-drive.gps.x)) if drive.frame == "wgs84" else None
+
+
 def mark_jumps(time: Array, position: Complex) -> Mask:
     """Mark fixes (n,) whose distance from the line through their neighbors is impossible for a car."""
     kept = np.arange(len(time))

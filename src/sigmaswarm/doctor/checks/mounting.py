@@ -41,19 +41,28 @@ MIN_SLOPE_SIGMAS, MIN_SLOPE = 3.0, 0.4
 
 
 def check_mirrored(evidence: Evidence) -> Iterator[Finding]:
-    """Report exchanged coordinates of the fixes. The other checks refer to the fixes after the exchange."""
+    """Report a mirror image of the fixes. The other checks refer to the corrected fixes."""
     if not evidence.mirrored:
         return
     drive, places = evidence.drive, "lat and lon" if evidence.drive.frame == "wgs84" else "x and y"
     first, second = places.split(" and ")
+    sign = evidence.mirrored == "reversed"
+    fault = f"{places} of the fixes are exchanged"
+    if sign:
+        fault = "the longitudes, or the latitudes, of the fixes lack a minus sign"
     what = (
-        f"{places} of the fixes are exchanged, so the track is a mirror image. Relative to the fixes, gz and ay have "
-        "the wrong sign, but ax has the correct sign and az points up"
+        f"{fault}, so the track is a mirror image. Relative to the fixes, gz and ay have the wrong sign, but ax has "
+        "the correct sign and az points up"
     )
     remedy = (
         f"if gz and ay have the correct signs, exchange {places}: "
         f'import with --map "gps.{first}=COLUMN_OF_{second.upper()}" "gps.{second}=COLUMN_OF_{first.upper()}"'
     )
+    if sign:
+        west = 'import with --map "gps.lon=-(COLUMN_OF_LON)" west of Greenwich'
+        remedy = (
+            f'if gz and ay have the correct signs, {west}, or "gps.lat=-(COLUMN_OF_LAT)" south of the equator'
+        )
     # Otherwise there is no repair: a truth may be mirrored too, and the exchange changes the scale of degrees.
     repair = Repair("exchange-fixes", ()) if drive.frame == "enu" and drive.truth is None else None
     where = f"gps.csv, {first}, {second}"
