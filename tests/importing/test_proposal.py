@@ -188,6 +188,11 @@ def test_what_can_not_be_made_is_called_unchecked(tmp_path: Path):
         ("velocidad de cabeceo [deg/s]", ("imu", "gy", "radians(`velocidad de cabeceo [deg/s]`)")),
         ("velocità di imbardata [deg/s]", ("imu", "gz", "radians(`velocità di imbardata [deg/s]`)")),
         ("Nicken [°]", None),
+        ("attitude_yaw(radians)", None),
+        ("Yaw [deg]", None),
+        ("Yaw [deg/s]", ("imu", "gz", "radians(`Yaw [deg/s]`)")),
+        ("GPS(0):Long", ("gps", "lon", "`GPS(0):Long`")),
+        ("long term fuel trim", None),
         ("wheel front left [rpm]", None),
         ("lon offset [m]", None),
         (

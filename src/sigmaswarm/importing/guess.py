@@ -20,7 +20,13 @@ from sigmaswarm.importing.quantities import (
 )
 from sigmaswarm.importing.source import Fault, Guess, Part, Role
 from sigmaswarm.importing.ticks import rates_by_clock
-from sigmaswarm.importing.times import TimeExpression, column_numbers, find_time, median_of, quoted_column
+from sigmaswarm.importing.times import (
+    TimeExpression,
+    column_numbers,
+    median_of,
+    quoted_column,
+    time_of_rows,
+)
 from sigmaswarm.wording import list_names
 
 Z_DOWN = "x=x,y=-y"  # mounting of an IMU with x forward, y right and z down
@@ -206,7 +212,9 @@ def _candidates(found: Mapping[str, Columns]) -> dict[Role, list[str]]:
 
 def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[str, TimeExpression]]:
     """Yield the columns of a role as expressions; ``rows_of``: role whose usual rate determines the unit of times."""
-    if (time := find_time(columns.frame, rows_of)) is not None:
+    filled: dict[str, Role] = {"gz": "imu", "ax": "imu", "x": "gps", "lat": "gps"}
+    keys: dict[Role, str] = {of: columns.names[what].column for what, of in filled.items() if what in columns}
+    if (time := time_of_rows(columns.frame, role, keys, rows_of)) is not None:
         yield "t", time
     located = columns.has("lat", "lon")
     if located and role in ("gps", "truth"):

@@ -24,7 +24,7 @@ from sigmaswarm.importing.proposal import Proposal, check_proposal, propose_colu
 from sigmaswarm.importing.quantities import in_units
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Fault, ImportProgress, Log, Role
-from sigmaswarm.importing.times import column_numbers, time_of
+from sigmaswarm.importing.times import column_numbers, time_of, time_of_rows
 from sigmaswarm.importing.unnamed import columns_by_values
 
 PREVIEW_ROWS = 5000  # number of first rows of a table from which ranges are computed
@@ -172,7 +172,10 @@ def _imported(request: Request, progress: ImportProgress, proposal: Proposal) ->
 def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal | None:
     tables: dict[Role, str] = {}
     found: dict[Role, Mapping[str, str]] = {}
-    for role in ("imu", "gps"):
+    roles: tuple[Role, ...] = ("imu", "gps")
+    # for each role, its table in a log, and the columns that are known and those that are proposed
+    used: dict[Role, tuple[Path, str, Mapping[str, str], Mapping[str, str]]] = {}
+    for role in roles:
         there = first[request.home(role)]
         parts = recipe.roles.get(role, ())
         known = {name: text for part in parts for name, text in part.columns.items()}
@@ -181,15 +184,32 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal |
         unnamed = ((table, columns_by_values(there[table], role)) for table in chosen)
         by_values = None if known else next((found for found in unnamed if found[1]), None)
         proposed = by_values or propose_columns(names, role, known)
+        table, columns = proposed or (parts[0].table if parts else "", {})
+        used[role] = request.home(role), table, known, columns
         if proposed is None:
             continue
-        table, columns = proposed
-        time = time_of(there[table]) if "t" not in known and len(there[table]) else None
         rest = _elsewhere(names, table, {**known, **columns}) if role == "imu" and not parts else {}
-        found[role] = ({"t": time} if time else {}) | in_units(there[table], role, columns) | rest
+        found[role] = in_units(there[table], role, columns) | rest
         if not parts and len(there) > 1 and not rest:
             tables[role] = table
+    for role in found:
+        path, table, known, _ = used[role]
+        rows, keys = first[path][table], dict[Role, str]()
+        for other in roles:
+            if used[other][:2] == (path, table) and (key := _key({**used[other][2], **used[other][3]}, rows)):
+                keys[other] = key
+        if "t" not in known and len(rows):
+            time = time_of_rows(rows, role, keys, "imu" if "imu" in keys else role)
+            found[role] = ({"t": time.expression} if time and time.expression else {}) | {**found[role]}
     return Proposal(tables, found) if found else None
+
+
+def _key(texts: Mapping[str, str], rows: pl.DataFrame) -> str:
+    """Return a column that is filled in the rows of a role with these expressions; "" if there is none."""
+    for name in ("ax", "gz", "lat", "x"):
+        if name in texts and is_valid_expression(texts[name], rows.columns):
+            return next(iter(compile_expression(texts[name], rows.columns).columns), "")
+    return ""
 
 
 def _elsewhere(names: Mapping[str, Sequence[str]], table: str, known: Mapping[str, str]) -> dict[str, str]:

@@ -12,7 +12,7 @@ from sigmaswarm.importing.units import COUNTS, PARTS_OF_SECONDS, Unit, UnitDimen
 LONGEST_NAME = 200
 
 TIME = (
-    "t|ts|time|timestamp|time_?stamp|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|(?:unix|posix)(?:_?time)?|utc|"
+    "t|ts|time|time_?stamps?|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|(?:unix|posix)(?:_?time)?|utc|"
     "millis(?:econds)?|micros(?:econds)?|nanos(?:econds)?|ms|us|ns|interval|"
     "(?:time|secs?|seconds|millis(?:econds)?|micros(?:econds)?)_since_\\w{1,20}|since_start|loggingtime|logging_time"
 )
@@ -33,7 +33,7 @@ _ACCELERATION = (
     "f|f_?b|a_rs_s|linear"
 )
 _RATE = (
-    "g|w|gyr|gyro|gyroscope|gyro_rotation|gyroscope_gyro_?uncalibrated|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rot|rotation_?rate|rate|"
+    "g|w|pqr|gyr|gyro|gyroscope|gyro_rotation|gyroscope_gyro_?uncalibrated|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rot|rotation_?rate|rate|"
     "w_?b|w_rs_s|angular|(?:velocidade?|velocita|vitesse)_ang[uo]lai?re?"
 )
 _STD = "(?:std|stdev|std_?dev|sigma|sd)"  # survey-grade receivers log these in m, also for latitude and longitude
@@ -76,6 +76,8 @@ _MPU = {f"{s}{i}": f"{name}_{i}" for s, name in (("ac", "acc"), ("gy", "gyro")) 
 _STATED: tuple[tuple[UnitDimension, str, str], ...] = (
     ("time", "t", "temps"),
     *(("acceleration", f"a{i}", f"{i}_?acc(?:el(?:eration)?)?|accsmooth_{i}") for i in "xyz"),
+    *(("acceleration", f"a{i}", f"n_?{i}") for i in "xyz"),
+    *(("rate", f"g{i}", letter) for i, letter in zip("xyz", "pqr", strict=True)),
     *(("rate", f"g{i}", f"{i}_?gyro|{i}_rate_of_rotation|gyroadc_{i}|as_?{i}") for i in "xyz"),
     ("angle", "lat", "breite"),
     ("angle", "lon", "lange|laenge"),
@@ -118,9 +120,9 @@ _TRANSLATED = {
         "longitudinal": "langs laengs longitudinale",
         "lateral": "quer laterale transversal transversale",
         "vertical": "vertikal verticale verticaal",
-        "longitudinal_acceleration": "langsbeschleunigung laengsbeschleunigung",
-        "lateral_acceleration": "querbeschleunigung",
-        "vertical_acceleration": "vertikalbeschleunigung hochbeschleunigung",
+        "longitudinal_acceleration": "langsbeschleunigung laengsbeschleunigung langsbeschl laengsbeschl",
+        "lateral_acceleration": "querbeschleunigung querbeschl",
+        "vertical_acceleration": "vertikalbeschleunigung hochbeschleunigung vertikalbeschl",
         "latitude": "breitengrad latitud latitudine breedtegraad",
         "longitude": "langengrad laengengrad longitud longitudine lengtegraad",
         "height": "hohe hoehe hauteur altura altezza quota hoogte",
@@ -241,7 +243,7 @@ def _family(name: Name) -> str:
     """Return the name without its axis if another family takes precedence, else ""."""
     stated = not name.plain.endswith("rate") and _stated(name.plain, name.unit)
     weak = re.match(_SHORT, name.plain) or stated or name.plain.startswith("lin")  # may be without gravity
-    return re.sub("^[xyz]|[xyz]$", "", name.plain) if weak else ""
+    return re.sub("^[xyz]|[xyz]$", "", re.sub("^[pqr]$", "pqr", name.plain)) if weak else ""
 
 
 def read_name(column: str) -> Name:
@@ -268,6 +270,14 @@ def _read(column: str, text: str) -> Name:
     if element := re.fullmatch(r"([^\[\]]{1,100})\[([012])\]", text):
         words = plain_words(re.sub(r"\.v$", "", element[1]))
         return _with_unit(column, words, "xyz"[int(element[2])])
+    if axis := re.fullmatch(r"(.{1,100}?)\s*[(\[]([xyzXYZ])[)\]]", text):  # Torque's G(x) is an acceleration
+        words = plain_words(axis[1])
+        total = words == ["g"]
+        return (
+            Name(column, f"acc_{axis[2].lower()}", parse_unit("g"))
+            if total
+            else _with_unit(column, words, axis[2].lower())
+        )
     if text and text[-1] in ")]":
         begin = text.rfind("(" if text[-1] == ")" else "[")
         if begin > 0:

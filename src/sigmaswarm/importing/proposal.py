@@ -8,7 +8,7 @@ import math
 import re
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -41,10 +41,14 @@ TURNING = (
 MOVING = (("ax", FORWARD), ("ay", LEFT), ("az", UP))
 FORCE = {"a", "acc", "accl", "accel", "acceleration", "accelerometer", "force"}
 RATE = {
-    *("gyro", "gyr", "gyroscope", "omega", "w", "rate", "angular", "rot", "rotation", "angvel"),
+    *("gyro", "gyr", "gyroscope", "omega", "w", "pqr", "rate", "angular", "rot", "rotation", "angvel"),
     *("yawrate", "rollrate", "pitchrate", "yaw", "turn"),
 }
+# Words in the names of angles, and of accelerations without gravity
+ANGLES, FREE = {"attitude", "euler", "orientation", "angle", "angles"}, {"user", "linear", "lin", "free"}
 ACCURACY = {"hacc", "accuracy", "eph", "sigma", "std", "stdev"}
+# Words in the names of positions in which "long" is the longitude
+PLACE = {"long", "gps", "gnss", "ins", "pos", "position"}
 # Words in the names of accuracies that are not those of the position
 NO_PLACE = {
     *RATE,
@@ -68,6 +72,8 @@ class Meaning:
     role: Role
     column: str
     expression: str
+    # True if a column of angles or of accelerations without gravity may have this name
+    weak: bool = field(default=False, compare=False)
 
 
 def meaning_of(name: str) -> Meaning | None:
@@ -76,6 +82,7 @@ def meaning_of(name: str) -> Meaning | None:
     unit = read_name(name).unit if bracketed else None
     unit = unit if unit and unit.known else None
     text = bracketed[1] if bracketed and unit else name
+    text = re.sub(r"\[([012])\]$", lambda m: f" {'xyz'[int(m[1])]}", text)
     split = re.sub(r"^([XYZ])(?=GYRO|ACC)|(?<=[a-z])(?=[A-Z])", r"\1_", text)
     words = re.findall(r"[a-z]+|\d+", " ".join(plain_words(split)))
     sign = math.prod(CLOCKWISE[w] for w in words if w in CLOCKWISE)
@@ -92,7 +99,8 @@ def meaning_of(name: str) -> Meaning | None:
     if not rest & FORCE and (unit is None or unit.dimension == "angle"):
         if rest & {"lat", "latitude", "breite"}:
             return Meaning("gps", "lat", quoted_column(name))
-        if rest & {"lon", "lng", "longitude", "lange", "laenge"} or rest == {"long"}:
+        long = "long" in rest and (unit or {*filter(str.isalpha, rest)} <= PLACE)
+        if rest & {"lon", "lng", "longitude", "lange", "laenge"} or long:
             return Meaning("gps", "lon", quoted_column(name))
     horizontal = rest & {"h", "horizontal", "pos", "position"} and rest & {"acc", "accuracy"}
     length = unit is None or unit.dimension == "length"
@@ -101,12 +109,15 @@ def meaning_of(name: str) -> Meaning | None:
     rates = RATE | ({"roll", "pitch"} if unit and unit.dimension == "rate" else set())
     if rest & ACCURACY or not rest & (rates | FORCE) or "gps" in rest:
         return None
-    if unit and unit.dimension not in (("acceleration",) if rest & FORCE else ("rate", "angle")):
+    angle = not rest & (FORCE | RATE - {"yaw", "turn"})  # the name may be that of an angle
+    dimensions = ("acceleration",) if rest & FORCE else ("rate",) if angle else ("rate", "angle")
+    if (unit and unit.dimension not in dimensions) or (angle and rest & ANGLES):
         return None
     for column, directions in MOVING if rest & FORCE else TURNING:
         if signs := [directions[w] for w in words if w in directions]:
             sign = math.prod(signs) * (1 if rest & FORCE else sign)
-            return Meaning("imu", column, column_text if sign > 0 else f"-{column_text}")
+            weak = angle or not rest.isdisjoint(FREE)
+            return Meaning("imu", column, column_text if sign > 0 else f"-{column_text}", weak)
     if rest & FORCE or not turns:
         return None
     return Meaning("imu", "gz", column_text if sign > 0 else f"-{column_text}")
@@ -149,13 +160,27 @@ def propose_columns(
     """
     best: tuple[str, dict[str, str]] | None = None
     for table, names in tables.items():
-        found: dict[str, str] = {}
-        for meaning in map(meaning_of, names):
-            if meaning and meaning.role == wanted and meaning.column not in known:
-                found.setdefault(meaning.column, meaning.expression)
+        meant = [m for m in map(meaning_of, names) if m and m.role == wanted and m.column not in known]
+        chosen: dict[str, Meaning] = {}
+        for meaning in sorted(meant, key=lambda m: m.weak):
+            chosen.setdefault(meaning.column, meaning)
+        found = {column: meaning.expression for column, meaning in chosen.items()}
+        if all(m.weak for column, m in chosen.items() if column in ("ax", "ay", "az")):
+            found |= {c: f"({found[c]} + {text})" for c, text in _gravity(names).items() if c in found}
         if found and (best is None or len(found) > len(best[1])):
             best = table, found
     return best
+
+
+def _gravity(names: Sequence[str]) -> dict[str, str]:
+    """Return the columns of gravity, which a phone may report apart from the acceleration; {} without three axes."""
+    found: dict[str, str] = {}
+    for name in names:
+        unit, bare = read_name(name).unit, re.sub(r"(?<=[a-z])(?=[A-Z])|\W*[(\[].*", "_", name)
+        if (axis := re.fullmatch(r".*gravity_([xyz])_*", "_".join([*plain_words(bare), ""]))) is not None:
+            text = quoted_column(name)
+            found[f"a{axis[1]}"] = in_si(unit, text) if unit and unit.known else text
+    return found if len(found) == 3 else {}
 
 
 def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Proposal, str, bool]:

@@ -1,7 +1,7 @@
 """Find the time of a table: its columns, and the expression in seconds."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -116,6 +116,26 @@ def find_time(frame: pl.DataFrame, role: Role) -> TimeExpression | None:
     if usable and (lacking or not usable[0].fault):
         return usable[0]
     return single or (pairs[0][2] if pairs else None)
+
+
+def time_of_rows(
+    frame: pl.DataFrame, role: Role, keys: Mapping[Role, str], rows_of: Role
+) -> TimeExpression | None:
+    """Find the time of a role in a table whose rows contain only some of the sensors.
+
+    ``keys``: a column that is filled in the rows of each role; ``rows_of``: role whose usual rate determines the unit.
+    Header stamps of the role have priority over a clock that is filled in the rows of all roles.
+    """
+    known = frame.with_columns(pl.selectors.float().fill_nan(None))
+    rows = {of: some for of, key in keys.items() if len(some := known.drop_nulls(key))}
+    filled = {
+        of: [c for c in some.columns if 2 * some[c].null_count() <= len(some)] for of, some in rows.items()
+    }
+    own = filled.get(role, frame.columns)
+    common = [c for c in own if all(c in columns for columns in filled.values())]
+    stamped = any(name.is_one(STAMP) and name.column not in common for name in read_names(own))
+    found = None if stamped else find_time(frame.select(common), rows_of)
+    return found or find_time(rows[role].select(own) if role in rows else frame, role)
 
 
 def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
