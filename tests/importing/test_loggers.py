@@ -1,6 +1,10 @@
 """Layouts of loggers, written from a simulated drive: what is proposed, or named as remedy, makes the drive again."""
 
-from collections.abc import Mapping
+import functools
+import operator
+import re
+import subprocess
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,10 +13,13 @@ import numpy as np
 import polars as pl
 import pytest
 
+from importing.logs import imported
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic
 from sigmaswarm.importing.convert import Request, import_drive
 from sigmaswarm.importing.inspection import inspect_request
+from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import TableChoice
 from sigmaswarm.simulation.scenarios import simulate
 
@@ -131,3 +138,122 @@ def test_more_names_of_loggers(tmp_path: Path, form: str):
         )
     write(tmp_path / "log.csv", {**columns, lat: sparse(LAT), lon: sparse(LON)})
     require_same(as_proposed(tmp_path / "log.csv"))
+
+
+def numbers(k: int) -> list[str]:
+    return [f"{values[k]:.6f}" for values in IMU.values()]
+
+
+Line = Callable[[float, list[str]], str]
+# The lines of the IMU and of the fixes
+LINES: dict[str, tuple[Line, Line]] = {
+    "words": (
+        lambda t, v: ",".join(["IMU", f"{t:.3f}", *v]),
+        lambda t, v: ",".join(["GPS", f"{t:.3f}", *v, "500.0"]),
+    ),
+    "marks": (
+        lambda t, v: ",".join(["$VNIMU", f"{t:.3f}", *v, "28.1"]),
+        lambda t, v: ",".join(["$VNGPS", f"{t:.3f}", *v, "500.0", "12"]),
+    ),
+    "colons": (
+        lambda t, v: "\t".join([f"IMUN:{t * 1e9:.0f}", *v]),
+        lambda t, v: "\t".join([f"GNSS:{t * 1e9:.0f}", *v]),
+    ),
+    "numbers after a time": (
+        lambda t, v: ";".join([f"{t:.3f}", "1", *v]),
+        lambda t, v: ";".join([f"{t:.3f}", "16", *v, "500.0", "3.5"]),
+    ),
+}
+
+
+def run(command: str, folder: Path) -> None:
+    subprocess.run(["bash", "-c", command], cwd=folder, check=True)
+
+
+@pytest.mark.parametrize("form", LINES)
+def test_rows_of_several_kinds_are_separated_by_the_named_command(tmp_path: Path, form: str):
+    imu, fix = LINES[form]
+    lines = [(t, imu(t + 5, numbers(k))) for k, t in enumerate(TIME.tolist())]
+    fixes = zip(FIXED.tolist(), LAT, LON, strict=True)
+    lines += [(t + 1e-3, fix(t + 5, [f"{lat:.9f}", f"{lon:.9f}"])) for t, lat, lon in fixes]
+    log = tmp_path / "my log.txt"
+    log.write_text("\n".join(line for _, line in sorted(lines)) + "\n")
+    with pytest.raises(InputError, match="rows of several kinds") as caught:
+        imported(log)
+    found = re.search(r"run: (.*), and import the folder kinds$", str(caught.value))
+    assert found is not None
+    run(found[1], tmp_path)
+    require_same(as_proposed(tmp_path / "kinds"))
+
+
+def sentence(t: float, lat: float, lon: float) -> str:
+    places = f"{int(lat):02d}{lat % 1 * 60:08.5f},N,{int(lon):03d}{lon % 1 * 60:08.5f},E"
+    body = f"GNRMC,1000{t:05.2f},A,{places},,,140525,,,A"
+    return f"${body}*{functools.reduce(operator.xor, body.encode()):02X}"
+
+
+@pytest.mark.parametrize("row", ["IMU,{:.3f},{}", "{:.3f};{}", "{:.3f} {}"])
+def test_rows_between_sentences_are_separated_by_the_named_command(tmp_path: Path, row: str):
+    lines = [(t, row.format(t, row[-3].join(numbers(k)))) for k, t in enumerate(TIME.tolist())]
+    fixes = zip(FIXED.tolist(), LAT, LON, strict=True)
+    lines += [(t + 1e-3, sentence(t, lat, lon)) for t, lat, lon in fixes if t < 59.9]
+    (tmp_path / "my log.txt").write_text("\n".join(line for _, line in sorted(lines)) + "\n")
+    with pytest.raises(InputError, match="between the NMEA sentences") as caught:
+        imported(tmp_path / "my log.txt")
+    found = re.search(r"with: (grep .*), and import imu.csv with --gps '(.*?)'", str(caught.value))
+    assert found is not None
+    run(found[1], tmp_path)
+    begin = 1_747_216_800 + TIME[0]  # the counter of the rows is not UTC
+    maps = inspect_request(Request(tmp_path / "imu.csv", gps=tmp_path / found[2])).settings["maps"]
+    options = [f"{column}={text}" for column, text in maps.items()]
+    recipe = Recipe(gps_offset_s=float(-begin))
+    require_same(imported(tmp_path / "imu.csv", gps=tmp_path / found[2], maps=options, recipe=recipe).drive)
+
+
+DEGREES = {
+    "seconds": ("lat_deg lat_min lat_sec", "lon_deg lon_min lon_sec", 1),
+    "minutes": ("LatDeg LatMin", "LonDeg LonMin", 1),
+    "south": (
+        "Latitude (deg)|Latitude (min)|Latitude (sec)",
+        "Longitude (deg)|Longitude (min)|Longitude (sec)",
+        -1,
+    ),
+}
+
+
+@pytest.mark.parametrize("form", DEGREES)
+def test_degrees_minutes_and_seconds_in_columns_are_added(tmp_path: Path, form: str):
+    *heads, sign = DEGREES[form]
+    columns: dict[str, Any] = {"t": FIXED}
+    for head, value in zip(heads, (LAT, LON), strict=True):
+        names = head.split("|" if "|" in head else " ")
+        parts = [np.floor(value) * sign, np.floor(value % 1 * 60), value * 3600 % 60]
+        parts = parts if len(names) == 3 else [parts[0], value % 1 * 60]
+        columns |= dict(zip(names, parts, strict=True))
+    write(tmp_path / "log" / "gps.csv", columns)
+    write(tmp_path / "log" / "imu.csv", {"t": TIME, **IMU})
+    drive = imported(tmp_path / "log").drive
+    assert drive.origin is not None
+    assert drive.origin[:2] == pytest.approx((sign * LAT[0], sign * LON[0]), abs=1e-9)
+    apart = np.hypot(drive.gps.x - drive.gps.x[0], drive.gps.y - drive.gps.y[0])
+    right = np.hypot(DRIVE.gps.x - DRIVE.gps.x[0], DRIVE.gps.y - DRIVE.gps.y[0])
+    np.testing.assert_allclose(apart, right, atol=0.05)
+
+
+@pytest.mark.parametrize("name", ["log.txt", "log.log", "imu.csv"])
+@pytest.mark.parametrize(
+    ("text", "way"),
+    [
+        (
+            "header: \n  seq: 1\n  stamp: \n    secs: 5\nangular_velocity: \n  x: 0.1\n---\n",
+            "ros2 topic echo --csv",
+        ),
+        ("2025-05-14 09:58:31.02: IMU {TimeUS : 9000000, I : 0, GyrX : 0.1, AccX : 0.2}\n", r"\.bin"),
+        ("(1747216711.010000) can0 123#0011223344556677\n", "DBC"),
+    ],
+    ids=["topics", "dataflash", "frames"],
+)
+def test_printed_messages_are_named(tmp_path: Path, name: str, text: str, way: str):
+    (tmp_path / name).write_text(text * 50)
+    with pytest.raises(InputError, match=rf"can't be imported, since it is .*{way}"):
+        imported(tmp_path / name)

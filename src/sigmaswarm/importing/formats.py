@@ -1,6 +1,7 @@
 """The formats that can be read, in the order of detection."""
 
 import difflib
+import re
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
@@ -65,11 +66,18 @@ NOT_READ = {
     ".novatel": "a NovAtel log; convert the fixes to NMEA with NovAtel Convert, and the IMU to CSV",
     ".mtb": "an Xsens recording; export it as text with MT Manager, with UTC time and position",
     ".mp4 .mov .insv": "a video; extract the telemetry of its IMU and GPS as CSV, for example with gopro-telemetry",
+    ".echo": "printed by rostopic echo or ros2 topic echo; import the bag, or print its messages as CSV: rostopic echo "
+    "-b BAG -p TOPIC > imu.csv (ROS 1), ros2 topic echo --csv TOPIC > imu.csv (ROS 2)",
+    ".mavtext": "a dataflash log printed by mavlogdump.py; import the log itself (.bin)",
     ".pcap .pcapng": "network packets; decode them with the sensor's own program, and export CSV",
 }
+# Patterns of the first bytes of these formats
 _MAGIC = {
-    **{b"H Product:Blackbox": ".bbl", b"MDF  ": ".mf4", b"\x89HDF": ".h5", b"\x1f\x8b": ".gz"},
-    **dict.fromkeys((b"#BESTPOSA", b"#INSPVA", b"#RAWIMU", b"%RAWIMU", b"\xaaD\x12"), ".novatel"),
+    **{rb"H Product:Blackbox": ".bbl", rb"MDF  ": ".mf4", rb"\x89HDF": ".h5", rb"\x1f\x8b": ".gz"},
+    rb"(?:#BESTPOSA|#INSPVA|[#%]RAWIMU|\xaaD\x12)": ".novatel",
+    rb"\s*header: *\r?\n +(?:seq|stamp|frame_id):": ".echo",
+    rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+: [A-Z]\w* \{": ".mavtext",
+    rb"\(\d+\.\d+\) +\w*can\w* ": ".blf",
 }
 
 
@@ -137,10 +145,10 @@ def format_of(path: Path) -> str:
 
 def unsupported_format(path: Path) -> str:
     """Return a description of a file's format if it is known, by suffix or first bytes, but not supported; else ""."""
-    if not path.is_file() or path.suffix.lower() == ".csv":
+    if not path.is_file():
         return ""
-    head = first_bytes(path, 64)
-    kinds = {path.suffix.lower(), *(end for magic, end in _MAGIC.items() if head.startswith(magic))}
+    head = first_bytes(path, 256)
+    kinds = {path.suffix.lower(), *(end for magic, end in _MAGIC.items() if re.match(magic, head))}
     return next((what for endings, what in NOT_READ.items() if kinds & {*endings.split()}), "")
 
 

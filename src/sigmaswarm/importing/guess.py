@@ -7,8 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 import polars as pl
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.degree_parts import degree_parts
 from sigmaswarm.importing.expressions import compile_expression
-from sigmaswarm.importing.names import plain_words, read_names
+from sigmaswarm.importing.names import Name, plain_words, read_names
 from sigmaswarm.importing.quantities import (
     PLACEHOLDERS,
     Columns,
@@ -175,6 +176,8 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
             continue
         if what != "bearing" or len(column_numbers(frame[name.column])):  # a direction may be N or NE
             columns.names.setdefault(what, name)
+    for what, (column, text) in degree_parts(frame).items():
+        columns.names[what], columns.degrees[what] = Name(column, what), text
     letter = "a" if _FORCES.search(table) else "g" if _RATES.search(table) else ""
     if letter and not columns.has("lat", "lon"):
         for axis in "xyz":

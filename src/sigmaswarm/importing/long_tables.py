@@ -1,18 +1,24 @@
 """Propose a command that converts a long table, in which a column names the kind of each row."""
 
 import re
+from pathlib import Path
+from shlex import quote
 
 import polars as pl
 
 from sigmaswarm.importing.names import read_names
-from sigmaswarm.importing.source import Log
+from sigmaswarm.importing.source import Log, first_bytes
 from sigmaswarm.importing.times import column_numbers, is_time
+from sigmaswarm.wording import printable
 
 MAX_KINDS = 20
+MIN_NUMBERS = 6  # smallest number of numbers in a row of an IMU
 
 
 def describe_kinds(log: Log) -> str:
     """Describe a long table, with one value or one sensor per row, and a command that converts it; else ""."""
+    if found := _beside_sentences(log.path):
+        return found
     for table, about in log.tables.items():
         _, frame, _ = next(iter(log.batches({table: about.columns})), ("", pl.DataFrame(), 0.0))
         kinds = [name for name in frame.columns if _is_kind(frame[name])]
@@ -51,3 +57,17 @@ def _is_kind(values: pl.Series) -> bool:
         return False
     known = values.drop_nulls().unique()
     return 1 < len(known) <= MAX_KINDS < len(values) and bool(known.str.contains(r"^[A-Za-z]\w*$").all())
+
+
+def _beside_sentences(path: Path) -> str:
+    """Describe rows of numbers between NMEA sentences, and a command that separates them; else ""."""
+    lines = first_bytes(path, 65536).decode("utf-8", "replace").split("\n")[:-1] if path.is_file() else []
+    rows = [line for line in lines if "$" not in line and len(re.findall(r"\d+\.?\d*", line)) >= MIN_NUMBERS]
+    sentences = sum(re.match(r"\$[A-Z]{5},", line) is not None for line in lines)
+    if not sentences or len(rows) < 0.2 * len(lines):
+        return ""
+    name = quote(path.name)
+    return (
+        f"the lines between the NMEA sentences may be IMU samples ({printable(rows[0], 60)}); write them to a file "
+        f"with: grep -av '[$]' {name} > imu.csv, and import imu.csv with --gps {name}"
+    )

@@ -49,6 +49,8 @@ _GYROS = (
 class Columns:
     frame: pl.DataFrame
     names: dict[str, Name] = field(default_factory=dict[str, Name])
+    # expressions of latitude and longitude, deg, that are in several columns
+    degrees: dict[str, str] = field(default_factory=dict[str, str])
     # The numbers of columns and their 99th percentiles, since each axis of a sensor needs those of all axes
     _numbers: dict[str, pl.Series] = field(default_factory=dict[str, pl.Series], init=False)
     _largest: dict[str, float] = field(default_factory=dict[str, float], init=False)
@@ -214,11 +216,11 @@ def geographic_position(columns: Columns, role: Role) -> dict[str, TimeExpressio
     """Convert latitude and longitude to degrees, by their unit, form or magnitude, and by the letters N, S, E, W."""
     both = ("lat", "lon")
     dms = _are_dms(*(columns.frame[columns.names[what].column] for what in both))
-    forms = dict.fromkeys(both, "dms({})") if dms else dict[str, str]()
+    forms = dict.fromkeys(both, "dms({})") if dms else {**columns.degrees}
     possible = _possible(columns)
     # lat_min may also be the smallest latitude in degrees
     arcs = {} if "1" in possible else {f: k for f, k in _ARCS.items() if k in possible}
-    for what in () if dms else both:
+    for what in () if forms else both:
         name = columns.names[what]
         if name.unit is None:
             continue
@@ -238,7 +240,7 @@ def geographic_position(columns: Columns, role: Role) -> dict[str, TimeExpressio
     places: dict[str, TimeExpression] = {}
     hemispheres = _hemispheres(columns)
     for what in both:
-        text = forms.get(what, found.expression).format(columns.text(what))
+        text = forms.get(what, found.expression).replace("{}", columns.text(what))
         condition, fault = hemispheres.get(what, ("", ""))
         text = f"where({condition}, -abs({text}), {text})" if condition else text
         remedy = f'{fault}, write --map "{role}.{what}={text}"'

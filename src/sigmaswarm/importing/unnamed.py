@@ -33,7 +33,7 @@ def columns_by_values(frame: pl.DataFrame, role: Role) -> dict[str, str]:
         return {}
     values = {name: frame[name].cast(pl.Float64, strict=False).to_numpy() for name in names}
     place = _place(values) if role == "gps" else _axes(values)
-    time = next(_times(frame), "")
+    time = next(_times(frame, role), "")
     return (
         {"t": time, **{what: quoted_column(name) for what, name in place.items()}} if place and time else {}
     )
@@ -56,7 +56,7 @@ def _letters(frame: pl.DataFrame) -> dict[str, str]:
     return {"t": time, **texts} if texts else {}
 
 
-def _times(frame: pl.DataFrame) -> Iterator[str]:
+def _times(frame: pl.DataFrame, role: Role) -> Iterator[str]:
     """Yield time expressions of increasing columns and of texts; row numbers come last."""
     found: list[tuple[bool, str]] = []
     texts = {name: frame[name].drop_nulls() for name in frame.columns if frame.schema[name] == pl.String}
@@ -65,7 +65,7 @@ def _times(frame: pl.DataFrame) -> Iterator[str]:
         if all(len(v) and v.str.contains(form).all() for v, form in zip(pair, DATE_AND_CLOCK, strict=True)):
             yield date_time([day, clock], frame).expression
     for name in frame.columns:
-        time = column_time(read_name(name), frame, "imu")
+        time = column_time(read_name(name), frame, role)
         steps = frame[name].cast(pl.Float64, strict=False).diff().drop_nulls()
         rises = len(steps) > 0 and (steps >= 0).all() and median_of(steps) > 0
         if time.expression and (rises or frame.schema[name] == pl.String):

@@ -14,9 +14,9 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.quantities import NO_NUMBER, NO_VALUE
 from sigmaswarm.importing.readers.packed_cells import packed_cells
+from sigmaswarm.importing.readers.row_kinds import MAX_ROWS, require_one_kind
 from sigmaswarm.importing.source import first_bytes
 from sigmaswarm.importing.units import COUNTS, parse_unit
-from sigmaswarm.wording import list_names
 
 HEADER_BYTES = 4_000_000
 # Numbers of characters and of lines that are examined, but at least four lines
@@ -80,8 +80,12 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
     ]
     empty = width - max(filled)
     names = _header([lines[i] for i in above], separator, width, most, empty)
+    rest = (
+        line for line in lines[first : first + MAX_ROWS] if line.strip() and line.lstrip()[:1] not in COMMENTS
+    )
+    whole = [split(line, separator) for line in rest]
     if all(row[0].lstrip()[:1] == "$" for row in data):
-        _require_one_kind(data, shown_as)
+        require_one_kind(whole, separator, shown_as)
     surplus = width - len(names) if 0 < width - len(names) <= empty else 0
     notes = [packed] if packed else []
     if not names:
@@ -94,7 +98,7 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
             raise InputError(
                 f"{shown_as}, row {first + 1}: has {width} cells, but the header has {len(found)}; {remedy}"
             )
-        _require_one_kind(data, shown_as)
+        require_one_kind(whole, separator, shown_as)
         if names := _of_message(data[0]):
             notes.append(
                 f"{shown_as.name}: each row is read as a message of {width} values, in the format of "
@@ -121,22 +125,6 @@ def _of_message(row: Sequence[str]) -> list[str]:
     values = [float(cell) if _NUMBER.fullmatch(cell) else math.nan for cell in row[3:8]]
     turn, placed = sum(v * v for v in values[:4]), abs(values[2]) <= 90 and abs(values[3]) <= 180
     return fields if (abs(turn - 1) < 0.05 if "orientation.w" in fields else placed) else []
-
-
-def _require_one_kind(rows: Rows, shown_as: Path) -> None:
-    """Refuse rows that begin with the name of a kind, if there are several kinds with different numbers of cells."""
-    last = [max(k for k, cell in enumerate(row) if k == 0 or cell.strip()) for row in rows]
-    # A row with only a name and a time, such as an invalid fix, is not a separate kind.
-    kinds = {(row[0].strip(), end) for row, end in zip(rows, last, strict=True) if end > 1}
-    names = sorted({name for name, _ in kinds})
-    named = all(re.fullmatch(r"\$?[A-Za-z]\w*", name) for name in names)
-    if named and 1 < len(names) <= 20 and len({width for _, width in kinds}) > 1:
-        bare = names[0].strip("$")
-        raise InputError(
-            f"{shown_as}: has rows of several kinds ({list_names(names)}); write each kind to a separate file, and "
-            f"add a header line to it; for {bare}, for example: "
-            f"grep '^ *[$]*{bare}[^A-Za-z0-9_]' {quote(shown_as.name)} > {bare.lower()}.csv"
-        )
 
 
 def is_table(file: Path) -> bool:

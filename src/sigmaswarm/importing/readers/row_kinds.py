@@ -1,0 +1,58 @@
+"""Refuse texts with rows of several kinds, such as "IMU,..." and "GPS,...", with a command that separates them."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from shlex import quote
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.wording import list_names
+
+MAX_KINDS = 20
+MAX_ROWS = 20_000  # largest number of rows that are examined
+KIND_CELLS = 2  # the kind is in the first or second cell, perhaps after a time
+_WORD, _CODE = re.compile(r" *\$?([A-Za-z]\w*)(?= *$|:)"), re.compile(r" *(\d{1,3}|[A-Za-z]\w*) *$")
+
+
+def require_one_kind(rows: Sequence[Sequence[str]], separator: str, shown_as: Path) -> None:
+    """Raise an `InputError` if rows state their kind, and the kinds have different numbers of cells."""
+    for place in range(KIND_CELLS):
+        kinds = _words(rows) if place == 0 else {}
+        if kinds := kinds or _codes(rows, place):
+            break
+    else:
+        return
+    marked = all(re.match(r"[ $]*\w+:", row[place]) for row in rows)
+    keep = f'k=${place + 1}; sub(/^[$ ]+/,"",k); sub(/[^A-Za-z0-9_].*/,"",k);{" sub(/:/,FS);" * marked}'
+    command = (
+        f"mkdir -p kinds && awk -F{quote(separator.replace(chr(9), chr(92) + 't'))} "
+        f'\'{{{keep} if (k!="") print > ("kinds/" k ".csv")}}\' {quote(shown_as.name)}'
+    )
+    raise InputError(
+        f"{shown_as}: has rows of several kinds ({list_names(sorted(kinds))}); write each kind to a separate file; for "
+        f"example, run: {command}, and import the folder kinds"
+    )
+
+
+def _words(rows: Sequence[Sequence[str]]) -> set[str]:
+    """Return the words with which all rows begin, if rows with different words have different lengths; else {}."""
+    found = [_WORD.match(row[0]) for row in rows]
+    last = [max(k for k, cell in enumerate(row) if k == 0 or cell.strip()) for row in rows]
+    # A row with only a name and a time, such as an invalid fix, is not a separate kind.
+    kinds = {(word[1], end) for word, end in zip(found, last, strict=True) if word and end > 1}
+    words = {word for word, _ in kinds}
+    several = 1 < len(words) <= MAX_KINDS and len({end for _, end in kinds}) > 1
+    return words if all(found) and several else set()
+
+
+def _codes(rows: Sequence[Sequence[str]], place: int) -> set[str]:
+    """Return the words and numbers in a column if each determines the number of cells, which varies; else {}."""
+    sizes: dict[str, set[int]] = {}
+    for row in rows:
+        code = _CODE.match(row[place]) if place < len(row) else None
+        if code is None:
+            return set()
+        sizes.setdefault(code[1], set()).add(len(row))
+    known = [*sizes.values()]
+    fits = 1 < len(sizes) <= MAX_KINDS and all(len(of) == 1 for of in known) and len(set.union(*known)) > 1
+    return {*sizes} if fits else set()
