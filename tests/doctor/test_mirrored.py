@@ -111,7 +111,9 @@ def test_a_missing_sign_of_degrees_is_reported_and_the_imu_is_kept(
     finding = next(f for f in found.findings if f.code == "mirrored-fixes")
     assert finding.repair is None
     assert "lack a minus sign" in finding.what
-    assert mirror_maps(found) == ["gps.lon=-(COLUMN_OF_LON)"]
+    assert not mirror_maps(found)  # the log does not show which of the remedies is right
+    for place in ("gps.lon=-(COLUMN_OF_LON)", "gps.lat=-(COLUMN_OF_LAT)", "imu.gz=-(COLUMN_OF_GZ)"):
+        assert f'"{place}"' in finding.remedy
     assert not sigmaswarm.diagnose(at(good(axes), origin, (1, 1))).serious
 
 

@@ -1,5 +1,6 @@
 """Layouts of loggers, written from a simulated drive: what is proposed, or named as remedy, makes the drive again."""
 
+import datetime
 import functools
 import operator
 import re
@@ -257,3 +258,120 @@ def test_printed_messages_are_named(tmp_path: Path, name: str, text: str, way: s
     (tmp_path / name).write_text(text * 50)
     with pytest.raises(InputError, match=rf"can't be imported, since it is .*{way}"):
         imported(tmp_path / name)
+
+
+CLOCKS_OF_TABLES = {
+    "time of week": ("tow (s)", 200_000.0, "gps_time", "2025-05-14T08:00:00Z"),
+    "host": ("host_time", 1.7e9, "utc", "2025-05-14T08:00:00Z"),
+    "boot": ("uptime_ms", 5e3, "time", 1.7e9),
+}
+
+
+@pytest.mark.parametrize("clock", CLOCKS_OF_TABLES)
+def test_tables_whose_usual_times_do_not_overlap_are_read_on_a_clock_of_both(tmp_path: Path, clock: str):
+    column, begin, other, first = CLOCKS_OF_TABLES[clock]
+    scale = 1e3 if column.endswith("ms") else 1.0
+    own = 300.0 + TIME if clock == "boot" else None
+    write(
+        tmp_path / "imu.csv",
+        {
+            "t" if own is not None else "row": TIME if own is None else own,
+            column: begin + TIME * scale,
+            **IMU,
+        },
+    )
+    start = pl.Series([first]).str.to_datetime() if isinstance(first, str) else None
+    stamps = (
+        FIXED + first if start is None else [start[0] + datetime.timedelta(seconds=t) for t in FIXED.tolist()]
+    )
+    write(tmp_path / "gps.csv", {other: stamps, column: begin + FIXED * scale, "lat": LAT, "lon": LON})
+    got = imported(tmp_path)
+    require_same(got.drive)
+    assert any("do not overlap" in note for note in got.notes)
+
+
+@pytest.mark.parametrize("factor", [1e-3 * np.pi / 180, np.pi / 180 / 131, 1e-3])
+def test_biases_of_a_cheap_gyro_do_not_change_its_unit(tmp_path: Path, factor: float):
+    """Of intervals with various durations, the angles of an axis with a bias of 15 deg/s resemble the durations."""
+    drive = simulate("urban", run=3, duration=150.0, imu_rate=50.0, gps="white-1m", gps_rate=1.0)
+    imu, gps = drive.imu, drive.gps
+    assert imu.az is not None and imu.gx is not None and imu.gy is not None
+    biased = {"gx": imu.gx + 0.25, "gy": imu.gy - 0.3, "gz": imu.gz + 0.28}
+    lat, lon, _ = enu_to_geodetic(np.column_stack([gps.x, gps.y, 0 * gps.x]), ORIGIN).T
+    rates = {n: np.round(v / factor) for n, v in biased.items()}
+    write(tmp_path / "log" / "imu.csv", {"t": imu.time, "ax": imu.ax, "ay": imu.ay, "az": imu.az, **rates})
+    write(tmp_path / "log" / "gps.csv", {"t": gps.time, "lat": lat, "lon": lon})
+    with pytest.raises(InputError, match="the turns of the path show that the unit") as caught:
+        imported(tmp_path / "log")
+    maps = [re.findall(r'"([^"]+)"', part) for part in str(caught.value).split("--map ")[1:]]
+    found = [imported(tmp_path / "log", maps=options).drive.imu.gz for options in maps]
+    assert min(np.abs(gz - biased["gz"]).max() for gz in found) < factor
+
+
+@pytest.mark.parametrize("scale", [3.6, 1.94384, 1000.0])
+def test_a_speed_without_unit_is_compared_with_noisy_fixes_at_a_high_rate(tmp_path: Path, scale: float):
+    time = np.arange(0, 60, 0.1)
+    rng = np.random.default_rng(1)
+    east, north = (np.interp(time, DRIVE.truth.time, v) for v in (DRIVE.truth.x, DRIVE.truth.y))
+    speed = np.interp(time, DRIVE.truth.time, np.hypot(DRIVE.truth.vx, DRIVE.truth.vy))
+    places = np.column_stack([east, north, 0 * time]) + rng.normal(0, 1.0, (len(time), 3))
+    lat, lon, _ = enu_to_geodetic(places, ORIGIN).T
+    write(tmp_path / "log" / "imu.csv", {"t": TIME, **IMU})
+    write(tmp_path / "log" / "gps.csv", {"t": time, "lat": lat, "lon": lon, "speed": speed * scale})
+    got = imported(tmp_path / "log")
+    assert got.drive.gps.speed is None
+    assert any("speed is" in note and "times that of the positions" in note for note in got.notes)
+
+
+@pytest.mark.parametrize("invalid", [slice(0, 80), slice(None, None, 20), slice(None)])
+def test_a_speed_of_minus_1_is_invalid(tmp_path: Path, invalid: slice):
+    speed = np.interp(FIXED, DRIVE.truth.time, np.hypot(DRIVE.truth.vx, DRIVE.truth.vy))
+    course = 90 - np.degrees(np.interp(FIXED, DRIVE.truth.time, np.unwrap(DRIVE.truth.theta)))
+    speed[invalid], course[invalid] = -1, -1
+    write(tmp_path / "log" / "imu.csv", {"t": TIME, **IMU})
+    fixes = {"t": FIXED, "latitude": LAT, "longitude": LON, "speed": speed, "course": course % 360}
+    write(tmp_path / "log" / "location.csv", fixes)
+    gps = imported(tmp_path / "log").drive.gps
+    assert gps.speed is None if invalid.step is None else gps.speed is not None and gps.speed.min() > -0.5
+
+
+@pytest.mark.parametrize(("decimals", "said"), [(2, "1112 m"), (3, "111 m"), (4, "11 m")])
+def test_degrees_with_few_decimals_are_reported(tmp_path: Path, decimals: int, said: str):
+    write(tmp_path / "log" / "imu.csv", {"t": TIME, **IMU})
+    places = {"lat": np.round(LAT + 0.0349, decimals), "lon": np.round(LON, decimals)}
+    write(tmp_path / "log" / "gps.csv", {"t": FIXED, **places})
+    try:
+        heard = " ".join(imported(tmp_path / "log").notes)
+    except InputError as error:
+        heard = str(error)
+    assert f"at most {decimals} decimals, so their resolution is {said}" in heard
+
+
+@pytest.mark.parametrize(("scale", "rate"), [(1e6, 50), (1e4, 50), (1e6, 10)])
+def test_the_fine_time_of_xsens_and_movella(tmp_path: Path, scale: float, rate: int):
+    every = slice(None, None, 50 // rate)
+    imu = {
+        "SampleTimeFine": np.round((TIME[every] + 7) * scale).astype(int),
+        **{n: v[every] for n, v in IMU.items()},
+    }
+    write(tmp_path / "log" / "imu.csv", imu)
+    write(tmp_path / "log" / "gps.csv", {"t": FIXED + 7, "lat": LAT, "lon": LON})
+    assert np.median(np.diff(imported(tmp_path / "log").drive.imu.time)) == pytest.approx(1 / rate)
+
+
+INCREMENTS = {
+    "units": ("DeltaVel {} (m/s)", "DeltaTheta.{} (deg)", "XYZ", 1 / 50, np.degrees(1 / 50)),
+    "words": ("delta_velocity_{}", "delta_angle_{}", "xyz", 1 / 50, 1 / 50),
+    "short": ("dv{}", "dtheta{}", "xyz", 1 / 50, 1 / 50),
+}
+
+
+@pytest.mark.parametrize("form", INCREMENTS)
+def test_increments_are_multiplied_by_the_rate(tmp_path: Path, form: str):
+    velocity, angle, letters, *scale = INCREMENTS[form]
+    columns: dict[str, Any] = {"time_s": TIME, "lat": sparse(LAT), "lon": sparse(LON)}
+    for letter, axis in zip(letters, "xyz", strict=True):
+        columns[velocity.format(letter)] = IMU[f"a{axis}"] * scale[0]
+        columns[angle.format(letter)] = IMU[f"g{axis}"] * scale[1]
+    write(tmp_path / "log.csv", columns)
+    require_same(as_proposed(tmp_path / "log.csv"))

@@ -165,9 +165,9 @@ def repair_and_split(diagnosis: "Diagnosis", folder: Path, options: Sequence[str
 
 
 def mirror_maps(diagnosis: "Diagnosis") -> list[str]:
-    """Return the first --map in the remedy for mirrored fixes, with placeholders; [] if there is none, or a repair."""
+    """Return the --map in the remedy for exchanged fixes, with placeholders; [] if there is none, or a repair."""
     mirrored = (f for f in diagnosis.findings if f.code == "mirrored-fixes" and not f.repair)
-    maps = re.search(r'--map((?: "[^"]*")+)', next((f.remedy for f in mirrored), ""))
+    maps = re.search(r'exchange .* --map((?: "[^"]*")+)', next((f.remedy for f in mirrored), ""))
     return re.findall(r'"([^"]*)"', maps[1]) if maps else []
 
 

@@ -245,7 +245,8 @@ def _with_corrected_fixes(diagnosis: "Diagnosis") -> str:
 
 def _with_columns(diagnosis: "Diagnosis", imported: "ImportResult") -> "Diagnosis":
     """Replace placeholders such as COLUMN_OF_LAT in remedies by expressions of the recipe."""
-    texts = {n: text for part in imported.recipe.roles.get("gps", ()) for n, text in part.columns.items()}
+    parts = [part for role in ("imu", "gps") for part in imported.recipe.roles.get(role, ())]
+    texts = {name: text for part in parts for name, text in part.columns.items()}
 
     def named(text: str) -> str:
         return re.sub(r"COLUMN_OF_([A-Z]+)", lambda m: texts.get(m[1].lower(), m[0]), text)

@@ -18,6 +18,7 @@ DEGREE = math.pi / 180
 FACTOR_TOLERANCE = 1.35
 # Smallest explained fraction of the course's changes if the gain is below `MIN_GAIN_SIGMAS` standard deviations
 MIN_EXPLAINED = 0.2
+MAX_RANGE = 4  # binary logarithm of the largest ratio of two ranges of a gyro
 MIN_GAIN_ERROR = 0.1  # smallest reported relative difference of a gain from a factor
 # rad, RMS change of the course within 20 s above which the course determines column, sign and unit of the gyro. Below
 # it, the course is mostly noise, and any reading other than gz in rad/s must exceed `MIN_GAIN_SIGMAS` or `LARGE_SHARE`.
@@ -69,10 +70,10 @@ def yaw_of(fit: YawFit | None, imu: Imu) -> Yaw:
     follows = size > (1 if fit.share > SUFFICIENT_SHARE else MIN_FOLLOWING_RATIO) * MIN_GAIN_SIGMAS
     follows = follows and fit.separates_delay and not _units_of(fit.undelayed)
     if not fitting and follows and fit.course_change > MIN_GAIN_TURN and _is_level(imu):
-        power = math.copysign(
-            2.0 ** round(math.log2(abs(fit.gain))), fit.gain
-        )  # as by another range of the sensor
-        fitting = [power if abs(fit.gain / power - 1) < MIN_GAIN_ERROR else fit.gain]
+        exponent = round(math.log2(abs(fit.gain)))
+        power = math.copysign(2.0**exponent, fit.gain)
+        another_range = abs(exponent) <= MAX_RANGE and abs(fit.gain / power - 1) < MIN_GAIN_ERROR
+        fitting = [power if another_range else fit.gain]
     clear = size > MIN_GAIN_SIGMAS or fit.share > LARGE_SHARE or fit.course_change > MIN_GAIN_TURN
     if not fitting or not (clear or (fit.column, fitting[0]) == ("gz", 1.0)):
         return Yaw()

@@ -25,6 +25,7 @@ from sigmaswarm.importing.positions import (
     Values,
     add_local_position,
     chord_course,
+    coarse_degrees,
     fitting_angle,
 )
 from sigmaswarm.importing.recipe import Recipe
@@ -89,13 +90,17 @@ def assemble(
         metadata=_metadata(recipe, zero),
         odometer=wheels,
     )
+    coarse = coarse_degrees(gps)
     if shortage := shortage_of(drive.imu, drive.gps):
+        shortage += f"; {coarse}" if coarse else ""
         if "overlap" in shortage:
             offset = drive.imu.time[0] - drive.gps.time[0]
             remedy = _as_digits(seconds, gathered) or ("" if zero else _one_clock(seconds, gathered))
             moves = "".join(f"--gps-offset {move:.10g} if {why}, or " for move, why in _moves(seconds, zero))
             shortage += remedy or f": {moves}--gps-offset {offset:.3f} if both logs began at the same time"
         raise InputError(f"{name}: {shortage}")
+    if coarse:
+        say(f"gps: {coarse}")
     return drive
 
 

@@ -136,6 +136,10 @@ class PartColumns:
             if len(pair) == 2 and all(c in alone for c in pair):
                 both = marks[pair[0]] & (numbers[pair[0]] == numbers[pair[1]]).fill_null(False)
                 alone |= {c: alone[c] | both for c in pair}
+        for column in used.get("speed", frozenset()) & {*names} if "lat" in used else ():
+            invalid = (numbers[column] == -1).fill_null(False)  # as phones write it
+            if not (numbers[column].filter(~invalid) < -0.5).any():
+                alone[column] = invalid
         for column, mark in alone.items():
             if count := int(mark.sum()):
                 value = float(numbers[column].filter(mark)[0])

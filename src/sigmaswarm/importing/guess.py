@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import polars as pl
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.common_clock import on_common_clock
 from sigmaswarm.importing.degree_parts import degree_parts
 from sigmaswarm.importing.expressions import compile_expression
 from sigmaswarm.importing.names import Name, plain_words, read_names
@@ -140,6 +141,8 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
                 faults += [Fault(role, what, table, fault)] if fault else []
                 expressions |= {what: found_as.expression} if found_as.expression else {}
             roles[role] = (*roles.get(role, ()), Part(table, expressions))
+    roles, shared_clock = on_common_clock(roles, samples)
+    notes += shared_clock
     downward = _downward(found[roles["imu"][0].table]) if "imu" in roles else ""
     tables = [found[part.table] for part in roles.get("imu", ())]
     unitless = {

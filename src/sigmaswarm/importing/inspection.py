@@ -20,6 +20,7 @@ from sigmaswarm.importing.expressions import compile_expression, is_valid_expres
 from sigmaswarm.importing.gather import ROW, with_row_numbers
 from sigmaswarm.importing.gravity import tilted_mount
 from sigmaswarm.importing.guess import Z_DOWN
+from sigmaswarm.importing.increments import RATE, increments
 from sigmaswarm.importing.proposal import Proposal, check_proposal, propose_columns
 from sigmaswarm.importing.quantities import in_units
 from sigmaswarm.importing.recipe import Recipe
@@ -182,8 +183,11 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal |
         chosen = [part.table for part in parts if part.table in there] or list(there)
         names = {table: there[table].columns for table in chosen}
         unnamed = ((table, columns_by_values(there[table], role)) for table in chosen)
-        by_values = None if known else next((found for found in unnamed if found[1]), None)
-        proposed = by_values or propose_columns(names, role, known)
+        summed = ((table, increments(columns)) for table, columns in names.items() if role == "imu")
+        by_values, by_sums = (
+            None if known else next((f for f in found if f[1]), None) for found in (unnamed, summed)
+        )
+        proposed = by_values or propose_columns(names, role, known) or by_sums
         table, columns = proposed or (parts[0].table if parts else "", {})
         used[role] = request.home(role), table, known, columns
         if proposed is None:
@@ -201,6 +205,8 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal |
         if "t" not in known and len(rows):
             time = time_of_rows(rows, role, keys, "imu" if "imu" in keys else role)
             found[role] = ({"t": time.expression} if time and time.expression else {}) | {**found[role]}
+        rate = _rate(rows, found[role].get("t", known.get("t"))) or 0.0
+        found[role] = {name: text.replace(RATE, f"{rate:.6g}") for name, text in found[role].items()}
     return Proposal(tables, found) if found else None
 
 

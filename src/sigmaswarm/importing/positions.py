@@ -53,6 +53,19 @@ def valid_positions(time: NDArray[np.int64], values: Values, role: str, say: Say
     return good
 
 
+def coarse_degrees(values: Values) -> str:
+    """Describe latitudes and longitudes with too few decimals, with the remedy; else ""."""
+    for decimals in (0, 1, 2, 3, 4):
+        places = [values[name] for name in ("lat", "lon") if name in values]
+        if len(places) == 2 and all(np.allclose(v, np.round(v, decimals), rtol=0, atol=1e-9) for v in places):
+            meters = f"{111_200 / 10**decimals:.0f} m"
+            return (
+                f"latitudes and longitudes have at most {decimals} decimals, so their resolution is {meters}; the "
+                "logger must write 7 decimals, in Arduino sketches with print(lat, 7)"
+            )
+    return ""
+
+
 def with_longitudes(values: Values, role: str, say: Say) -> Values:
     """Convert longitudes of 0 to 360 degrees to -180 to 180."""
     if "lon" not in values or not (np.abs(values["lon"]) > 180).any() or (np.abs(values["lon"]) > 360).any():

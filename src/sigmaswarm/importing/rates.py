@@ -21,7 +21,7 @@ _NAMED = map(parse_unit, ("rad/s", "deg/s", "mrad/s", "mdps", "cdps", "rpm", "re
 # Scales of common 16-bit sensors, for columns of whole numbers: factors to rad/s, and expressions
 COUNTS = {
     f"counts, {per:g} per deg/s": (_DEGREE / per, f"radians({{}}/{per:g})")
-    for per in (131, 65.5, 32.8, 16.4, 114.3, 28.6, 14.3)
+    for per in (131, 65.5, 32.8, 16.4, 16, 114.3, 28.6, 14.3)
 }
 UNITS = {
     **{unit.text: (unit.factor, in_si(unit, "{}")) for unit in _NAMED if unit is not None},
@@ -119,23 +119,29 @@ def turn_ratio(drive: Drive) -> tuple[float, float]:
         first = np.flatnonzero(later < len(at))
         first = first[at[later[first]] - at[first] < MAX_INTERVAL_RATIO * apart]
         later = later[first]
-        turns = np.asarray(wrap_angle(course[later] - course[first]))
+        turns, lasted = np.asarray(wrap_angle(course[later] - course[first])), at[later] - at[first]
         for delay in DELAYS:
             ends = [[np.interp(at[k] - delay, imu.time, angle) for angle in angles] for k in (first, later)]
-            best = max(best, _fitted(np.subtract(ends[1], ends[0]).T, turns))
+            best = max(best, _fitted(np.subtract(ends[1], ends[0]).T, turns, lasted))
     return best
 
 
-def _fitted(measured: Array, turns: Array) -> tuple[float, float]:
-    """Fit measured angles (n, axes) to turns (n,), rad; return explained fraction and factor, 0 and 0 for few turns."""
+def _fitted(measured: Array, turns: Array, lasted: Array) -> tuple[float, float]:
+    """Fit measured angles (n, axes) to turns (n,), rad; return explained fraction and factor, 0 and 0 for few turns.
+
+    ``lasted`` (n,): durations, s. The axes have different biases, so angles proportional to the duration are removed;
+    otherwise a linear combination of the axes with large factors would remove them.
+    """
     share, ratio = 0.0, 0.0
     for _ in range(4):
         if len(turns) < MIN_TURNS or np.std(turns) < MIN_TURN_STD:
             return 0.0, 0.0
-        measured, turns = measured - np.mean(measured, axis=0), turns - np.mean(turns)
+        constant = np.column_stack([np.ones(len(turns)), lasted])
+        measured = measured - constant @ np.linalg.lstsq(constant, measured, rcond=1e-6)[0]
+        turns = turns - constant @ np.linalg.lstsq(constant, turns, rcond=1e-6)[0]
         factors = np.asarray(np.linalg.lstsq(measured, turns, rcond=MIN_AXIS_SHARE)[0], np.float64)
         left = turns - measured @ factors
         share, ratio = 1.0 - float(left @ left / (turns @ turns)), float(np.linalg.norm(factors))
         kept = np.abs(left) <= OUTLIER_SIGMAS * float(np.median(np.abs(left))) / 0.6745
-        measured, turns = measured[kept], turns[kept]
+        measured, turns, lasted = measured[kept], turns[kept], lasted[kept]
     return share, ratio

@@ -342,6 +342,8 @@ def column_time(name: Name, frame: pl.DataFrame, role: Role) -> TimeExpression:
     if values.dtype.is_temporal():
         return TimeExpression(text)
     if name.is_one("sample_?time_?fine"):
+        if step_of(values) * 1e-4 > SLOWEST_IMU:
+            return TimeExpression(f"{text}*1e-6", f"{name.column} is read as us, as in logs of Movella DOT")
         return TimeExpression(
             f"{text}*1e-4", f"{name.column} is read as ticks of 0.1 ms, as in logs of Xsens"
         )

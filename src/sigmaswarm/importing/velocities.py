@@ -1,5 +1,6 @@
 """Compare the recorded speed and course with the positions, and leave out columns that contradict the positions."""
 
+import math
 import re
 from collections.abc import Iterable
 
@@ -104,7 +105,14 @@ def _stretches(
     noise = float(np.median(np.hypot(np.diff(x, 2), np.diff(y, 2)))) / 2.9
     least = max(3.0, 10 * noise)
     steps = np.ceil(1.5 * least / max(float(np.quantile(step, 0.9)), 1e-3))
-    apart = int(np.clip(steps, 4, len(rows) // MIN_STRETCHES))
+    apart, most = int(np.clip(steps, 4, len(rows) // MIN_STRETCHES)), len(rows) // MIN_STRETCHES
+
+    def chord_of(apart: int) -> float:
+        return float(np.quantile(np.hypot(x[apart:] - x[:-apart], y[apart:] - y[:-apart]), 0.9))
+
+    noisy = chord_of(apart) < least  # at a high rate, most of each step is noise
+    while noisy and apart < most and chord_of(apart) < 2 * least:
+        apart = min(math.ceil(1.5 * apart), most)
     begin = np.arange(0, len(rows) - apart, apart)
     end = begin + apart
     chord = np.hypot(x[end] - x[begin], y[end] - y[begin])

@@ -49,7 +49,9 @@ def check_mirrored(evidence: Evidence) -> Iterator[Finding]:
     sign = evidence.mirrored == "reversed"
     fault = f"{places} of the fixes are exchanged"
     if sign:
-        fault = "the longitudes, or the latitudes, of the fixes lack a minus sign"
+        fault = (
+            "the longitudes or latitudes of the fixes lack a minus sign, or the IMU's axes are left-handed"
+        )
     what = (
         f"{fault}, so the track is a mirror image. Relative to the fixes, gz and ay have the wrong sign, but ax has "
         "the correct sign and az points up"
@@ -59,10 +61,10 @@ def check_mirrored(evidence: Evidence) -> Iterator[Finding]:
         f'import with --map "gps.{first}=COLUMN_OF_{second.upper()}" "gps.{second}=COLUMN_OF_{first.upper()}"'
     )
     if sign:
-        west = 'import with --map "gps.lon=-(COLUMN_OF_LON)" west of Greenwich'
-        remedy = (
-            f'if gz and ay have the correct signs, {west}, or "gps.lat=-(COLUMN_OF_LAT)" south of the equator'
-        )
+        west = 'with --map "gps.lon=-(COLUMN_OF_LON)" if the drive was west of Greenwich'
+        south = '"gps.lat=-(COLUMN_OF_LAT)" if it was south of the equator'
+        signs = " ".join(f'"imu.{name}=-(COLUMN_OF_{name.upper()})"' for name in ("ay", "gx", "gz"))
+        remedy = f"import {west}, {south}, or {signs} if the coordinates are correct, so the IMU's axes are left-handed"
     # Otherwise there is no repair: a truth may be mirrored too, and the exchange changes the scale of degrees.
     repair = Repair("exchange-fixes", ()) if drive.frame == "enu" and drive.truth is None else None
     where = f"gps.csv, {first}, {second}"

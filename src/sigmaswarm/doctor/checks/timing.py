@@ -1,5 +1,6 @@
 """Check clock offset, rates, gaps, pauses and repeated values."""
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -15,6 +16,8 @@ from sigmaswarm.drives.drive import Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 
 SERIOUS_OFFSET = 0.3  # s, clock offset above which errors are meters
+# s, GPS time minus UTC; largest difference of an offset from it that is the delay of a receiver
+LEAP_SECONDS, MAX_LEAP_ERROR = 18.0, 0.3
 MIN_IMU_RATE = 8.0  # Hz, rate below which turns are lost between samples
 MAX_INTERVAL_RANGE = 0.5  # largest range of the middle 90% of the intervals, relative to their median
 # if a larger fraction of the IMU samples is repeated, the sensor is slower than the log
@@ -33,11 +36,12 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
     move = f"subtract {size} from" if delay > 0 else f"add {size} to"
     if evidence.moved:
         what = f"gyro and course show that the fixes are {abs(delay):.1f} s {way} relative to the IMU"
-        leap = "; GPS time is 18 s ahead of UTC" if abs(abs(delay) - 18) < 1 else ""
-        repair = Repair("shift-clock", (-evidence.moved,))
-        yield Finding(
-            "clock-offset", "serious", what, where, span, 0.999, f"{move} the fixes' times{leap}", repair
-        )
+        remedy, shift = f"{move} the fixes' times", -evidence.moved
+        if abs(abs(delay) - LEAP_SECONDS) < max(MAX_LEAP_ERROR, 3 * std):
+            shift = -math.copysign(LEAP_SECONDS, delay)
+            remedy = f"{move.replace(size, '18 s')} the fixes' times, since GPS time is 18 s ahead of UTC"
+        repair = Repair("shift-clock", (shift,))
+        yield Finding("clock-offset", "serious", what, where, span, 0.999, remedy, repair)
     elif drift := clock_drift(evidence):
         percent, fast = 100 * abs(drift.rate), "slow" if drift.rate > 0 else "fast"
         what = (
