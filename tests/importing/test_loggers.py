@@ -120,6 +120,7 @@ NAMES = {
     "drone": ("offsetTime", "IMU(0):accel:{}", "IMU(0):gyro:{}", "GPS(0):Lat", "GPS(0):Long"),
     "survey": ("Zeit [s]", "Acc_Body_{} [g]", "Rate_Body_{} [°/s]", "INS_Lat_Abs [°]", "INS_Long_Abs [°]"),
     "brackets": ("Time(s)", "Acc({})", "Gyro({})", "Latitude", "Longitude"),
+    "race": ("time", "GForce{}", "Gyro{}", "Latitude", "Longitude"),
     "bus": ("timestamps", "ESP.{}beschl", "ESP.{}rate", "Pos.Latitude", "Pos.Longitude"),
     "elements": ("time", "I.acc[{}]", "I.pqr[{}]", "lat", "lon"),
 }
@@ -129,7 +130,7 @@ PARTS = {"bus": (("Laengs", "Quer", "Vertikal"), ("Wank", "Nick", "Gier")), "ele
 @pytest.mark.parametrize("form", NAMES)
 def test_more_names_of_loggers(tmp_path: Path, form: str):
     time, force, rate, lat, lon = NAMES[form]
-    scale = (1 / G, np.degrees(1)) if "g]" in force or "IMU" in force else (1.0, 1.0)
+    scale = (1 / G, np.degrees(1)) if any(word in force for word in ("g]", "IMU", "GForce")) else (1.0, 1.0)
     letters = PARTS.get(form, ("XYZ", "XYZ"))
     columns: dict[str, Any] = {time: TIME}
     for k, axis in enumerate("xyz"):

@@ -29,7 +29,7 @@ TIME_OF_WEEK = (
 )
 
 _ACCELERATION = (
-    "a|g_?force|acc|accl|accel|acceleration|accelerometer|accelerometer_acceleration|lin(?:ear)?_?acc(?:el|eleration)?|specific_force|"
+    "a|acc|accl|accel|acceleration|accelerometer|accelerometer_acceleration|lin(?:ear)?_?acc(?:el|eleration)?|specific_force|"
     "f|f_?b|a_rs_s|linear"
 )
 _RATE = (

@@ -39,7 +39,7 @@ TURNING = (
     ("gy", {**LEFT, "pitch": 1, "pitchrate": 1}),
 )
 MOVING = (("ax", FORWARD), ("ay", LEFT), ("az", UP))
-FORCE = {"a", "acc", "accl", "accel", "acceleration", "accelerometer", "force"}
+FORCE = {"a", "gforce", "acc", "accl", "accel", "acceleration", "accelerometer", "force"}
 RATE = {
     *("gyro", "gyr", "gyroscope", "omega", "w", "pqr", "rate", "angular", "rot", "rotation", "angvel"),
     *("yawrate", "rollrate", "pitchrate", "yaw", "turn"),
