@@ -61,7 +61,7 @@ def test_every_option_is_in_the_command_s_page(name: str):
 
 def test_every_command_is_in_the_overview():
     overview = (REFERENCE / "commands.md").read_text()
-    assert [name for name in COMMANDS if f"| `sigmaswarm {name}` |" not in overview] == []
+    assert [name for name in COMMANDS if f"- `sigmaswarm {name}`: " not in overview] == []
 
 
 def steps():
