@@ -45,7 +45,7 @@ def words(training, test, seed: int):
     for name, consistency in found.record.consistency.items():
         true = found.value(name, "tuned", "position_rmse_m")
         assert consistency and consistency.own_sigma and true
-        unknown = describe_position(consistency).startswith("not known")
+        unknown = describe_position(consistency).startswith("unknown")
         yield consistency.own_sigma, true, consistency.own_sigma / true, unknown
 
 

@@ -14,7 +14,7 @@ Conventions
 - Body frame: x forward, y left, z up (REP-103). The IMU measures specific force and angular rate in this frame.
 - Attitude of models with roll and pitch: R = Rz(theta) Ry(pitch) Rx(roll) rotates body axes into local axes. ``roll``
   is positive with the left side up, and ``pitch`` with the nose down.
-- Time: float64 seconds, strictly increasing within a sensor; sensors keep their own clocks and rates.
+- Time: float64 seconds, strictly increasing within a sensor; each sensor has its own times and rate.
 - State of ``planar5``: x, y (m), vx, vy (m/s), theta (rad); other models have additional states after these.
   ``process_noise`` is the diagonal of Q: the variances added per nominal IMU step. ``measurement_noise`` is the
   diagonal of R.
@@ -165,7 +165,7 @@ __all__ = [
 
 @cache
 def _modules() -> dict[str, str]:
-    """Return the module of each name in the imports for type checkers; only names in ``__all__`` are public."""
+    """Return the module of each name that is imported for type checkers; only names in ``__all__`` are public."""
     source = ast.parse(get_data(__name__, "__init__.py") or b"")
     (block,) = (node for node in source.body if isinstance(node, ast.If))
     imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]

@@ -71,15 +71,15 @@ def import_log(
     Parameters
     ----------
     log : str or Path
-        File or folder with the samples of the IMU.
+        File or folder that contains the samples of the IMU.
     name : str, optional
         Name of the drive; by default the name of the log.
     say : callable, optional
         Called with each note; by default, notes are warnings.
     **settings
-        ``gps``, ``truth``, ``odometer``: further logs. ``format``, ``maps`` ({"ax": "acc_x*g"}), ``tables`` ({"imu":
-        "/imu/data"}), ``time``, ``recipe`` (a file) and settings of a recipe, such as ``mount``, ``gps_offset_s``,
-        ``origin``, ``gps_lever_arm_m``.
+        ``gps``, ``truth``, ``odometer``: logs of these sensors, if ``log`` does not contain them. ``format``, ``maps``
+        ({"ax": "acc_x*g"}), ``tables`` ({"imu": "/imu/data"}), ``time``, ``recipe`` (a file) and settings of a recipe,
+        such as ``mount``, ``gps_offset_s``, ``origin``, ``gps_lever_arm_m``.
 
     Returns
     -------
@@ -94,8 +94,8 @@ def import_log(
     Warns
     -----
     SigmaswarmWarning
-        Without ``say``: for each note, for example on an assumption, or on times that only the IMU or only the fixes
-        cover.
+        If ``say`` is not given: for each note, for example on an assumption, or on times that only the IMU or only the
+        fixes cover.
     """
     from sigmaswarm.importing.convert import import_drive, request_of
 
@@ -145,8 +145,8 @@ def run(
     bank : bool
         Run a bank of sixteen filters with different parameters; the estimate is their mixture.
     initial : InitialState, optional
-        Start of the filter; by default the state at the first time at which the drive determines position, speed and
-        heading.
+        Initial state of the filter; by default the state at the first time at which the drive determines position,
+        speed and heading.
     recover : bool
         Reset the filter if it diverges.
     as_recorded : bool, optional
@@ -172,7 +172,7 @@ def run(
     as_recorded = tuned.as_recorded if as_recorded is None else as_recorded
     if smooth and bank:
         raise InputError(
-            "smooth and bank can't be combined, since a filter bank is not smoothed; leave one out"
+            "smooth and bank can't be combined, since a filter bank is not smoothed; leave one option out"
         )
     run_with = run_smoother if smooth else run_bank if bank else run_filter
     return run_with(drive, tuned.parameters, initial=initial, recover=recover, as_recorded=as_recorded)
@@ -181,16 +181,16 @@ def run(
 def evaluate(
     drives: Sequence[Drive] | Drive, parameters: Filter, *, against: Filter | None = None, **options: Any
 ) -> "Evaluation":
-    """Compare a filter with the baseline and with the fixes alone; with truth, also with raw GPS and the IMU only.
+    """Compare a filter with the baseline and the fixes alone; if there is truth, also with raw GPS and dead reckoning.
 
     Parameters
     ----------
     drives : Drive or sequence of Drive
-        Drives that the tuning did not use. Without truth, the scores are the consistency of the innovations, and the
-        drift in simulated outages, measured at the hidden fixes.
+        Drives that the tuning did not use. If they have no truth, the scores are the consistency of the innovations and
+        the drift in simulated outages, measured at the hidden fixes.
     parameters : FilterParameters, Tuning, or the path of a tuning
-        A tuning also identifies its training drives, so that the evaluation can warn if ``drives`` contain parts of
-        them.
+        A tuning also identifies its training drives, so that the evaluation can warn if ``drives`` contains parts of
+        training drives.
     against : FilterParameters, Tuning, or the path of a tuning, optional
         A second filter of any model, or the path of an ekf.yaml of robot_localization.
     **options
@@ -275,7 +275,7 @@ def report(results: Any, out: str | Path | None = None) -> str:
     Raises
     ------
     InputError
-        If no page exists for the type of ``results``, or a file in the folder is missing or damaged.
+        If ``results`` has a type without a page, or a file in the folder is missing or damaged.
     """
     from sigmaswarm.files import write_atomically
     from sigmaswarm.reports.folders import read_report
@@ -321,7 +321,7 @@ def plot(what: Any, drive: str | None = None) -> "Figure":
     Raises
     ------
     InputError
-        If there is no figure of ``what``, or no track of ``drive``.
+        If ``what`` can't be drawn, or the evaluation has no track of ``drive``.
     """
     from sigmaswarm.experiments.comparison import Comparison
     from sigmaswarm.reports.compare import comparison_figure

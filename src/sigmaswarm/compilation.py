@@ -1,8 +1,8 @@
 """Compile functions with Numba, and cache the machine code between processes if this is safe.
 
-Numba caches pickles: a user who can write them can run code with the rights of the user who reads them. The cache is
-therefore in a folder that only the folder's owner can write. If the folder is not writable or a file is damaged, this
-module compiles again, whereas Numba would fail.
+Numba caches pickles: a user who can write them can run code with the rights of the user who reads them. Therefore only
+the owner of the cache's folder may write it. If the folder is not writable or a file is damaged, this module compiles
+again, whereas Numba would fail.
 """
 
 # Numba has types of its own, which a type checker for Python does not know.
@@ -36,7 +36,7 @@ T = TypeVar("T")
 
 
 def call_once(make: Callable[P, T]) -> Callable[P, T]:
-    """Cache results like `functools.cache`, but let one thread compute at a time, so that no value is made twice."""
+    """Cache results like `functools.cache`, but one thread computes at a time, so no value is computed twice."""
     lock, made = threading.RLock(), cache(make)
 
     @wraps(make)
@@ -49,9 +49,10 @@ def call_once(make: Callable[P, T]) -> Callable[P, T]:
 
 @dataclass(frozen=True)
 class FunctionRecipe:
-    """A function that is generated only if its machine code is not cached, since the generation takes half a second.
+    """A function that is generated only if its machine code is not cached, since generation takes half a second.
 
-    ``like``: a placeholder with the same name and parameters. ``key`` distinguishes functions with the same name.
+    ``like``: a placeholder with the name and parameters of the function. ``key`` distinguishes functions with the same
+    name.
     """
 
     like: Callable[..., Any]
@@ -114,7 +115,7 @@ def _write(recipe: FunctionRecipe, compiled: Any) -> None:
 
 @cache
 def _folder() -> tuple[Path | None, str]:
-    """Make the cache folder; return it and "", or None and the reason why there is none."""
+    """Make the cache folder; return the folder and "", or None and the reason why there is no folder."""
     if config.CACHE_DIR:
         folder = Path(config.CACHE_DIR).absolute() / "sigmaswarm"
     else:
@@ -193,7 +194,10 @@ class _Cache(FunctionCache):
 
 
 class _NoCache(NullCache):
-    """A cache that stores nothing. The first attempt to store machine code warns, once per process and reason."""
+    """A cache that stores nothing.
+
+    The first attempt to store machine code gives a warning, once per process and reason.
+    """
 
     def __init__(self, trouble: str) -> None:
         self._trouble = trouble

@@ -24,11 +24,11 @@ class TuningStopped(SigmaswarmError):
 
 
 class SigmaswarmWarning(UserWarning):
-    """A probable fault that does not stop the work."""
+    """Warning of a probable fault, in spite of which the computation continues."""
 
 
 class DriveWarning(SigmaswarmWarning):
-    """A drive looks implausible; ``code`` is the doctor's code of that fault."""
+    """Warning of an implausible drive; ``code`` is the doctor's code of the fault."""
 
     def __init__(self, message: str, code: str = "") -> None:
         super().__init__(message)

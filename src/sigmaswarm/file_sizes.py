@@ -1,6 +1,6 @@
 """Check the sizes of files before they are read, since a small or damaged file can claim any size.
 
-With these limits, sigmaswarm rejects a bad file within 10 s, and needs at most 1.5 GB of memory for this.
+With these limits, sigmaswarm rejects a bad file within 10 s and with at most 1.5 GB of memory.
 """
 
 import re
@@ -46,8 +46,8 @@ def require_regular(path: Path) -> None:
 def require_text(path: Path, shown_as: Path | None = None) -> tuple[bytes, int]:
     """Reject compressed text and lines over `MAX_LINE_BYTES` bytes; return the first line and the number of lines.
 
-    Messages name the file ``shown_as`` if the file was unpacked to another place. The number of lines includes empty
-    lines, since polars also reads them as rows.
+    ``shown_as``: name of the file in messages, if the file was unpacked to another place. The number of lines includes
+    empty lines, since polars reads empty lines as rows.
     """
     require_regular(path)
     shown = shown_as or path
@@ -80,7 +80,7 @@ def read_bounded(path: Path, most: int) -> bytes:
 
 
 def read_toml_text(path: Path) -> str:
-    """Return the text of a TOML file without the byte-order mark; reject a file that takes long to parse."""
+    """Return the text of a TOML file without the byte-order mark; reject a file that would take long to parse."""
     content = read_bounded(path, MAX_TOML_BYTES)
     if match := _LONG_KEY.search(content):
         row = content.count(b"\n", 0, match.start()) + 1

@@ -1,8 +1,8 @@
 """Write files and folders completely or not at all.
 
 New content is written under a hidden name next to its destination, flushed to the disk and then renamed. A rename
-replaces a symbolic link and never follows it. While a run writes, it locks a file next to the hidden name. A lock ends
-with its process, so the next run can recognize and remove the files of killed runs.
+replaces a symbolic link and never follows the link. While a run writes, it locks a file next to the hidden name. A lock
+ends with its process, so the next run can recognize and remove the files of a killed run.
 """
 
 import io
@@ -174,7 +174,7 @@ def earlier_result(folder: Path, kind: str, mark: str = "", *, alone: bool = Tru
 
 
 def add_to_result(folder: Path, name: str) -> None:
-    """Add a file to the list of a result's files, if the folder has one, so that the next result replaces the file."""
+    """Add a file to the list of a result's files, if there is a list, so that the next result replaces the file."""
     if not (record := _result_in(folder)):
         return
     if (folder / name).exists() and name not in record["files"]:
@@ -197,10 +197,10 @@ def staged_files(
 ) -> Generator[Path]:
     """Yield a hidden folder for files; when the block ends, all or none of the files are moved into ``folder``.
 
-    If this run is killed between two replacements, the next run that writes into the folder restores the old files.
-    With ``kind``, the files are a whole result, which replaces an earlier result (see `earlier_result`): surplus files
-    of the earlier result are removed, and no other file is replaced. ``built``: files that users build from a result,
-    such as programs; they are removed when the result is replaced.
+    If this run is killed between two replacements, the next run that writes into the folder restores the old files. If
+    ``kind`` is given, the files are a whole result, which replaces an earlier result (see `earlier_result`): files that
+    only the earlier result has are removed, and other files in the folder are not changed. ``built``: files that users
+    build from a result, such as programs; they are removed when the result is replaced.
     """
     before = earlier_result(folder, kind, mark, alone=False) if kind else None
     make_folder(folder)
@@ -298,7 +298,7 @@ class _Part(io.FileIO):
 def _staging(path: Path, named: Path | None = None) -> Generator[Path]:
     """Yield a free, hidden path next to ``path``, with a locked lock file; remove both at the end.
 
-    An `OSError` that names the hidden path, or no path, is replaced by an `InputError` that names ``named``.
+    An `OSError` about the hidden path, or about no path, is replaced by an `InputError` about ``named``.
     """
     _sweep(path.parent.resolve())
     stem = path.name.encode()[:200].decode(errors="ignore")  # file names have at most 255 bytes
@@ -328,7 +328,7 @@ def _remove(hidden: Path) -> None:
 
 
 def _lock(file: Path, *, wait: bool = True) -> "BaseFileLock | None":
-    """Lock a file until the lock is released or the process ends; return None if files can't be locked here.
+    """Lock a file until the lock is released or the process ends; return None if the file system has no locks.
 
     If another run has the lock, wait; with ``wait`` = False, raise `TimeoutError`.
     """

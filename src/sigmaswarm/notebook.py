@@ -1,4 +1,4 @@
-"""HTML of records for notebooks, without scripts or other files, and conversion to pandas.
+"""HTML of records for notebooks, without scripts or external files, and conversion to pandas.
 
 Texts are escaped, since names come from logs.
 """
@@ -53,9 +53,10 @@ def html_list(title: str, sentences: Sequence[str]) -> str:
 
 
 def track(title: str, paths: Mapping[str, tuple[ArrayLike, ArrayLike]]) -> str:
-    """Draw paths from above, north up and to scale, with a sentence that describes the picture.
+    """Draw paths as on a map (north up, to scale), with a sentence that describes the picture.
 
-    ``paths``: m east and north, shape (n,) each; NaN where unknown. The path ``fixes`` is drawn as dots.
+    ``paths``: arrays of m east and north, shape (n,) each; NaN where a path is unknown. The path ``fixes`` is drawn as
+    dots.
     """
     drawn = {name: _thinned(*path) for name, path in paths.items()}
     drawn = {name: path for name, path in drawn.items() if len(path)}

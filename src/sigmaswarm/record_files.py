@@ -33,10 +33,10 @@ Vector = Annotated[NDArray[Any], BeforeValidator(_vector)]  # numbers (n,) in an
 def load_record(
     kind: type[R], path: Path, remedy: str = DAMAGED, *, missing: str = MISSING, infinite: bool = False
 ) -> R:
-    """Read a record, a pydantic model or a dataclass, from a file: .json, .npz, or TOML with any other suffix.
+    """Read a record (a pydantic model or a dataclass) from a file: .json, .npz, or TOML with any other suffix.
 
-    ``remedy`` and ``missing`` are the remedies in messages about a damaged and a missing file. NaN and inf in a JSON
-    file become None unless ``infinite`` is True.
+    ``remedy`` is the remedy in a message about a damaged file, ``missing`` that about a missing file. NaN and inf in a
+    JSON file become None unless ``infinite`` is True.
     """
     content = read_content(path, remedy, missing=missing, infinite=infinite)
     try:

@@ -26,9 +26,9 @@ MAX_REPR_ROWS = 10  # rows in `repr`
 class Column:
     """A column of a table.
 
-    ``number`` formats a number and both ends of a range, by default with four digits, or three for the ends of a range.
-    ``printed`` replaces ``number`` in Markdown, LaTeX and CSV. In these formats, the cell of a ``joined`` column is
-    added to the previous cell: ``1.28 [1.26, 1.30]``.
+    ``number`` formats a number and both ends of a range; the default format has four digits, for the ends of a range
+    three. ``printed`` replaces ``number`` in Markdown, LaTeX and CSV. In these formats, the cell of a ``joined`` column
+    is added to the previous cell: ``1.28 [1.26, 1.30]``.
     """
 
     title: str
@@ -155,7 +155,7 @@ def format_cell(cell: Cell, column: Column, unknown: str = UNKNOWN) -> str:
 
 
 def cell_numbers(cell: Cell) -> list[float] | None:
-    """Return the number of a cell, or both ends of its range; None if unknown."""
+    """Return the number of a cell, or both ends of its range; None for an unknown number."""
     ends = cell if isinstance(cell, tuple) else (cell,)
     known = [float(end) for end in ends if isinstance(end, int | float) and math.isfinite(end)]
     return known if len(known) == len(ends) else None

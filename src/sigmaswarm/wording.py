@@ -1,4 +1,4 @@
-"""Parts of messages: counts, lists of names, and values of files on one line, shortened, without control characters."""
+"""Parts of messages: counts, lists of names, and values from files, shortened to one line without controls."""
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
@@ -32,7 +32,7 @@ def describe_change(percent: float, less: str, more: str) -> str:
 
 
 def rows_left_out(count: int, rows: str = "") -> str:
-    """State that rows are left out; ``rows`` describes them, as in " of imu.csv"."""
+    """Return a note that rows are left out; ``rows`` describes these rows, as in " of imu.csv"."""
     return f"{count_of(count, 'row')}{rows} {'is' if count == 1 else 'are'} left out"
 
 
@@ -44,7 +44,7 @@ def escape_controls(text: str, kept: str = "\n\t") -> str:
 
 
 def printable(text: object, most: int = MAX_CHARACTERS) -> str:
-    """Show a name or a cell in a message, with escaped control characters and at most ``most`` characters."""
+    """Format a name or a cell for a message, with escaped control characters and at most ``most`` characters."""
     whole = str(text)
     return escape_controls(whole[:most], kept="") + ("..." if len(whole) > most else "")
 
@@ -55,7 +55,7 @@ def quoted(text: object) -> str:
 
 
 def printable_value(value: object) -> str:
-    """Show a value of a file in a message; Python converts no integer of more than 4300 digits to text."""
+    """Format a value from a file for a message; Python does not convert integers of more than 4300 digits to text."""
     try:
         return printable(repr(value))
     except (ValueError, RecursionError):
@@ -65,7 +65,8 @@ def printable_value(value: object) -> str:
 class Mistake(NamedTuple):
     """The first error that pydantic found, for a message.
 
-    ``key`` is empty for an error of the whole record. ``value`` is empty for a table. ``kind``: pydantic's error type.
+    ``key`` is empty for an error of the whole record, and ``value`` is empty for a table. ``kind``: pydantic's error
+    type.
     """
 
     key: str
@@ -82,7 +83,7 @@ def first_mistake(error: "ValidationError") -> Mistake:
 
 
 def list_names(names: Iterable[object], mark: str = "") -> str:
-    """Show the first names of a list, each in quotation marks ``mark``, and the number of other names."""
+    """Format the first names of a list, each in quotation marks ``mark``, and the number of the other names."""
     shown = [f"{mark}{printable(name)}{mark}" for name in names]
     others = f" and {len(shown) - MAX_NAMES} more" if len(shown) > MAX_NAMES else ""
     return ", ".join(shown[:MAX_NAMES]) + others

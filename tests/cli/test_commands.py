@@ -366,9 +366,7 @@ def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, h
     assert "raw GPS" in shown
     assert "\nurban-clear-03: there is no truth, so errors of position and heading can't be" in shown
     assert shown.count("Position error on") == 1, "where there is truth, it tells"
-    assert shown.endswith(
-        "next: repeat this command with --out evaluation to save scores, figures and page data\n"
-    )
+    assert shown.endswith("next: to save scores, figures and the data for a report, add --out evaluation\n")
 
 
 def test_run_writes_csv(sigmaswarm, drives: Path, tuned: Path, here: Path):
@@ -713,5 +711,5 @@ def test_an_evaluation_on_other_sensors_is_named(
     Path("t.toml").write_text(f"{tuned.read_text()}\n[[data]]\n{tomli_w.dumps(about)}")
     ended = sigmaswarm("evaluate", "t.toml", min(drives.iterdir()))
     assert ended.code == 0
-    said = f"Hz instead of {samples / drive.duration:.3g} Hz). There a filter can be far less accurate"
+    said = f"Hz instead of {samples / drive.duration:.3g} Hz). On such drives the filter can be far less accurate"
     assert (said in " ".join(ended.err.split())) == (rate > 1)

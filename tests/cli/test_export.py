@@ -124,7 +124,7 @@ def test_lanes_are_checked_against_the_swarm(sigmaswarm: Command, tuned: Path, d
     assert "lanes = 17 is out of range; choose 2 to 16" in wrong.err
     wrong = sigmaswarm("export", tuned, "--to", "filterpy", "--out", "py", "--lanes", 4)
     assert wrong.code == 2
-    assert "--lanes is for --to c99 only" in wrong.err
+    assert "--lanes needs --to c99" in wrong.err
 
 
 @needs_gcc
@@ -218,7 +218,7 @@ def test_export_says_how_to_go_on(sigmaswarm: Command, tuned: Path, drives: Path
     [
         (["--to", "rust", "--out", "x"], 'Invalid value "rust" for --to'),
         (["--to", "c99"], "--out"),
-        (["--to", "filterpy", "--out", "x", "--replay", "DRIVE"], "--replay is for --to c99 only"),
+        (["--to", "filterpy", "--out", "x", "--replay", "DRIVE"], "--replay needs --to c99"),
         (["--to", "c99", "--out", "x", "--replay", "nowhere"], "nowhere does not exist"),
         (["--to", "c99", "--out", "x", "--check", "nowhere"], "nowhere does not exist"),
         (

@@ -475,11 +475,14 @@ def test_several_files_in_place_of_one_are_explained(sigmaswarm: Command, here: 
     for command, takes in (
         (
             ("import", "a.csv", "b.csv", "c.csv", "--out", "x"),
-            "takes one SOURCE; for several files give their folder",
+            "takes one SOURCE; to pass several files, name their folder",
         ),
-        (("split", "a", "b", "c", "--out", "x"), "takes one DRIVE; repeat the command for each"),
-        (("run", "t", "a", "b", "c", "--out", "x.csv"), "takes one TUNING and one DRIVE; repeat"),
-        (("study", "a", "b", "--out", "x"), "takes options only"),
+        (("split", "a", "b", "c", "--out", "x"), "takes one DRIVE; run the command once for each argument"),
+        (
+            ("run", "t", "a", "b", "c", "--out", "x.csv"),
+            "takes one TUNING and one DRIVE; run the command once",
+        ),
+        (("study", "a", "b", "--out", "x"), "takes only options"),
     ):
         ended = sigmaswarm(*command)
         assert (ended.code, ended.err.count("\n")) == (2, 1)

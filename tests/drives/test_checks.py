@@ -130,7 +130,7 @@ def test_gaps_in_each_file():
     one = without(drive, "imu", 20.0, 20.5)
     message = only(without(one, "imu", 40.0, 41.5))
     assert "imu.csv: 2 gaps, the longest 1.51 s after t = 39.99 s (usual interval 0.010 s)" in message
-    assert "uses the mean of the samples before and after it, and increases its covariance" in message
+    assert "uses the mean of the samples before and after the gap, and increases its covariance" in message
     assert "imu.csv: 1 gap, the longest 0.51 s after t = 19.99 s" in only(one)
     assert "gps.csv: 1 gap, the longest 3.20 s after t = 9.90 s (usual interval 0.200 s)" in only(
         without(drive, "gps", 10.0, 13.0)
@@ -168,7 +168,7 @@ def test_fixes_outside_of_the_imus_time_are_counted(begin: float, end: float, en
     count, n = np.count_nonzero((gps < imu[0]) | (gps > imu[-1])), len(gps)
     assert only(drive) == (
         f"gps.csv: {count} of {n} fixes lie outside of the IMU's time span, {ends}, and are not used; no action is "
-        "needed if the receiver recorded for longer; otherwise convert both to one clock"
+        "needed if the receiver recorded longer than the IMU; otherwise convert both to one clock"
     )
 
 

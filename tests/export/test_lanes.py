@@ -309,7 +309,7 @@ def test_there_are_not_any_number_of_lanes(tmp_path: Path, lanes: int):
 
 
 def test_other_targets_run_one_filter(tmp_path: Path):
-    with pytest.raises(InputError, match="--lanes is for --to c99 only"):
+    with pytest.raises(InputError, match="--lanes needs --to c99"):
         export_filter(given("planar8", "ukf", "all"), "filterpy", tmp_path, lanes=4)
 
 

@@ -66,7 +66,7 @@ def test_what_was_asked_for_wrongly_is_said(tmp_path: Path):
         InputError, match="there is no export target 'rust'; choose one of c99, filterpy, robot_loc"
     ):
         export_filter(P, "rust", tmp_path)
-    with pytest.raises(InputError, match="--replay is for --to c99 only"):
+    with pytest.raises(InputError, match="--replay needs --to c99"):
         export_filter(P, "filterpy", tmp_path, replay=make_drive(duration=8.0))
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match=r"file: can't be created as a folder .*; choose another --out"):

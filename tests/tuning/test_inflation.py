@@ -124,7 +124,7 @@ def test_a_model_with_roll_and_pitch_has_a_longer_reference_duration(model: str,
 
 def test_a_linear_search_has_no_factor():
     with pytest.raises(
-        InputError, match="inflation multiplies process noise variances by a factor, which needs scale"
+        InputError, match="inflation needs scale = log10, since it multiplies process noise variances"
     ):
         tune([town()], inflation=0.1, scale="linear", **SEARCH)
 

@@ -1,4 +1,7 @@
-"""The command line, one file per command. Commands import large libraries only when they run, for fast help."""
+"""The command line, one file per command.
+
+A command imports large libraries only when it runs, so that the help is fast.
+"""
 
 from sigmaswarm.cli.app import main
 

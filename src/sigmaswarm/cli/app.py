@@ -38,12 +38,12 @@ A drive is a folder with imu.csv, gps.csv, drive.toml and, if known, truth.csv. 
     sigmaswarm report evaluation
     sigmaswarm run tuned drives/friday --out estimate.csv
 
-Other formats: `sigmaswarm import LOG --show` shows the content of a log. `sigmaswarm import LOG --out DRIVE` writes
-a drive.
+Logs of other formats: `sigmaswarm import LOG --show` shows the content of a log. `sigmaswarm import LOG --out DRIVE`
+writes a drive.
 
-`sigmaswarm workbench LOG` does all these steps in the browser.
+`sigmaswarm workbench LOG` runs all these steps in the browser.
 
-Without drives: `sigmaswarm simulate --out drives` simulates drives. `sigmaswarm demo` runs a small version of the
+If you have no logs: `sigmaswarm simulate --out drives` simulates drives. `sigmaswarm demo` runs a small version of the
 paper's experiment.
 """,
     help_flags=("--help", "-h", HELP_ALL),
@@ -154,7 +154,7 @@ def _unforeseen(error: Exception) -> int:
 
 
 def _missing_out(error: Exception) -> str | None:
-    """Return the message for a missing --out, else None."""
+    """Return the message for a missing --out, or None if --out is not missing."""
     if not isinstance(error, MissingArgumentError) or error.keyword or "Did you mean" in str(error):
         return None
     if error.argument is None or error.argument.name != "--out" or error.argument.tokens:
@@ -164,7 +164,7 @@ def _missing_out(error: Exception) -> str | None:
 
 
 def _other_name(error: Exception) -> str | None:
-    """Suggest the option of sigmaswarm if the user gave the option's name in another library."""
+    """Suggest the option of sigmaswarm if the user gave the name that another library has for this option."""
     if not isinstance(error, UnknownOptionError):
         return None
     from sigmaswarm.tuning.config import SYNONYMS
@@ -176,7 +176,7 @@ def _other_name(error: Exception) -> str | None:
 
 
 def _too_many(error: Exception) -> str | None:
-    """Return the message for surplus arguments, for example the files that match a shell pattern."""
+    """Return the message for arguments that a command does not take, for example more files of a shell pattern."""
     if not isinstance(error, UnusedCliTokensError) or not error.unused_tokens:
         return None
     first, *more = error.unused_tokens
@@ -187,16 +187,16 @@ def _too_many(error: Exception) -> str | None:
     arguments = app[name].assemble_argument_collection() if name else ()
     places = [argument.name for argument in arguments if argument.name[0].isupper()]
     if not places:
-        return f"{message} too many: `sigmaswarm {name}` takes options only"
+        return f"{message} too many: `sigmaswarm {name}` takes only options"
     files = {"SOURCE", "LOG"} & {*places}
-    remedy = "for several files give their folder" if files else "repeat the command for each"
+    remedy = "to pass several files, name their folder" if files else "run the command once for each argument"
     if "SOURCE" in files:
-        remedy += ", or name the others with --gps, --truth or --odometer"
+        remedy += ", or name the other files with --gps, --truth or --odometer"
     return f"{message} too many: `sigmaswarm {name}` takes one {' and one '.join(places)}; {remedy}"
 
 
 def _hidden_option(message: str) -> str:
-    """Return a reference to the long help if a message names an option that the short help omits, else ""."""
+    """Return a reference to the long help if a message names an option that the short help omits, otherwise ""."""
     command = sys.argv[1] if len(sys.argv) > 1 else ""
     if command not in app:
         return ""

@@ -1,4 +1,4 @@
-"""Functions with which several commands read drives and print results."""
+"""Functions that several commands use to read drives and print results."""
 
 import json
 import warnings
@@ -39,17 +39,14 @@ def _warn_of_reading(warned: "Iterable[SigmaswarmWarning]", *, gaps: bool) -> No
 
 
 def read_drives(places: "Sequence[Location]") -> "list[Drive]":
-    """Read drives, and all drives in folders of drive folders, with `read_silently`."""
+    """Read drives with `read_silently`. A place is a drive folder or a folder of drive folders."""
     from sigmaswarm.drives.reader import all_drive_locations
 
     return [read_silently(place) for place in all_drive_locations(places)]
 
 
 def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *, overwrite: bool) -> None:
-    """Raise `InputError` if a folder can't be written: it contains files or, with ``overwrite``, more than a drive.
-
-    A folder in ``sources`` is refused too.
-    """
+    """Raise `InputError` if a folder is a source or contains files; ``overwrite`` permits the files of a drive."""
     from sigmaswarm.drives.reader import all_drive_locations
     from sigmaswarm.drives.writer import require_replaceable
     from sigmaswarm.errors import InputError
@@ -76,7 +73,7 @@ def require_result_folder(
 ) -> None:
     """Raise `InputError` if ``out`` is or contains a source, or contains files other than a result of this kind.
 
-    Without ``overwrite``, also raise it for a result of this kind. ``mark``: see `earlier_result`.
+    Without ``overwrite``, also raise the error if it contains a result of this kind. ``mark``: see `earlier_result`.
     """
     from sigmaswarm.errors import InputError
     from sigmaswarm.files import earlier_result, free_path
@@ -100,7 +97,7 @@ def require_tuning(tuning: Path, remedy: str) -> None:
 
 
 def cluster_at(address: str | None) -> "AbstractContextManager[Client | None]":
-    """Return a context with the client of a cluster; without an address, the client is None."""
+    """Return a context manager that yields the client of a cluster, or None without an address."""
     from sigmaswarm.datasets.cluster import connected
 
     return connected(address) if address is not None else nullcontext()
@@ -114,8 +111,8 @@ def read_datasets(
 ) -> "list[Dataset]":
     """Read groups of drives in this process or on the workers of a cluster.
 
-    With ``remedies`` the doctor checks the drives and adds the remedies for serious faults to the list. Without
-    ``gaps``, warnings about gaps and unused samples are suppressed.
+    If ``remedies`` is a list, the doctor checks the drives and adds the remedies for serious faults to the list. If
+    ``gaps`` is False, warnings about gaps and unused samples are suppressed.
     """
     from sigmaswarm.cli.findings import warn_of_serious
     from sigmaswarm.cli.terminal import progress_bar

@@ -23,8 +23,8 @@ class CompareOptions:
     Attributes
     ----------
     optimizers
-        Optimizers; the tests compare each with the first. Settings follow a colon: pso:polish=300. Default: pso, ga,
-        ga-pso, de, cma-es, random.
+        Optimizers; statistical tests compare each with the first. Settings follow a colon: pso:polish=300. Default:
+        pso, ga, ga-pso, de, cma-es, random.
     scales
         Scales of the search space; log10 by default.
     seeds
@@ -58,9 +58,9 @@ def compare(
 ) -> None:
     """Compare optimizers with the same budget on the same drives.
 
-    Each optimizer tunes the filter with several seeds. OUT contains comparison.md (a table with intervals and paired
-    tests), comparison.csv, runs.csv, curves.csv, comparison.png, times.csv and all tunings. The intervals describe the
-    spread between seeds on these drives, and do not apply to other drives.
+    Each optimizer tunes the filter with several seeds. The command writes to OUT: comparison.md (a table with intervals
+    and paired tests), comparison.csv, runs.csv, curves.csv, comparison.png, times.csv and all tunings. The intervals
+    describe the spread between seeds on these drives, not the spread between drives.
 
     For example:
 

@@ -19,8 +19,8 @@ def convert(
 ) -> None:
     """Convert drives between Parquet and CSV.
 
-    Every command reads both formats. Parquet files contain the same numbers, are smaller, and are much faster to read.
-    Columns that sigmaswarm does not use are dropped with a warning.
+    Every command reads both formats. Parquet files contain the same numbers as CSV files, are smaller, and are much
+    faster to read. Columns that sigmaswarm does not use are dropped with a warning.
 
     For example:
 
@@ -31,7 +31,7 @@ def convert(
     Parameters
     ----------
     drives
-        Drive folders or URLs, or folders of drive folders. The last argument is the folder for the converted drives.
+        Drive folders or URLs, or folders of drive folders; the last argument is the folder for the converted drives.
     to
         Format of the converted drives.
     """

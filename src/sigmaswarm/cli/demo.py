@@ -16,7 +16,7 @@ def demo(*, out: Path = Path("demo"), seed: Seed = 0, json: Json = False) -> Non
     Parameters
     ----------
     out
-        Folder for results, tables, figures and the page. An unfinished demo continues; a finished demo is shown
+        Folder for results, tables, figures and the page. An unfinished demo is continued; a finished demo is shown
         again.
     seed
         Seed of the simulated drives, the splits and the searches.

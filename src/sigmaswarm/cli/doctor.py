@@ -45,11 +45,11 @@ def doctor(
     *,
     options: Annotated[DoctorOptions, FIELDS] = DoctorOptions(),
 ) -> None:
-    """Check drives for wrong signs, units, axes, clocks, noise and gaps.
+    """Check drives for gaps and for wrong signs, units, axes, clocks and noise.
 
     The doctor compares the IMU with the motion of the fixes. It does not use truth. The exit code is 0 if no drive has
-    a serious fault, 1 if a drive has one, and 2 if a drive can't be read. With --fix, exit codes 0 and 1 are about the
-    repaired copies.
+    a serious fault, 1 if a drive has a serious fault, and 2 if a drive can't be read. With --fix, exit codes 0 and 1
+    refer to the repaired copies.
 
     For example:
 
@@ -96,7 +96,7 @@ def _repair(
     options: DoctorOptions,
     explained: set[str],
 ) -> "tuple[Diagnosis, dict[str, Any]]":
-    """Write a repaired copy of a drive; return the diagnosis of the copy, and the content of "copy" in the JSON."""
+    """Write a repaired copy of a drive; return the diagnosis of the copy, and "copy" of the JSON output."""
     copy = sigmaswarm.repair(drive, diagnosis)
     copy = arm.applied(copy) if arm else copy
     sigmaswarm.write_drive(copy, folder, overwrite=options.overwrite)
@@ -114,7 +114,7 @@ def _repair(
 
 
 def _read(paths: list[Path]) -> "list[Drive]":
-    """Read drives without warnings, since the diagnosis contains the same checks in more detail."""
+    """Read drives without warnings, since the diagnosis reports the same faults in more detail."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DriveWarning)
         return read_drives(paths)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from sigmaswarm.learned.folder import LearnedNetwork
 
 WORSE_STEP = (
-    "then: tune on more or longer drives, and evaluate again, since a method without tuning is more accurate"
+    "then: tune on more or longer drives and evaluate again: a method without tuning is more accurate"
 )
 
 
@@ -49,7 +49,7 @@ class EvaluateOptions:
     out
         Folder for scores.csv, scores.json, figures and the data for `sigmaswarm report`.
     outage_length
-        Length of an outage, s; drift is the error at its end. Outages of 1 and 30 s are added.
+        Length of an outage, s (drift: error at its end). Outages of 1 and 30 s are added.
     outage_seed
         Seed of the outage windows.
     smooth
@@ -91,9 +91,10 @@ def evaluate(
     """Evaluate a tuned filter on drives.
 
     The filter is compared with the baseline filter (typical parameters, not tuned) and with a filter that uses only the
-    fixes. --against adds another filter. With truth, the filter is also compared with raw GPS and dead reckoning.
-    Without truth, the scores are the consistency of the innovations and the drift in simulated outages, measured at the
-    hidden fixes. All methods start at the same time from the same state. Use drives that the tuning did not use.
+    fixes. --against adds another filter. If there is truth, the filter is also compared with raw GPS and dead
+    reckoning. If there is no truth, the scores are the consistency of the innovations and the drift in simulated
+    outages, measured at the hidden fixes. All methods start at the same time from the same state. Use drives that the
+    tuning did not use.
 
     For example:
 
@@ -163,7 +164,7 @@ def _next_steps(out: Path | None, remedies: Sequence[Remedy], export: Iterable[s
         yield f"next: sigmaswarm report {quote(str(out))}"
         yield from export
     else:
-        yield f"next: repeat this command with --out {free_path('evaluation')} to save scores, figures and page data"
+        yield f"next: to save scores, figures and the data for a report, add --out {free_path('evaluation')}"
 
 
 def _export(tuning: Path, tuned: "TunedFilter", drives: Sequence[str]) -> Iterator[str]:

@@ -34,14 +34,16 @@ class ExportOptions:
     Attributes
     ----------
     to
-        c99: a C library. filterpy: a Python script (only planar models). robot_localization: a YAML file (accurate only
-        for --model robot-localization).
+        c99: a C library. filterpy: a Python script (planar models). robot_localization: YAML (same filter only for
+        --model robot-localization).
     out
-        Folder to write to. --overwrite replaces an earlier export, with the files built from it, and keeps other files.
+        Folder of the export. --overwrite replaces an earlier export and the programs built from it, and keeps other
+        files.
     replay
         c99: also write this drive as replay.csv, the input of the program replay.c.
     check
-        c99: compare C with `sigmaswarm run` on these drives. Model robot-localization: write its errors into README.md.
+        c99: compare C with `sigmaswarm run` on these drives. Model robot-localization: write the filter's errors into
+        README.md.
     against
         With --check and the model robot-localization: another tuning, whose errors are added to README.md.
     lanes
@@ -118,7 +120,7 @@ def export(
 
 
 def _check_options(options: ExportOptions, *, ros: bool) -> None:
-    """Raise `InputError` for options that a target lacks; ``ros``: True to export robot-localization, not to C."""
+    """Raise `InputError` for options that the target does not have; ``ros``: True for robot-localization as YAML."""
     if options.check and options.to != "c99" and not ros:
         raise sigmaswarm.InputError(
             "--check needs --to c99 or a tuning of the model robot-localization; leave --check out"
@@ -151,7 +153,7 @@ def _notes(target: Target, record: "TuningRecord", *, replay: bool) -> Iterator[
 
 
 def _with_replay(tuning: Path, options: ExportOptions) -> str:
-    """Return the command that repeats the export with an input for its program."""
+    """Return the command that repeats the export with an input for the program replay.c."""
     drive = quote(str(options.check[0])) if options.check else "DRIVE"
     lanes = f" --lanes {options.lanes} --seed {options.seed}" if options.lanes > 1 else ""
     command = f"sigmaswarm export {quote(str(tuning))} --to c99 --out {quote(str(options.out))}{lanes}"

@@ -1,4 +1,4 @@
-"""Print a diagnosis on the terminal, with the commands that repair the drive."""
+"""Print a diagnosis on the terminal, and the commands that repair the drive."""
 
 import re
 import shlex
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from sigmaswarm.drives.reader import Location
 
 Remedy = tuple[str, Path | None]
-"""Command that repairs or shows the faults of a drive; folder of the repaired copy, or None if it repairs nothing."""
+"""Command that repairs or shows the faults of a drive; folder of the repaired copy, or None if there is no copy."""
 _STYLES = {"serious": "bold red", "warning": "yellow", "note": "dim"}
 
 
 def print_diagnosis(diagnosis: "Diagnosis", explained: set[str] | None = None) -> None:
     """Print the findings about a drive.
 
-    ``explained``: messages that were printed before. Notes among them are only counted; new messages are added to the
-    set.
+    ``explained``: messages that were printed before. A note that was printed before is only counted; new messages are
+    added to the set.
     """
     from rich.table import Table
     from rich.text import Text
@@ -54,9 +54,9 @@ def print_diagnosis(diagnosis: "Diagnosis", explained: set[str] | None = None) -
 
 
 def _in_words(finding: "Finding", *, part: bool) -> str:
-    """Format a finding as three lines (fault, place and confidence, remedy) and a note as one line.
+    """Format a finding as three lines (fault, place and confidence, remedy), or a note as one line.
 
-    ``part``: True for a part of a split drive; a part is not repaired alone.
+    ``part``: True for a part of a split drive, which is not repaired alone.
     """
     what = f"{finding.what[0].upper()}{finding.what[1:]}."
     if finding.severity == "note":
@@ -71,7 +71,7 @@ def _in_words(finding: "Finding", *, part: bool) -> str:
 
 
 def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[Remedy]:
-    """Warn in one line per drive about serious faults or, without such, warnings; return remedies for the faults."""
+    """Warn in one line per drive about serious faults, otherwise warnings; return remedies for serious faults."""
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.errors import SigmaswarmWarning
 
@@ -121,8 +121,8 @@ def has_unrepairable(diagnosis: "Diagnosis") -> bool:
 def repair_command(diagnosis: "Diagnosis", folder: "Location") -> Remedy:
     """Return the command that repairs a drive, and the folder of the repaired copy.
 
-    If a serious fault has no repair, or there is nothing to repair, return the command that shows the faults, and None.
-    For a part of a drive, return the command that repairs the whole drive, if this is possible.
+    If a serious fault can't be repaired, or there is nothing to repair, return the command that shows the faults, and
+    None. For a part of a drive, return the command that repairs the whole drive, if this is possible.
     """
     command = _doctor(folder)
     if diagnosis.whole:
@@ -146,9 +146,10 @@ def diagnosis_of_whole(part: "Location") -> "tuple[Diagnosis, Path] | None":
 
 
 def repair_and_split(diagnosis: "Diagnosis", folder: Path, options: Sequence[str] = ()) -> Iterator[str]:
-    """Yield the commands that repair a drive and split the copy with ``options``; none if it needs no repair.
+    """Yield the commands that repair a drive and split the copy with ``options``.
 
-    If a serious finding requires a split at a certain time, yield only this split.
+    Yield nothing if the drive needs no repair. If a serious finding requires a split at a certain time, yield only the
+    command for this split.
     """
     if cut := split_command(diagnosis, folder):
         yield f"next: {cut}"
@@ -174,7 +175,7 @@ def mirror_maps(diagnosis: "Diagnosis") -> list[str]:
 def exchanging(diagnosis: "Diagnosis", folder: "Location") -> Remedy | None:
     """Return the command that corrects mirrored fixes in a copy of a drive, and the folder of the copy.
 
-    Return None if the fixes are not mirrored, or the doctor can repair them.
+    Return None if the fixes are not mirrored, or if the doctor can repair the fixes.
     """
     maps = [re.sub(r"COLUMN_OF_([A-Z]+)", lambda m: m[1].lower(), text) for text in mirror_maps(diagnosis)]
     if not maps:
@@ -249,7 +250,7 @@ def next_steps(diagnosis: "Diagnosis", out: Path, drive: "Drive") -> Iterator[st
         if lines:
             yield from lines
             return
-        following = f"{_doctor(whole)}    (this whole drive needs no repair)"
+        following = f"{_doctor(whole)}    (the whole drive needs no repair)"
     elif diagnosis.serious or has_repairable(diagnosis):
         command, copy = exchanging(diagnosis, out) or repair_command(diagnosis, out)
         go_on = f"{command}    (then continue with {copy}, not with {out})"
@@ -272,5 +273,5 @@ def next_steps(diagnosis: "Diagnosis", out: Path, drive: "Drive") -> Iterator[st
         return
     yield f"then: sigmaswarm split {shlex.quote(str(ready))} --out {free_path('parts')}"
     tune = f"sigmaswarm tune {shlex.quote(str(ready))} --out {free_path('tuned')}"
-    yield f"      (if you have another drive for the evaluation, do not split; instead: {tune})"
+    yield f"      (if you have another drive for the evaluation, run instead of the split: {tune})"
     yield from with_velocity(diagnosis)

@@ -40,16 +40,16 @@ class ImportOptions:
     out
         Folder of the new drive.
     show
-        Show tables or topics, rates, value ranges and the planned import. Write no drive.
+        Show tables or topics, rates, value ranges and the planned import, but write no drive.
     format
         Format: ros, mcap, kitti, nclt, comma2k19, rtklib, ubx, nmea, px4, ardupilot, matlab, sensor-logger, phyphox,
         gnss-logger, json, csv.
     gps
-        Log of the fixes, if separate.
+        Log of the fixes, if SOURCE does not contain them.
     truth
-        Log of the truth, or of a good receiver's fixes, if separate.
+        Log of the truth or of a good receiver's fixes, if SOURCE does not contain them.
     odometer
-        Log of the wheel speed, if separate.
+        Log of the wheel speed, if SOURCE does not contain it.
     map
         Columns of the drive as column=expression: "ax=-acc_y*9.80665", "gps.t=stamp"; "az=" leaves a column out.
     time
@@ -71,14 +71,14 @@ class ImportOptions:
     mag_topic
         Topic or table of a magnetometer with the IMU's axes; adds headings to the fixes. For --map: mag.mx, mag.my.
     declination
-        Magnetic declination, deg, east positive. By default, its sum with the sensor's rotation is estimated from the
-        course.
+        Magnetic declination, deg, east positive. By default, the sum of declination and sensor rotation is estimated
+        from the course.
     receive_times
         Use the receive times of messages instead of the stamps in their headers.
     part
         Number of the recording to read, from 1. A table contains several recordings if its clock restarts.
     msg
-        Message definitions that a bag lacks: a .msg file, or the folder of a ROS package.
+        Message definitions that the bag does not contain: a .msg file, or the folder of a ROS package.
     mount
         Orientation of the IMU: auto, degrees about z (90), roll,pitch,yaw (0,10,90), or axes (x=-y,y=x).
     gps_offset
@@ -153,7 +153,7 @@ def import_(
     """Import a log as a drive.
 
     The log can be a ROS bag, an MCAP, CSV or Parquet file, a published data set, or a log of a receiver, a flight
-    controller or a phone. The format is detected. Begin with --show, which writes no drive.
+    controller or a phone. The command detects the format of the log. Begin with --show, which writes no drive.
 
     For example:
 
@@ -232,9 +232,9 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
 
 
 def _with_corrected_fixes(diagnosis: "Diagnosis") -> str:
-    """Return the user's command with a --map that corrects mirrored fixes; "" if they are not mirrored.
+    """Return the user's command with a --map that corrects mirrored fixes.
 
-    A command that contains --map already is not changed; the result is also "".
+    Return "" if the fixes are not mirrored, or if the command already contains --map.
     """
     maps = mirror_maps(diagnosis)
     if not maps or "--map" in sys.argv:
@@ -310,13 +310,13 @@ def _print_inspection(inspection: "Inspection", options: ImportOptions) -> None:
         rate = f", {preview.rate:.4g} Hz" if preview.rate else ""
         console.print(f"{printable(preview.table)}: {printable(preview.kind)}{rows}{rate}", style="bold")
         print_lines(*_columns(preview))
-    planned = "The recipe that import would use (save it with --save-recipe, change it with --map):"
+    planned = "The recipe that this import uses (--save-recipe saves it, --map changes it):"
     console.print(f"\n{planned}", style="bold")
     recipe = "\n".join(printable(line, 1000) for line in inspection.recipe.to_toml().split("\n"))
-    print_lines(recipe or "nothing was recognized; map the columns with --map")
+    print_lines(recipe or "no column was recognized; map the columns with --map")
     print_lines(*(f"note: {printable(note, 1000)}" for note in inspection.notes))
     if inspection.proposal:
-        lacking = "" if inspection.works else " (not sufficient; the reason follows)"
+        lacking = "" if inspection.works else " (not sufficient for a drive; the reason follows)"
         console.print(
             f"\nTo read the other columns, add these options to the command{lacking}:", style="bold"
         )

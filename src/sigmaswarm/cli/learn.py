@@ -29,7 +29,7 @@ class LearnOptions:
     validation
         Drives for early stopping and calibration, not for training; by default a part of the training drives.
     search
-        Number of additional settings (hidden units, window, learning rate) to try; the best network is kept.
+        Number of additional sets of settings (hidden units, window, learning rate) to try; the best network is kept.
     seed
         Seed of all random numbers. The same seed gives the same result.
     resume
@@ -59,8 +59,8 @@ def learn(
     """Train a network that assists a tuned filter.
 
     outage-lstm predicts the displacement of the vehicle in outages. noise-gru scales Q and R depending on the latest
-    innovations, and needs a filter with the model planar5 or planar8. OUT also contains the filter, so that `sigmaswarm
-    run` and `evaluate` read OUT like a tuning. Only training needs `pip install 'sigmaswarm[learned]'`.
+    innovations, and needs a filter with the model planar5 or planar8. OUT also contains the filter, so `sigmaswarm run`
+    and `evaluate` accept OUT in place of a tuning. Only training needs `pip install 'sigmaswarm[learned]'`.
 
     Without --validation, the last quarter of each drive is held out. For outage-lstm with three or more drives, the
     last third of the drives is held out instead.
@@ -110,8 +110,8 @@ def _summary(record: "LearnedRecord", out: Path) -> Iterator[str]:
         yield (
             f"calibration: factor {net.inflation:.3g} on the predicted variances"
             if net.inflation
-            else "note: the network does not increase the likelihood of hidden fixes by more than the standard "
-            "error, so the filter does not use the network"
+            else "note: the network increases the likelihood of hidden fixes by less than the standard error of the "
+            "increase, so the filter does not use the network"
         )
     yield f"learned:  {out / 'learned.toml'}, {out / 'weights.npz'}"
     yield f"next:     sigmaswarm evaluate {quote(str(out))} HELD_OUT_DRIVE..."

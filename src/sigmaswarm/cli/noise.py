@@ -26,7 +26,7 @@ class NoiseOptions:
     tuned
         Show the process noise Q of this tuning instead of the noise of a log.
     to
-        Packages in whose format and units the noise is printed or, with --out, written to files.
+        Packages for which the noise is printed, in their format and units, or, with --out, written to files.
     out
         Folder for the files of --to and, for a log, noise.png, noise.svg and noise.json.
     recipe
@@ -61,7 +61,7 @@ def noise(
     """Measure the noise of an IMU at rest, in the units of other software.
 
     The log needs no fixes. A log of an hour at rest determines white noise, bias instability and rate random walk. The
-    standstills of a drive are usually too short for more than the white noise.
+    standstills of a drive usually determine only the white noise, since they are short.
 
     For example:
 

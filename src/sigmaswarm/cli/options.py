@@ -1,4 +1,4 @@
-"""Options that several commands share, options made from fields of pydantic, and the short help."""
+"""Options that several commands have, options made from pydantic fields, and the short help."""
 
 import inspect
 import sys
@@ -31,12 +31,12 @@ Places = Annotated[
 Workers = Annotated[
     int | None,
     AT_LEAST_1,
-    Parameter(help="Number of threads; by default one per core. The result is the same with any number."),
+    Parameter(help="Number of threads; by default one per core. The result does not depend on this number."),
 ]
 Cluster = Annotated[
     str | None,
     Parameter(
-        help="Dask cluster that computes: tcp://host:8786, a scheduler file, or local:4 for 4 local processes."
+        help="Dask cluster for the computation: tcp://host:8786, a scheduler file, or local:4 for 4 local processes."
     ),
 ]
 TrustLog = Annotated[bool, Parameter(help="Skip the check of the drives for serious faults.")]
@@ -94,7 +94,9 @@ def options_of(
 
 
 def _annotation(name: str, field: FieldInfo, old: str | None, shown: bool, constant: bool) -> Any:
-    """Return type and `Parameter` of a field; of a union, the command line accepts only the first type except None.
+    """Return type and `Parameter` of a field.
+
+    For a union, the command line accepts only the first type that is not None.
 
     ``old``: deprecated name. ``shown``: True for an option in the short help. ``constant``: False for a default that
     depends on the data.

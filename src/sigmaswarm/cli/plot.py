@@ -31,7 +31,7 @@ def plot(
     drive
         A drive folder.
     out
-        File to write, NAME.png, by default named after the drive.
+        File to write, NAME.png; by default NAME is the name of the drive.
     """
     from sigmaswarm.reports.drive import drive_figure
     from sigmaswarm.reports.figures import check_file, save

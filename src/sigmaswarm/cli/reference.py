@@ -29,9 +29,10 @@ class ReferenceOptions:
     offset
         Seconds to add to the good receiver's times.
     accuracy
-        Largest standard deviation of the truth per axis, m. Fixes and truth with a larger one are left out.
+        Largest standard deviation per axis, m. Fixes and truth with a larger standard deviation are left out.
     fix_std
-        Minimum standard deviation of a good fix per axis, m; also used for fixes without a standard deviation.
+        Minimum standard deviation of the good receiver's fixes per axis, m; also used for fixes without a standard
+        deviation.
     seed
         Seed of the smoother's tuning, and of the choice of fixes that are hidden to test the smoother.
     """

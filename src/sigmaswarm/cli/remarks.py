@@ -1,4 +1,4 @@
-"""Remarks on a tuning: paths of the drives' files, and the warning not to use a filter."""
+"""Remarks on a tuning: insertion of file paths, and the warning that a filter should not be used."""
 
 import warnings
 from collections.abc import Iterable, Sequence
@@ -44,7 +44,7 @@ def name_files(remark: str, folders: Sequence[Path]) -> str:
 
 
 def warn_of_unusable(tuning: Path, record: "TuningRecord") -> bool:
-    """Warn if a filter should not be used; return True if so, and then propose no use of it."""
+    """Warn if a filter should not be used. Return True in this case; the command then proposes no use of the filter."""
     for remark in record.unusable:
         warnings.warn(f"{tuning}: {remark.removeprefix(TO_DO)}", SigmaswarmWarning, stacklevel=2)
     return bool(record.unusable)
@@ -64,8 +64,8 @@ def name_training_files(
 ) -> list[str]:
     """Replace drive.toml in remarks by the path of the file of the first training drive.
 
-    ``names``: training drives, which are sought next to the evaluated drives. If none is found, add the name of the
-    first training drive.
+    ``names``: names of the training drives, which are sought next to the evaluated drives. If none is found, add the
+    name of the first training drive.
     """
     from sigmaswarm.cli.whole_drive import description_of
 

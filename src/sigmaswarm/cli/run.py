@@ -28,7 +28,7 @@ class RunOptions:
     out
         File to write: NAME.csv, .mat, .tum, .kitti, .geojson, .gpx, .kml or .ros2.
     origin
-        LAT,LON of x = y = 0 in degrees, for a map of a drive without an origin.
+        Latitude and longitude of x = y = 0: LAT,LON in degrees, for maps of a drive without an origin.
     truth
         Also write the drive's truth to this file; the extension selects the format.
     merge
@@ -72,11 +72,11 @@ def run(
     """Run a tuned filter over a drive and write its estimates.
 
     The file extension selects the format: .csv (t, the states and their standard deviations), .mat (MATLAB), .tum and
-    .kitti (poses, for evo), .geojson, .gpx and .kml (maps), .ros2 (a folder with a ROS 2 bag). The folder also contains
-    a layout for Foxglove and, for a single filter without a network, the bag contains innovations and NIS.
+    .kitti (poses, for evo), .geojson, .gpx and .kml (maps), .ros2 (a folder with a ROS 2 bag and a layout for
+    Foxglove). If the filter is neither a bank nor assisted by a network, the bag also contains innovations and NIS.
 
-    A filter that was tuned without preprocessing also runs without preprocessing. If the filter diverges, it is reset;
-    --smooth smooths the parts before and after a reset separately.
+    A filter that was tuned without preprocessing (--as-recorded) also runs without preprocessing. A diverged filter is
+    reset; --smooth smooths the parts before and after a reset separately.
 
     A filter bank adapts its parameters to changes of sensors or surroundings. --bank also writes NAME.swarm.csv, a log
     of the bank with one row per second, and NAME.swarm.toml, a filter with the parameters to which the bank converged.
@@ -156,7 +156,7 @@ def _check_options(tuning: Path, drive: Path, options: RunOptions) -> None:
             raise InputError(f"{file}: is a file of the drive that this command reads; choose another file")
     if options.smooth and options.bank:
         raise InputError(
-            "--smooth and --bank can't be combined, since a filter bank is not smoothed; leave one out"
+            "--smooth and --bank can't be combined, since a filter bank can't be smoothed; leave one option out"
         )
     command = f"sigmaswarm run TUNING {quote(str(tuning))} --out {quote(str(options.out))}"
     require_tuning(tuning, f"pass the tuning first, as in {command}")
@@ -210,9 +210,7 @@ def _check_bank_files(out: Path, others: Sequence[Path | None]) -> None:
     for file in _bank_files(out):
         if file.is_dir() or file.resolve() in [other.resolve() for other in (out, *others) if other]:
             what = "is a folder" if file.is_dir() else "is also another file of this command"
-            raise InputError(
-                f"{file}: {what}, but --bank needs this name for its own file; choose another --out"
-            )
+            raise InputError(f"{file}: {what}, but --bank writes a file with this name; choose another --out")
 
 
 def _save_bank(run: Any, out: Path) -> dict[str, Any]:

@@ -47,7 +47,7 @@ class SimulateOptions:
     duration
         Duration of urban drives, at least 30 s; 180 s by default.
     jitter
-        Add jitter with a standard deviation of 2 ms to the sample times.
+        Add jitter with a standard deviation of 2 ms to the times of the samples.
     vibration
         Add vibration of road and engine to the IMU, as strong as in recordings of two real cars.
     gnss_degradation
@@ -55,7 +55,7 @@ class SimulateOptions:
     terrain
         Terrain: flat, rolling or hilly. Hills and banked roads tilt the car.
     odometer
-        Sensor of the wheel speed: pulses (coarse, 50 Hz), can (fine, 83 Hz) or ideal. None by default.
+        Wheel-speed sensor: pulses (coarse, 50 Hz), can (fine, 83 Hz) or ideal. None by default.
     heading
         Heading of each fix from the receiver: dual-antenna (standard deviation 0.4 deg) or ideal. None by default.
     resume
@@ -87,8 +87,8 @@ def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
     """Simulate drives with known truth.
 
     The car is a Tesla Model 3. By default, the command simulates 20 drives in each of the paper's 25 conditions: five
-    maneuvers in five environments. The default sensors have the errors of real sensors. The same seed gives the same
-    files.
+    maneuvers in five environments. The default sensors have errors like those of real sensors. The same seed gives the
+    same files.
 
     For example:
 
@@ -126,7 +126,7 @@ def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
     lines = [f"wrote {count_of(written, 'drive')} to {out}" + (f", kept {len(kept)}" if kept else "")]
     if len({"clear", "night", "fog"} & set(environments)) > 1:
         lines.append(
-            "note: clear, night and fog have the same friction; without --gnss-degradation, only random numbers differ"
+            "note: without --gnss-degradation, drives in clear, night and fog differ only in random numbers"
         )
     content = {"drives": [str(out / name) for name in names], "written": written, "kept": len(kept)}
     print_result(options.json, content, *lines, f"next: sigmaswarm plot {out / names[0]}")
@@ -153,7 +153,10 @@ def simulated_on(client: "Client", *what: Any, **options: Any) -> "Iterator[Driv
 
 
 def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str, Any]) -> set[str]:
-    """Return the names of existing drives to keep; raise `InputError` if OUT has other drives or is a file."""
+    """Return the names of existing drives to keep.
+
+    Raise `InputError` if OUT is a file or contains drives that are not kept.
+    """
     nearest = next(path for path in (out, *out.parents) if path.exists())
     if not nearest.is_dir():
         raise InputError(f"{out}: {nearest} is a file; choose another folder")

@@ -42,10 +42,10 @@ def split(
     train_fraction
         Fraction of the drive's duration in the first part; 0.7 by default.
     at
-        Time of the split on the drive's clock, s. With two times, the data between them are left out.
+        Time of the split on the drive's clock, s. Data between two given times are left out.
     """
     if at is not None and train_fraction is not None:
-        raise sigmaswarm.InputError("specify --at or --train-fraction, not both")
+        raise sigmaswarm.InputError("specify either --at or --train-fraction")
     if at is not None and len(at) > 2:
         raise sigmaswarm.InputError(
             f"--at has {len(at)} times; specify one time, or two times to leave out the part between them"
@@ -69,7 +69,7 @@ def split(
 
 
 def _options(train_fraction: float | None, at: list[float] | None) -> list[str]:
-    """Return the user's options, for the command that splits the repaired drive."""
+    """Return the options of this command, for the command that splits the repaired drive."""
     if at:
         return ["--at", *(f"{time:.12g}" for time in at)]
     return [] if train_fraction is None else ["--train-fraction", f"{train_fraction:g}"]

@@ -47,7 +47,7 @@ class StudyOptions:
 def study(*, out: Path, options: Annotated[StudyOptions, FIELDS] = StudyOptions(), **config: Any) -> None:
     """Run the paper's experiment.
 
-    Each trial tunes on a different 70% of the drives and evaluates all methods on the other drives. The methods are:
+    Each trial tunes on a random 70% of the drives and evaluates all methods on the other drives. The methods are:
 
     - IMU only, raw GPS, and a constant-velocity filter without IMU;
     - three filters, each with two manual parameter sets: EKF, adaptive UKF, UKF;
@@ -55,14 +55,14 @@ def study(*, out: Path, options: Annotated[StudyOptions, FIELDS] = StudyOptions(
     - three filters tuned with the same budget: EKF, adaptive UKF, planar8;
     - the default filter of `tune`.
 
-    PSO-UKF is tuned under two protocols. The protocol "paper" compares the filter with the fixes, and searches
-    variances on a linear scale. The protocol "honest" compares it with truth, and searches variances on a logarithmic
-    scale. The other filters are tuned with truth only. The tables also list the values in the paper. Racing (fewer
-    drives for bad candidates) is on by default with 96 training drives or more. The result does not depend on the
-    number of workers.
+    PSO-UKF is tuned under two protocols. With the protocol "paper", the cost is the distance from the fixes, and
+    variances are searched on a linear scale. With the protocol "honest", the cost is the error against truth, and
+    variances are searched on a logarithmic scale. The other filters are tuned with truth only. The tables also list the
+    values in the paper. Racing, which evaluates bad candidates on fewer drives, is on by default with 96 training
+    drives or more. The result does not depend on the number of workers.
 
     In each trial, --rivals also tunes a fuzzy UKF, tunes a UKF by Bayesian optimization (at most 100 evaluations), and
-    trains outage-lstm and noise-gru for planar8. The option adds the drift after outages of 15, 30 and 60 s, drives
+    trains outage-lstm and noise-gru for planar8. The option adds scores after outages of 15, 30 and 60 s and on drives
     with other sensors and another car, and learning curves. It needs `pip install 'sigmaswarm[learned,bo]'`.
 
     For example:
@@ -126,10 +126,10 @@ def _print(done: "Study", out: Path, page: Path) -> None:
 
 
 def _next_steps(*, own_drives: bool, best: Path) -> list[str]:
-    """Suggest the next commands; filters for simulated sensors do not suit other sensors."""
+    """Suggest the next commands; filters that were tuned on simulated sensors do not suit other sensors."""
     if own_drives:
         return [f"next:    sigmaswarm evaluate {quote(str(best))} DRIVE..."]
     return [
-        "next:    sigmaswarm import LOG --show    (a log of your own; these filters are for simulated sensors)",
+        "next:    sigmaswarm import LOG --show    (a log of your own; these filters were tuned for simulated sensors)",
         "or:      sigmaswarm simulate --out drives",
     ]

@@ -43,7 +43,7 @@ class _OnStderr(logging.Handler):
 
 
 def console(**options: Any) -> "Console":
-    """Return a console on stdout that escapes control characters and interprets neither markup nor emoji codes."""
+    """Return a console for stdout that escapes control characters and does not interpret markup or emoji codes."""
     from rich.console import Console
     from rich.segment import Segment
 
@@ -88,7 +88,7 @@ def progress_bar(
 ) -> Generator[Callable[..., None]]:
     """Show a bar and the remaining time on stderr; yield a function of done, total and fields that updates the bar.
 
-    The bar appears at the first update, so that an earlier error prints one line only. Before the first update, a
+    The bar appears at the first update, so that an error before it prints only one line. Before the first update, a
     terminal shows ``waiting``. If ``counted`` is empty, the bar shows a percentage.
     """
     from rich.console import Console

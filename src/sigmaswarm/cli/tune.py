@@ -48,8 +48,7 @@ class TuneOptions:
     validation
         Held-out drives: the search does not use them, and the tuned filter is also evaluated on them.
     start
-        Filter from which the search starts: a tuning, or an ekf.yaml of robot_localization (select its inputs with
-        --use).
+        Filter from which the search starts: a tuning, or robot_localization's ekf.yaml (--use selects its inputs).
     paper
         Use the paper's settings: pso, 30 particles, 50 generations, linear scale, gps-rmse, planar5, ukf. Conflicting
         options are refused.
@@ -94,16 +93,16 @@ def tune(
         truth-rmse      position error against truth
         truth-pose      errors of position and heading, and drift in outages
         innovation-nll  likelihood of each fix given its prediction (normal errors)
-        innovation-t    the same with Student's t errors (for outliers)
+        innovation-t    like innovation-nll, with Student's t errors (for outliers)
         forecast-t      likelihood of fixes that are hidden for 3 to 5 s
         outage-rmse     prediction error at fixes that are hidden for 3 to 5 s
-        nis, nees       penalty for a wrong covariance; add it to another objective
+        nis, nees       penalty for a wrong covariance, as a term of a sum
         gps-rmse        distance of updated estimates to the fixes (paper)
 
     Values of --use:
 
         velocity        use the receiver's speed and course
-        lateral         assume that a car does not move sideways
+        lateral         assume that the car does not slide sideways
         slip            with lateral: model the sideways slip of the tires
         standstill      assume zero velocity while the car stands
         odometer        use the wheel speed
@@ -284,7 +283,7 @@ def _evaluate(out: Path, drive: Path | None = None) -> str:
 
 
 def _next(out: Path, given: str, name: str, *, part: bool) -> tuple[str, list[str]]:
-    """Return the command that evaluates a filter tuned on one drive; for a whole drive, also lines on splitting it.
+    """Return the command that evaluates a filter tuned on one drive; for a whole drive, also lines on how to split it.
 
     ``given``: path of the drive; ``name``: its name; ``part``: True for a part of a split drive.
     """
@@ -300,7 +299,7 @@ def _next(out: Path, given: str, name: str, *, part: bool) -> tuple[str, list[st
     parts = free_path("parts")
     train, test = (quote(str(parts / f"{name}-{part}")) for part in ("train", "test"))
     return _evaluate(out), [
-        "this filter was tuned on the whole log; to test a filter on unused data:",
+        "this filter was tuned on the whole drive; to test a filter on other data:",
         f"          sigmaswarm split {quote(str(folder))} --out {parts}",
         f"          then tune on {train}, and evaluate on {test}",
     ]

@@ -15,7 +15,9 @@ MAX_FOLDERS = 1000  # maximum number of searched folders
 
 
 def find_whole(part: Location) -> tuple[Drive, Path] | None:
-    """Return the drive from which a part was split, and its folder; None if it is not near the part's folder.
+    """Return the drive from which a part was split, and the folder of this drive.
+
+    Return None if the drive is not near the part's folder.
 
     The part's drive.toml states the fingerprint of this drive.
     """

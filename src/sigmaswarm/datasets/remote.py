@@ -1,8 +1,8 @@
 """A dataset on the workers of a Dask cluster: each worker reads its drives once and caches them.
 
 A call sends each worker one task: the function, its arguments and the keys of the drives. Results do not depend on the
-distribution of the drives. Each task runs on the worker that has its drives. If a worker is lost, other workers take
-over its drives, and only its tasks run again. New workers receive some of the drives.
+distribution of the drives. Each task runs on the worker that has the drives of the task. If a worker is lost, other
+workers read its drives, and only its tasks run again. New workers receive some of the drives.
 """
 
 import threading
@@ -76,7 +76,7 @@ class Assignment:
             self.owners = assign_drives(self.sizes, self.workers, self.owners)
 
     def _usable_workers(self) -> dict[str, int]:
-        """Return the workers with the client's software versions; at the start, raise an error for other workers."""
+        """Return the workers with the client's software versions; at the start, raise an error if there are others."""
         present = self.cluster.workers()
         new = [address for address in present if address not in {*self.workers, *self._refused}]
         for address, error in self.cluster.version_errors(new).items():
@@ -182,12 +182,12 @@ class RemoteDataset:
         Raises
         ------
         InputError
-            If the function raises it; several errors become one `DriveError` that names the drives.
+            If the function raises this error; several errors become one `DriveError` that names the drives.
         """
         return results_in_order(self.call(apply_to_each, partial(_with_drive, function)))
 
     def imap(self, function: Callable[[Drive], T]) -> Iterator[T]:
-        """Apply a function to one drive after another, in tasks of one drive each; some tasks run in advance."""
+        """Apply a function to one drive after another, in tasks of one drive each; the next tasks run in advance."""
 
         def one(index: int) -> T:
             return self.subset([index]).map(function)[0]
@@ -212,7 +212,7 @@ def remote_datasets(
     DriveError
         If drives can't be read; the message names all of them.
     ClusterError
-        If a worker's software versions differ from the client's, or its drives don't fit into its memory.
+        If a worker's software versions differ from those of the client, or the drives of a worker exceed its memory.
     """
     sources = [[source_of(drive) for drive in group] for group in groups]
     assignment = Assignment(cluster, [source for group in sources for source in group])

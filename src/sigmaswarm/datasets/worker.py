@@ -48,7 +48,7 @@ class CachedDrive:
 
 
 class DriveCache:
-    """The drives of a worker; if all together exceed ``memory`` (bytes), the least recently used are dropped."""
+    """The drives of a worker; if their size exceeds ``memory`` (bytes), the least recently used drives are dropped."""
 
     def __init__(self, worker: str, threads: int, memory: float) -> None:
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
@@ -64,7 +64,7 @@ class DriveCache:
         InputError
             If a drive can't be read.
         ClusterError
-            If these drives together don't fit into the memory.
+            If the total size of these drives exceeds the memory.
         """
         known = {key: drive for key in sources if (drive := self._drives.get(key))}
         missing = {key: source for key, source in sources.items() if key not in known and source}

@@ -1,9 +1,9 @@
-"""Find the start of a filter: its initial state, from the samples before, without truth.
+"""Find the start of a filter: its initial state, computed from earlier samples, without truth.
 
-A car's heading is not observable at standstill; after several meters of driving, the course over ground shows it. The
-fit to the fixes of the last few seconds (`alignment_fit`) uses the gyro to correct the course for turns, and the
-accelerometer to correct it for changes of speed. The gyro's bias is subtracted, and the fit repeated, only if the fixes
-contradict a gyro without bias, or if the vehicle is slow.
+The heading of a car is not observable at standstill; after several meters of driving, the course over ground shows the
+heading. The fit to the fixes of the last few seconds (`alignment_fit`) uses the gyro to correct the course for turns,
+and the accelerometer to correct it for changes of speed. The gyro's bias is subtracted, and the fit repeated, only if
+the fixes contradict a gyro without bias, or if the vehicle is slow.
 """
 
 from dataclasses import dataclass
@@ -87,7 +87,7 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
 
 
 def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | StartFailure:
-    """Return the initial state as `initial_state` does, or the reason why there is none."""
+    """Return the initial state as `initial_state` does, or the reason why no filter can start."""
     # a filter can start only if IMU samples follow
     usable = (drive.gps.time > drive.imu.time[0]) & (drive.gps.time < drive.imu.time[-1])
     usable = usable if as_recorded else usable & ~stale_fixes(drive.gps)
@@ -106,7 +106,7 @@ def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | Sta
 
 
 def is_slow(drive: Drive) -> bool:
-    """Return True if the fixes rarely move `MIN_TRAVEL` within `MAX_DURATION`, as a usual start requires."""
+    """Return True if the fixes rarely move `MIN_TRAVEL` within `MAX_DURATION`, as a normal start requires."""
     usable = np.isfinite(drive.gps.x + drive.gps.y)
     time, position = drive.gps.time[usable], (drive.gps.x + 1j * drive.gps.y)[usable]
     first = np.searchsorted(time, time - MAX_DURATION)
@@ -114,7 +114,7 @@ def is_slow(drive: Drive) -> bool:
 
 
 def _slow_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | None:
-    """Return the earliest alignment of a slow vehicle; at each tried fix the shortest window comes first."""
+    """Return the earliest alignment of a slow vehicle; for each fix, shorter windows are tried first."""
     windows = [Alignments(drive, usable, longest) for longest in SLOW_DURATIONS]
     tried = -np.inf
     for k, time in enumerate(windows[0].time):
@@ -152,8 +152,8 @@ def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | Sta
 class Alignments:
     """The alignments that end at each fix, computed on first use.
 
-    ``usable`` (number of fixes,) marks the fixes to use, by default all. ``time`` (m,) are the times of the used fixes
-    within the IMU's time span, s. ``longest``: longest duration of an alignment, s; above `MAX_DURATION` for slow
+    ``usable`` (number of fixes,) marks the fixes to use, by default all fixes. ``time`` (m,) are the times of the used
+    fixes within the IMU's time span, s. ``longest``: longest duration of an alignment, s; above `MAX_DURATION` for slow
     vehicles.
     """
 
@@ -176,7 +176,7 @@ class Alignments:
         self._found: dict[int, InitialState | None] = {}
 
     def at(self, k: int) -> InitialState | None:
-        """Return the alignment that ends at used fix k; None if the fixes or their motion do not suffice."""
+        """Return the alignment that ends at the k-th used fix; None if the fixes or their motion do not suffice."""
         if k not in self._found:
             with np.errstate(all="ignore"):  # a fit that overflows is not an alignment
                 fitted = self._fitted_slow if self._slowly else self._fitted
@@ -229,7 +229,7 @@ class Alignments:
         return fit.state() if usable else None
 
     def _fitted_slow(self, k: int) -> InitialState | None:
-        """Fit also the gyro's bias; do not use the accelerometer, since the error due to its bias grows with time."""
+        """Fit the gyro's bias, too; do not use the accelerometer, since the error due to its bias grows with time."""
         first = int(self._first[k])
         interval = float(self.time[k] - self.time[first]) / (k - first)
         rows = np.arange(k, first - 1, -max(1, round(SLOW_INTERVAL / interval)))[::-1]

@@ -3,9 +3,10 @@
     p(t) = p_i - exp(i theta_i) * integral_t^t_i  v(s) exp(i (psi(s) - psi_i)) ds
     v(s) = v_i + integral_t_i^s a_x + b (s - t_i)
 
-Positions are complex numbers east + i north, t_i is the time of the last fix, psi the integrated yaw rate, a_x the
-forward specific force, and b its correction for tilt and bias. The unknowns are position p_i, heading theta_i and speed
-v_i at t_i, and b. The compiled functions have no complex numbers, since `exports.c_alignment` translates them to C.
+Positions are complex numbers east + i north. t_i is the time of the last fix, psi the integrated yaw rate, a_x the
+forward specific force, and b a correction of this force for tilt and bias. The unknowns are position p_i, heading
+theta_i and speed v_i at t_i, and b. The compiled functions have no complex numbers, since `exports.c_alignment`
+translates them to C.
 """
 
 from collections.abc import Mapping
@@ -39,16 +40,19 @@ MAX_STEPS = 12  # largest number of Gauss-Newton steps
 CONVERGED = 1e-10  # m, rad, m/s or m/s2; the fit ends when no unknown changes by more
 
 BY_SPEED, BY_SLOPE, BY_GAINS, ARM, BY_BIAS, COLUMNS = range(0, 12, 2)
-"""Columns of the path from each fix to the last one, two each: forward and left in the body frame at the last fix.
+"""Columns of the path from each fix to the last fix.
 
-Path per m/s of speed at the last fix (s), per m/s2 of b (s2), and due to the measured acceleration (m); antenna
-relative to the IMU (m). The fit writes the derivative of the path with respect to the gyro's bias (m s) to the last two
-columns.
+Each quantity has two columns, forward and left in the body frame at the last fix.
+
+The first quantities are the path per m/s of speed at the last fix (s), the path per m/s2 of b (s2), and the path due to
+the measured acceleration (m). Then follows the position of the antenna relative to the IMU (m). The fit writes the
+derivative of the path with respect to the gyro's bias (m s) to the last two columns.
 """
 EAST, NORTH, YAW, SPEED, SLOPE, TRAVEL, MISFIT, YAW_BIAS, YAW_VARIANCE, RESULTS = range(10)
-"""Indices of a fit: position (m), heading (rad) and speed (m/s) at the last fix, and b (m/s2), the unknowns.
+"""Indices of a fit.
 
-Then travel (m), 0 if backward, largest residual (m), remaining gyro bias (rad/s) and its variance.
+The unknowns are first: position (m), heading (rad) and speed (m/s) at the last fix, and b (m/s2). Then follow travel
+(m; 0 if backward), largest residual (m), remaining gyro bias (rad/s) and its variance.
 """
 RESIDUAL = 5  # column of the residuals in the two equations of a fix, after the derivatives by the unknowns
 
@@ -66,9 +70,9 @@ class InitialState:
     time : float
         Time of the last fix of the alignment, s; filters and scores start then.
     gyro : GyroBiasEvidence or None
-        Evidence about the gyro's bias, for filters that estimate it; with None, they start with a bias of 0.
+        Evidence about the gyro's bias, for filters that estimate this bias; if None, the bias starts at 0.
     tilt : TiltEvidence or None
-        Evidence about roll, pitch and accelerometer biases, for filters with tilts; with None, they start level.
+        Evidence about roll, pitch and accelerometer biases, for filters with tilts; if None, roll and pitch start at 0.
     """
 
     mean: Array
@@ -174,7 +178,7 @@ class AlignmentFit:
 
 
 def _integral_at(imu: Imu, axis: str, integrals: Mapping[str, Array], time: Array) -> Array:
-    """Return the integral of an axis at times (s) up to a fix; 0 if ``integrals`` lacks the axis.
+    """Return the integral of an axis at times (s) up to a fix; 0 if ``integrals`` does not contain the axis.
 
     The integral at the fix is extrapolated from the last sample before it, since a live filter has no later sample.
     """
@@ -239,7 +243,7 @@ def _multiply(matrix: Array, vector: Array, product: Array) -> None:
 
 @cached(error_model="numpy")
 def _equations_of(fix: Array, way: Array, fit: Array, c: float, s: float, rows: Array) -> None:
-    """Set rows (2, 6), the equations of a fix forward and left with respect to the heading with cosine c and sine s.
+    """Set rows (2, 6), the equations of a fix in the directions forward and left of a heading with cosine c and sine s.
 
     The columns of the position (forward, left) are not set, since they are those of the identity matrix.
     """
@@ -260,7 +264,7 @@ def _equations_of(fix: Array, way: Array, fit: Array, c: float, s: float, rows: 
 def fit_path(
     fixes: Array, n: int, path: Array, coasting: float, fit: Array, covariance: Array, turns: Array
 ) -> None:
-    """Fit the unknowns to n fixes by Gauss-Newton, and then the gyro bias.
+    """Fit the unknowns to n fixes by the Gauss-Newton method, and then the gyro bias.
 
     ``coasting``: part of the travel that is due to changes of speed, m. Results: ``fit``; ``covariance`` of the
     unknowns; ``turns``, their derivatives with respect to the gyro bias.
@@ -381,7 +385,7 @@ def _convert_change(c: float, s: float, v: float, e: Array) -> None:
 
 @cached(error_model="numpy")
 def convert_to_start(fit: Array, mean: Array, covariance: Array, turns: Array, change: Array) -> float:
-    """Convert a fit to the mean x, y, vx, vy, theta of a start; return the variance of b without its prior.
+    """Convert a fit to the mean x, y, vx, vy, theta of an initial state; return the variance of b without its prior.
 
     ``covariance`` and ``turns`` are converted in place. The change of the mean per m/s2 of forward force is stored in
     ``change``.

@@ -48,7 +48,7 @@ class Remark:
 
 @dataclass(frozen=True)
 class GapSummary:
-    """Number of gaps; start and length of the longest gap, and usual interval, s."""
+    """Number of gaps, start and length of the longest gap (s), and usual interval (s)."""
 
     count: int
     start: float
@@ -59,7 +59,7 @@ class GapSummary:
 def check_tables(
     imu: Imu, gps: Gps, truth: Truth | None, placed: Callable[[str], str]
 ) -> list[SigmaswarmWarning]:
-    """Raise `DriveError` if there are too few data; return warnings of other faults.
+    """Raise `DriveError` if a drive has too few data; return warnings of other faults.
 
     ``placed`` adds the folder to a message that begins with the name of a file.
     """
@@ -69,7 +69,7 @@ def check_tables(
 
 
 def shortage_of(imu: Imu, gps: Gps) -> str | None:
-    """Return a sentence if a drive has too few data, else None."""
+    """Return a sentence if a drive has too few data, otherwise None."""
     first, last = imu.time[[0, -1]]
     if first > gps.time[-1] or gps.time[0] > last:
         return (
@@ -97,7 +97,7 @@ def remarks_of(imu: Imu, gps: Gps, truth: Truth | None) -> list[Remark]:
 
 
 def invalid_times(imu: Imu, gps: Gps) -> list[Remark]:
-    """List faults of the times that make other checks meaningless: another unit, or a clock that jumps."""
+    """List faults of the times that make other checks meaningless: a wrong unit, or a clock that jumps."""
     if wrong := _time_unit(imu.time, gps.time):
         return [wrong]
     remedy = "delete the rows with wrong times; if the logger paused, make one drive from each part"
@@ -110,7 +110,7 @@ def invalid_times(imu: Imu, gps: Gps) -> list[Remark]:
 
 
 def _time_unit(imu: Array, gps: Array) -> Remark | None:
-    """Check for times in ms, us or ns: in one file by the ratio of the time spans, in both files by the intervals."""
+    """Check for times in ms, us or ns, in one file (ratio of the time spans) or in both files (intervals)."""
     spans = float(np.ptp(imu)), float(np.ptp(gps))
     if min(spans) <= 0:
         return None
@@ -178,7 +178,8 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
 def gaps_in(time: Array, limit: tuple[float, float], imu: Array | None = None) -> GapSummary | None:
     """Find the gaps of ``time`` (n,) in s with a limit such as `IMU_GAP`; None if there are none.
 
-    With the IMU's times ``imu`` (s), a gap that is mostly also a gap of the IMU is not counted: the logger paused.
+    If the IMU's times ``imu`` (s) are given, a gap that is mostly also a gap of the IMU is not counted, since the
+    logger paused.
     """
     interval = np.diff(time)
     usual = float(np.median(interval)) if interval.size else 0.0
@@ -196,7 +197,7 @@ def gaps_in(time: Array, limit: tuple[float, float], imu: Array | None = None) -
 
 def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
     crossed = (
-        "in a gap a filter uses the mean of the samples before and after it, and increases its covariance; if "
+        "in a gap a filter uses the mean of the samples before and after the gap, and increases its covariance; if "
         "the car maneuvered during the gap, split the drive"
     )
     alone = "during this time a filter uses only the IMU; no action is needed if this is intended"
@@ -228,9 +229,7 @@ def unshared_times(imu: Array, gps: Array) -> Remark | None:
         ends = [(early, "before its first sample"), (late, "after its last sample")]
         up_to = " and ".join(f"up to {length:.0f} s {where}" for length, where in ends if length >= 0.5)
         what = f"{count} of {len(gps)} fixes lie outside of the IMU's time span, {up_to}, and are not used"
-        remedy = (
-            "no action is needed if the receiver recorded for longer; otherwise convert both to one clock"
-        )
+        remedy = "no action is needed if the receiver recorded longer than the IMU; otherwise convert both to one clock"
         return Remark("gps-outside", "gps.csv", "t", f"{what}; {alone}" if alone else what, remedy)
     if not alone:
         return None
@@ -244,8 +243,9 @@ def unshared_times(imu: Array, gps: Array) -> Remark | None:
 def _seen_by_fixes(imu: Imu, gps: Gps, body_rate: Array) -> tuple[NDArray[np.complex128], Array, Array]:
     """Return the mean velocity of the fixes in windows, and changes from window to window.
 
-    The arrays are the velocity (k,), m/s east + i north, and, between the middles of consecutive windows, (k - 1,), the
-    integral of ``body_rate`` and the change of course, rad. Windows without fixes are left out.
+    The first array is the velocity (k,), m/s east + i north. The other arrays (k - 1,) are the integral of
+    ``body_rate`` and the change of course, rad, between the middles of consecutive windows. Windows without fixes are
+    left out.
     """
     start, end = max(imu.time[0], gps.time[0]), min(imu.time[-1], gps.time[-1])
     window = np.unique(np.floor((gps.time[(gps.time >= start) & (gps.time <= end)] - start) / _WINDOW))
@@ -279,7 +279,7 @@ def _angular_rate(imu: Imu, gps: Gps) -> Iterator[Remark]:
 
 
 def _acceleration(imu: Imu, gps: Gps) -> Iterator[Remark]:
-    """Check for ax in g if there is no az; the integral of ax is then about a tenth of the changes of speed."""
+    """Check for ax in g if there is no az: if ax is in g, its integral is about a tenth of the changes of speed."""
     if imu.az is not None:
         return
     velocity, gained, _ = _seen_by_fixes(imu, gps, imu.ax)

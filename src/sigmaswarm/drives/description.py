@@ -80,7 +80,7 @@ def ineffective_keys(about: Mapping[str, Any], path: Path) -> Iterator[str]:
 
 
 def require_name(name: object, where: object) -> None:
-    """Raise `DriveError` if a name can't be that of a folder; ``where``: file that contains the name."""
+    """Raise `DriveError` if a name can't be the name of a folder; ``where``: file that contains the name."""
     if not isinstance(name, str) or not name.strip():
         raise DriveError(
             f'{where}: name = {printable_value(name)} is empty or not text; write for example name = "monday"'
@@ -119,7 +119,7 @@ def _origin(value: Any, path: Path) -> Origin:
 
 
 def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
-    """Return the stated frame of the fixes, which must agree with the columns; if None, the frame of the columns."""
+    """Return the stated frame of the fixes, which must agree with the columns; if None, return that of the columns."""
     description = gps.parent / "drive.toml"
     if stated not in (None, *POSITIONS):
         raise DriveError(

@@ -115,7 +115,7 @@ class Drive:
 
     @property
     def tables(self) -> dict[str, Table]:
-        """Existing tables, by their names in `RECORDS`."""
+        """The tables of this drive, by their names in `RECORDS`."""
         return {name: table for name in RECORDS if (table := getattr(self, name)) is not None}
 
     @property
@@ -125,24 +125,30 @@ class Drive:
 
     @property
     def lever_arm(self) -> Array:
-        """Vector from IMU to antenna, m forward and left, shape (2,): ``gps_lever_arm_m`` of drive.toml, else 0."""
+        """Vector from IMU to antenna, m forward and left, shape (2,).
+
+        The value is ``gps_lever_arm_m`` of drive.toml, otherwise 0.
+        """
         return np.array(self.metadata.get("gps_lever_arm_m", (0.0, 0.0))[:2], dtype=np.float64)
 
     @property
     def antenna_height(self) -> float:
-        """Height of the antenna above the IMU, m: third element of ``gps_lever_arm_m``, else 0."""
+        """Height of the antenna above the IMU, m: third element of ``gps_lever_arm_m``, otherwise 0."""
         arm = self.metadata.get("gps_lever_arm_m", ())
         return float(arm[2]) if len(arm) > 2 else 0.0
 
     @property
     def heading(self) -> float | None:
-        """Heading at the first IMU sample, rad: ``heading_deg`` of drive.toml, else None."""
+        """Heading at the first IMU sample, rad: ``heading_deg`` of drive.toml, otherwise None."""
         stated = self.metadata.get("heading_deg")
         return None if stated is None else float(np.radians(float(stated)))
 
     @property
     def mounting(self) -> Angles | None:
-        """Rotation of the raw IMU samples, roll, pitch and yaw (deg): ``imu_mounting_deg`` of drive.toml, else None."""
+        """Rotation of the raw IMU samples, roll, pitch and yaw (deg).
+
+        The value is ``imu_mounting_deg`` of drive.toml, otherwise None.
+        """
         stated = self.metadata.get(KEY)
         return None if stated is None else (float(stated[0]), float(stated[1]), float(stated[2]))
 

@@ -1,7 +1,7 @@
-"""Determine the events at the ends of a filter's steps; they depend on the data alone.
+"""Determine the events at the ends of a filter's steps. These events depend on the data alone.
 
-`sample_events` is the rule for an IMU sample. `events_of` applies it to a time line for `run_filter`, `compiled.live`
-to each new sample, and `exports.c_rules` translates it to C.
+`sample_events` is the rule for an IMU sample. `events_of` applies this rule to a time line for `run_filter`,
+`compiled.live` applies it to each new sample, and `exports.c_rules` translates it to C.
 """
 
 from collections.abc import Set
@@ -138,9 +138,9 @@ def sample_events(
     """Return the events at an IMU sample. Each constraint, and the odometer, is used at most once per slot.
 
     ``used``: bits of the events that the filter uses. ``slot``: see `slot_of`; ``now`` and ``before``: times of this
-    sample and of the one before, s. ``ay``: m/s2. ``stands``: IMU and fixes show a standstill. The first ``come`` rows
-    of ``readings`` (time and speed) are those up to now. ``done`` (4,), see LATERAL_SLOT, is updated. ``wheels`` (3,)
-    receives the odometer's measurement if there is one.
+    sample and of the previous sample, s. ``ay``: m/s2. ``stands``: True if IMU and fixes show a standstill. The first
+    ``come`` rows of ``readings`` (time and speed) are the readings up to ``now``. ``done`` (4,), see LATERAL_SLOT, is
+    updated. ``wheels`` (3,) receives the odometer's measurement if there is one.
     """
     events = 0
     if used & LATERAL and done[LATERAL_SLOT] != slot and abs(ay) <= CORNERING:

@@ -1,6 +1,7 @@
 """Find gaps in the IMU and in truth.
 
-A gap in the IMU is an interval that is long relative to earlier intervals, since a live filter knows only these.
+A gap in the IMU is an interval that is long relative to earlier intervals, since a live filter does not know later
+intervals.
 """
 
 import numpy as np
@@ -34,7 +35,7 @@ def _find_gaps(time: Array, gaps: Array) -> None:
 
 @cached
 def gap_of(interval: float, usual: float) -> float:
-    """Return the interval (s) if it is a gap relative to the usual interval (s; 0: unknown), else 0."""
+    """Return the interval (s) if it is a gap relative to the usual interval (s; 0: unknown), otherwise 0."""
     return interval if usual > 0.0 and interval > max(MANY * usual, SHORTEST) else 0.0
 
 
@@ -57,7 +58,7 @@ def is_known(truth: Truth, time: Array) -> Mask:
 
 
 def share_known(truth: Truth | None, start: float, end: float) -> float:
-    """Return the fraction of the time from ``start`` to ``end`` (s) that truth covers, without its gaps."""
+    """Return the fraction of the time from ``start`` to ``end`` (s) that truth covers; its gaps do not count."""
     if truth is None or len(truth) < 2 or end <= start:
         return 0.0
     edges = np.clip(truth.time, start, end)

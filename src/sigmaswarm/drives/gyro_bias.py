@@ -1,9 +1,9 @@
-"""Gyro bias from the last few seconds before a start, and its use by filters.
+"""Estimate of the gyro bias from the last few seconds before a start, and its use by filters.
 
 A cheap gyro may start with a bias of 20 deg/s. With this bias, the curvature of the gyro's path differs from that of
-the fixes, and the integrated roll and pitch drift. These effects determine the bias to about 1 deg/s, which is far
-better than the prior of a cheap gyro. The prior of a good gyro is narrower (``bias_std`` below 1 deg/s), so the
-evidence hardly changes it.
+the fixes, and the integrated roll and pitch drift. These effects determine the bias with an accuracy of about 1 deg/s,
+which is far better than the prior of a cheap gyro. The prior of a good gyro is narrower (``bias_std`` below 1 deg/s),
+so the evidence hardly changes the estimate.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ CONTRADICTS = 5.0  # standard deviations; an alignment subtracts a larger bias a
 OUTLIER_PROBABILITY = 1e-5
 """Prior probability that the gyro is far worse than in the training drives; a bias of five sigmas confirms this.
 
-With 1e-3, the standard deviation of a good gyro's bias would increase by 0.07 deg/s.
+If this probability were 1e-3, the standard deviation of a good gyro's bias would increase by 0.07 deg/s.
 """
 OUTLIER_STD = 0.2  # rad/s, standard deviation of such a gyro's bias; an MPU-6050 may have 20 deg/s
 YAW_STD = np.radians(1.0)  # rad/s, smallest std of a fitted bias, since cars slip and receivers smooth
@@ -44,7 +44,7 @@ class GyroBiasEvidence:
     turns: Array
 
     def with_bias(self, known: float) -> "GyroBiasEvidence":
-        """Return the evidence about the raw gyro, if ``known`` (rad/s) was subtracted from its yaw rate."""
+        """Return the evidence about the raw gyro, if ``known`` (rad/s) was subtracted from its yaw rate before."""
         bias = self.bias.copy()
         bias[UP] += known
         return replace(self, bias=bias, taken=self.taken + known)

@@ -1,4 +1,4 @@
-"""The keys of drive.toml for the axes and the mounting of the IMU, with which its raw samples were converted."""
+"""The keys of drive.toml for the axes and the mounting of the IMU, with which the raw samples were converted."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, cast
@@ -20,8 +20,8 @@ NO_ROTATION = (0.0, 0.0, 0.0)
 def with_rotation(metadata: Mapping[str, Any], rotation: Array | None) -> dict[str, Any]:
     """Return a drive's metadata after a further rotation (3, 3) of its IMU.
 
-    ``rotation``: None if the axes were changed other than by a rotation. The keys of axes and mounting are then
-    removed, since no rotation relates the samples to the sensor's axes.
+    ``rotation`` is None if the axes were changed in another way than by a rotation. In this case the keys of axes and
+    mounting are removed, since no rotation relates the samples to the sensor's axes.
     """
     if rotation is not None and np.allclose(rotation, np.eye(3), rtol=0, atol=1e-12):
         return {**metadata}
@@ -44,13 +44,13 @@ def axes_of(metadata: Mapping[str, Any]) -> dict[str, str]:
 
 
 def common_axes(stated: Iterable[Mapping[str, str]]) -> dict[str, str]:
-    """Return the expressions of the IMU's axes if all drives state the same; empty if the drives differ."""
+    """Return the expressions of the IMU's axes if all drives state the same expressions; empty if the drives differ."""
     first, *others = [*stated] or [{}]
     return {**first} if all(other == first for other in others) else {}
 
 
 def common_mounting(stated: Iterable[Angles | None]) -> Angles | None:
-    """Return the mean mounting; None if no drive states one, or one differs from the mean by more than `MAX_SPREAD`.
+    """Return the mean mounting; None if no mounting is stated, or one differs from the mean by over `MAX_SPREAD`.
 
     A drive without a mounting counts as not rotated.
     """

@@ -1,7 +1,7 @@
 """Odometer measurements of a filter: means of the readings of up to a tenth of a second.
 
 The errors of readings are correlated (scale, quantization, tires). At a rate of 83 Hz, a mean therefore contains as
-much information as the single readings, and its quantization error is smaller. At low speed, pulses are rare, and the
+much information as the single readings, with a smaller quantization error. At low speed, pulses are rare, and the
 odometer may read zero while the car moves.
 """
 
@@ -13,7 +13,7 @@ SLOW = 0.5  # m/s; a lower mean may be too low, so the square of this speed is a
 LARGEST_AGE = 1.0  # s; an older reading does not show whether the wheels turn
 
 WHEEL_SPEED, WHEEL_AGE, WHEEL_NOISE = range(3)
-"""Columns of a measurement: mean of the readings (m/s), their mean age (s), and addition to R (m2/s2)."""
+"""Columns of a measurement: mean of the readings (m/s), mean age of the readings (s), and addition to R (m2/s2)."""
 
 
 @cached
@@ -24,7 +24,7 @@ def wheels_turn(readings: Array, end: int, now: float) -> bool:
 
 @cached
 def mean_reading(readings: Array, end: int, now: float, before: float, taken: float, wheels: Array) -> bool:
-    """Average the readings since the last measurement, at most `INTERVAL` old; return False if none is new.
+    """Average the readings since the last measurement, at most `INTERVAL` old; return False if no reading is new.
 
     ``taken`` is the time of the last measurement; a reading is new if it is later than ``before``. The result is stored
     in ``wheels`` (3,): see WHEEL_SPEED ... WHEEL_NOISE.

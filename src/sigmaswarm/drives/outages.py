@@ -34,8 +34,8 @@ def random_windows(
     """Draw outages (k, 2) between two times (s), uniformly among all placements with the required distances.
 
     ``length`` (s) is fixed or a range. The first outage begins at least ``first_after`` s after the start; outages are
-    at least ``apart`` s apart. ``count`` is their number, by default one per 15 s but at least one; fewer are returned
-    if the time is too short.
+    at least ``apart`` s apart. ``count`` is the number of outages, by default one per 15 s but at least one; fewer are
+    returned if the time is too short.
     """
     shortest, longest = length if isinstance(length, tuple) else (length, length)
     if not (0 < shortest <= longest and first_after >= 0 and apart >= 0):
@@ -73,9 +73,9 @@ def balanced_windows(start: float, end: float, rng: np.random.Generator) -> Arra
 def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) -> Array:
     """Shift windows (k, 2), sorted by time, so that each ends exactly at an IMU sample (n,), s.
 
-    An end moves to the first sample at or after it, or to a later one if the window would begin less than ``apart`` s
-    after the previous one. The length does not change. An end after the last sample moves back to this sample; a window
-    that is then too close to the previous one is left out.
+    An end moves to the first sample at or after the end, or to a later sample if the window would otherwise begin less
+    than ``apart`` s after the previous window. The length does not change. An end after the last sample moves back to
+    this sample; a window that is then too close to the previous window is left out.
     """
     samples = np.asarray(imu_time, dtype=np.float64)
     snapped: list[list[float]] = []

@@ -1,4 +1,4 @@
-"""Find the part of a drive that other drives contain, even in renamed, cut or repaired copies.
+"""Find the part of a drive that other drives contain, also if they are renamed, cut or repaired copies.
 
 Landmarks are equal in all copies of a drive and differ in all other drives: positions with the receiver's noise, and
 yaw rates with the gyro's noise. Each pair of equal landmarks votes for an offset between the clocks of two drives (as
@@ -42,11 +42,11 @@ MIN_MATCH_SHARE = 0.5  # smallest fraction of the landmarks in the common time t
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """The landmarks of a drive. In a file, they need a thousandth of the drive's size.
+    """The landmarks of a drive. In a file, landmarks need a thousandth of the drive's size.
 
     ``sha256``: `fingerprint` of the drive. ``span``: start and end of the IMU samples, s. ``fixes`` (n, 3): time (us)
     and position, latitude and longitude (1e-7 deg) if ``geographic``, else y and x (cm). ``rates`` (k, 2): time (s) and
-    ln|gz| modulo ``LOG_RATIO``, below ``width``. This value is the same in rad/s and deg/s and for both signs.
+    ln|gz| modulo ``LOG_RATIO``, below ``width``. The second value is the same in rad/s and deg/s and for both signs.
     """
 
     name: str
@@ -109,7 +109,7 @@ def overlap_of(drive: Landmarks, others: Iterable[Landmarks]) -> Overlap:
 
 
 def known_overlap(drive: Landmarks, others: Sequence[Landmarks]) -> Overlap | None:
-    """Return `overlap_of`; None, for unknown, if it is empty and parts of some other drives can't be recognized."""
+    """Return `overlap_of`; None (unknown) if it is empty but parts of some other drives can't be recognized."""
     overlap = overlap_of(drive, others)
     recognizes_parts = all(max(len(other.fixes), len(other.rates)) >= MIN_MATCHES for other in others)
     return overlap if overlap or recognizes_parts else None
@@ -147,9 +147,9 @@ def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
 def _offset(a: Array, b: Array, tolerance: float) -> float | None:
     """Return the offset (s) between the clocks of two drives for which most landmarks agree; None if too few agree.
 
-    ``a``, ``b``: landmarks, in rows of time (us) and values. Some agree by chance. In the common time, at least half of
-    the landmarks of the drive with fewer landmarks must therefore agree; the other drive may have more, since a copy
-    may be decimated. A standing car repeats one value, so several values must agree.
+    ``a``, ``b``: landmarks, in rows of time (us) and values. Some landmarks agree by chance. Therefore, in the common
+    time, at least half of the landmarks of the drive with fewer landmarks must agree; the other drive may have more,
+    since a copy may be decimated. A standing car repeats one value, so several values must agree.
     """
     if min(len(a), len(b)) < MIN_MATCHES:
         return None
@@ -202,7 +202,7 @@ def save_landmarks(
 
 @dataclass(frozen=True)
 class SavedLandmarks(Sequence[Landmarks]):
-    """Landmarks in a file, read on use."""
+    """Landmarks in a file, which are read when they are used."""
 
     path: Path
     names: tuple[tuple[str, str], ...]
@@ -218,7 +218,7 @@ class SavedLandmarks(Sequence[Landmarks]):
 
 
 def load_landmarks(path: Path) -> list[Landmarks] | None:
-    """Load a file of `save_landmarks`; None if the file is missing, as in tunings of early versions."""
+    """Load a file of `save_landmarks`; return None if the file is missing, as in tunings of early versions."""
     if not path.exists():
         return None
     try:

@@ -36,7 +36,7 @@ class PreparedDrive:
 
     @cached_property
     def kinds(self) -> Array:
-        """Kind of each fix, (number of fixes,), see `drives.stale_fixes`; all are new with ``as_recorded``."""
+        """Kind of each fix, (number of fixes,), see `drives.stale_fixes`; with ``as_recorded`` all fixes are `NEW`."""
         return np.zeros(len(self.drive.gps)) if self.as_recorded else classify_fixes(self.drive.gps)
 
     @property
@@ -45,10 +45,10 @@ class PreparedDrive:
         return self.kinds >= STALE
 
     def timeline(self, hidden: NDArray[np.bool_] | None = None, *, removed: bool = False) -> Timeline:
-        """Return the time line in which fixes where ``hidden`` (number of fixes,) is True update no filter; cached.
+        """Return the (cached) time line in which fixes where ``hidden`` (number of fixes,) is True update no filter.
 
-        With ``removed``, no step ends at a hidden fix. Otherwise, filters can predict hidden fixes, and the time line
-        shares arrays with that of all fixes.
+        If ``removed`` is True, no step ends at a hidden fix. Otherwise, filters can predict hidden fixes, and the time
+        line shares arrays with the time line of all fixes.
         """
         if hidden is None or not hidden.any():
             hidden, removed = np.zeros(len(self.drive.gps), dtype=np.bool_), False
@@ -67,7 +67,7 @@ class PreparedDrive:
     def forget(self) -> None:
         """Drop the time lines, each of which needs 0.25 GB for ten hours at 100 Hz.
 
-        A small time line of all fixes is kept, since others are derived from it.
+        A small time line of all fixes is kept, since the other time lines are derived from it.
         """
         self._timelines = {
             (hidden, removed): line

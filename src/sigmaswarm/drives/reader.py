@@ -32,7 +32,7 @@ _XY = re.compile(r"(?<![a-z])[xy](?![a-z])", re.IGNORECASE)
 
 
 def all_drive_locations(locations: Iterable[Location]) -> list[Location]:
-    """Return the given drives and all drives in given folders or below URLs, sorted by name."""
+    """Return the given drives, and all drives in given folders or below given URLs, sorted by name."""
     return [
         drive
         for location in locations
@@ -99,7 +99,7 @@ def read_drive(path: str | Path) -> Drive:
 
 
 def read_with_warnings(location: Location) -> tuple[Drive, list[SigmaswarmWarning]]:
-    """Read a drive and return its warnings, since `warnings.catch_warnings` would act on all threads."""
+    """Read a drive; return the drive and its warnings, since `warnings.catch_warnings` would act on all threads."""
     if not is_url(location):
         folder, about = Path(location), Path(location) / "drive.toml"
         if folder.is_dir() and not (about.exists() or _drives_in(folder)) and any(folder.iterdir()):
@@ -186,7 +186,7 @@ def import_remedy(log: Path) -> str:
 
 
 def _whole_log(file: Path) -> Path:
-    """Return the file; return its folder if the file has only IMU samples or only fixes, but the folder has both."""
+    """Return a file, or its folder if the file contains only IMU samples or only fixes and the folder contains both."""
     if file.suffix.lower() not in TEXTS or not file.is_file():
         return file
     tables = [table for table in sorted(file.parent.iterdir()) if table.suffix.lower() in TEXTS]
@@ -196,7 +196,7 @@ def _whole_log(file: Path) -> Path:
 
 
 def _content(table: Path) -> set[str]:
-    """Return the sensors, "imu" and "gps", that the name and the first line of a table show."""
+    """Return the sensors ("imu", "gps") that the name and the first line of a table indicate."""
     with table.open(encoding="utf-8", errors="replace") as lines:
         title = lines.readline(4096)
     text = f"{table.stem},{title}"

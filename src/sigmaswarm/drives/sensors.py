@@ -19,22 +19,22 @@ MIN_START_DISTANCE = 20.0  # m; a car that is farther from the first fix has mov
 GRAVITY_TOLERANCE = 0.3  # largest deviation of the median of az from gravity, relative to gravity
 
 MIN_WHITE_SHARE = 0.4
-"""Ratio of the white noise in the fixes to the stated or assumed standard deviation, above which errors count as white.
+"""Smallest ratio of white noise to the stated or assumed standard deviation at which fix errors count as white.
 
 The ratio is 1 in KITTI and colorado, 0.25 with a u-blox M8, and at most 0.02 with car receivers, which smooth their
 fixes (kingston-1, comma2k19, dresden).
 """
 UNSTATED_GPS_STD = 2.1  # m per axis, assumed if a receiver states no accuracy: u-blox M8, 2.5 m CEP
 MIN_WHITE_NOISE = 0.25 * UNSTATED_GPS_STD
-"""Smallest white noise (standard deviation, m per axis) that is taken as the error of fixes without stated accuracy.
+"""Smallest white noise (standard deviation, m per axis) that counts as the error of fixes without stated accuracy.
 
-The error of fixes with less white noise is unknown, since the receiver may smooth them.
+If fixes have less white noise, their error is unknown, since the receiver may smooth the fixes.
 """
 FIXES_FOR_FIX_ERROR = 250
-"""Smallest number of fixes, over all logs, for states of correlated errors when tuning without truth.
+"""Smallest number of fixes, over all drives, for fix-error when tuning without truth.
 
-With eight simulated M8 logs of 142 s at 1 Hz, these states increased the 30 s drift in six logs, in one of them to
-1319 m. With 300 and 600 fixes, the mean drift did not change, and the position error was 3 to 6% smaller.
+On eight simulated M8 drives of 142 s at 1 Hz, fix-error increased the 30 s drift on six drives, on one of them to 1319
+m. With 300 and 600 fixes, the mean drift did not change, and the position error was 3 to 6% smaller.
 """
 
 MAX_RATE_RATIO = 1.5  # largest ratio of the sampling rates of two drives with the same sensors
@@ -43,7 +43,7 @@ MAX_ANGLE = 10.0  # deg, largest angle between the mountings of two drives with 
 
 @dataclass(frozen=True)
 class LogProperties:
-    """The properties of a log that determine the choice of a filter and an objective.
+    """The properties of a drive that determine the choice of a filter and an objective.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class LogProperties:
     axes : the axes of the IMU
     attitude, std_quantiles, white, lasting, receiver_std : results of `has_attitude`, `stated_std_quantiles`,
         `has_white_errors`, `has_lasting_errors` and `receiver_std`
-    odometer, accuracy, velocity, heading : True if the log has wheel speeds; stated standard deviations; speeds and
+    odometer, accuracy, velocity, heading : True if the drive has wheel speeds; stated standard deviations; speeds and
         courses; headings
     driven : time from the first fix more than 20 m away from the start to the last fix, s; 0 if there is none
     fixes : number of fixes within the IMU's time
@@ -114,7 +114,7 @@ def has_attitude(drive: Drive) -> bool:
 
 
 def stated_std_quantiles(drive: Drive) -> tuple[float, float] | None:
-    """Return the 5% and 95% quantiles of the stated standard deviations, m; None without them or if they are alike."""
+    """Return the 5% and 95% quantiles of the stated standard deviations, m; None if missing or nearly equal."""
     if (std := drive.gps.std) is None:
         return None
     low, high = np.quantile(std, [0.05, 0.95])
@@ -122,7 +122,7 @@ def stated_std_quantiles(drive: Drive) -> tuple[float, float] | None:
 
 
 def stated_std(drive: Drive) -> tuple[float, float] | None:
-    """Return the standard deviation, m east and north, that the receiver states; None if it states none.
+    """Return the standard deviation, m east and north, that the receiver states, or None.
 
     The result is the median over the fixes, or ``gps_std_m`` of drive.toml if the fixes have no standard deviations.
     """
@@ -135,7 +135,8 @@ def stated_std(drive: Drive) -> tuple[float, float] | None:
 def receiver_std(drive: Drive) -> tuple[float, float]:
     """Return the standard deviation of the fixes of a drive's receiver, m east and north.
 
-    If none is stated, the result is the white noise of the fixes, or, if the noise is small, `UNSTATED_GPS_STD`.
+    If the receiver states no standard deviation, the result is the white noise of the fixes, or, if this noise is
+    small, `UNSTATED_GPS_STD`.
     """
     if stated := stated_std(drive):
         return stated
@@ -190,11 +191,11 @@ def motion_in_noise(interval: float) -> float:
 
 
 def describe_vehicles(logs: Sequence[LogProperties]) -> str:
-    """Return a warning if drives are clearly from different vehicles or sensors, else ""."""
+    """Return a warning if drives are clearly from different vehicles or sensors, otherwise ""."""
     found = "; ".join(differences(logs))
     return found and (
-        f"the training drives seem to be from different vehicles or sensors: {found}. A filter fits one vehicle and "
-        "its sensors; tune one filter for each vehicle"
+        f"the training drives seem to be from different vehicles or sensors: {found}. A tuned filter suits one "
+        "vehicle and its sensors; tune a filter for each vehicle"
     )
 
 

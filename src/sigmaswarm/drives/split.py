@@ -38,13 +38,13 @@ def split_drives(
 
 
 def part_of(drive: Drive) -> str:
-    """Return "train" or "test" for a part of `split_time` with a default name, else ""."""
+    """Return "train" or "test" for a part of `split_time` with a default name, otherwise ""."""
     ends = [name for name in ("train", "test") if drive.name.endswith(f"-{name}")]
     return ends[0] if ends and CUT in drive.metadata else ""
 
 
 def name_of_whole(drive: Drive) -> str:
-    """Return the name of the drive that is repaired instead of this part; "" if there is no such drive."""
+    """Return the name of the whole drive, which is repaired instead of this part; "" if there is no such drive."""
     cut = cut_of(drive.metadata)
     name = cut.get("drive")
     return name if isinstance(name, str) and not is_repaired_alone(drive) else ""

@@ -1,7 +1,7 @@
 """Find stale fixes: a receiver without satellites repeats its last position exactly while the car moves on.
 
 A receiver with static hold also repeats its position at a red light, which is correct. Earlier fixes show whether the
-car had stopped before the first repeat. Later fixes are not used, so that live filters share the function.
+car had stopped before the first repeat. Later fixes are not used, so live filters can use the same function.
 """
 
 import math
@@ -16,7 +16,7 @@ from sigmaswarm.drives.drive import Gps
 NEW, HELD, STALE, STALE_MOVING = range(4)
 """Kinds of fixes: a new position, a repeat at rest, and two kinds of repeats while the car may move.
 
-The speed at the first repeat is at most `NO_REST` for STALE. It is higher for STALE_MOVING, so that these repeats are
+The speed at the first repeat is at most `NO_REST` for STALE. For STALE_MOVING the speed is higher, so these repeats are
 not evidence of a standstill.
 """
 
@@ -53,8 +53,8 @@ def _classify_all(fixes: Array, kinds: Array) -> None:
 def kind_of(fixes: Array, kinds: Array, k: int) -> int:
     """Classify fix ``k`` by the earlier fixes.
 
-    All fixes of the last few seconds are compared, so that each of two receivers is compared with itself. The first fix
-    of a run of repeats determines the kind of the whole run.
+    The fix is compared with all fixes of the last few seconds, so that each of two receivers is compared with itself.
+    The first fix of a run of repeats determines the kind of the whole run.
     """
     now = fixes[k, 0]
     last = k - 1

@@ -1,4 +1,4 @@
-"""Detect standstills causally, from a calm IMU and constant fixes.
+"""Detect standstills from past samples: the IMU is calm and the fixes are constant.
 
 At constant speed on a smooth road, the IMU is as calm as at a standstill, so the fixes must also be constant. Fixes
 show a departure late, so the IMU must also be calm. During a gentle departure, the IMU is calm but the acceleration
@@ -8,8 +8,8 @@ Samples are summed in blocks of 50 ms (count, means, squares), so cost and memor
 last second consists of the current block and the 20 before it, the last quarter of a second of the current block and
 the 5 before it. Blocks are merged as in Chan, Golub and LeVeque (Updating formulae and a pairwise algorithm for
 computing sample variances, 1979). Blocks are never subtracted, since rounding errors would accumulate. The last 20
-complete blocks form two stacks. Each block of the older stack is merged with the later blocks of this stack. Blocks of
-the newer stack are single; FRESH is their total.
+complete blocks form two stacks. When a stack is full, each of its blocks is merged with all later blocks of the stack.
+FRESH is the total of the stack that is being filled.
 """
 
 import math
@@ -31,7 +31,7 @@ SETTLES = 0.5  # s, time constant with which the estimated noise at rest falls
 RISES = 0.1
 """Relative growth of the estimated noise at rest while the IMU is nearly calm, 1/s.
 
-The noise of the calmest second is too low an estimate.
+Without this growth, the estimate would be the noise of the calmest second, which is too low.
 """
 DEPARTS = 0.12  # m/s2, change of the forward or left acceleration of a departing car
 FOLLOWS = 1.0  # s, time constant with which the acceleration of the stop follows sensors that warm up
@@ -245,10 +245,10 @@ def matches_stop(stop: Array, passed: float, means: Array) -> bool:
 def fixes_are_still(fixes: Array, kinds: Array, n: int, now: float, until: Array) -> bool:
     """Return True if a straight-line fit to the fixes of the last few seconds has a low speed.
 
-    Rows of ``fixes`` begin with t, x, y. Of the first ``n`` rows, those up to ``now`` are read, except stale fixes of a
-    driving car (``kinds``, see `stale_fixes`). The result is valid until ``until[0]`` if no fix is added. After an
-    outage, the result is False until the window is full: over half a window, the noise of the speed is three times as
-    large, so a departing car could appear to stand.
+    Rows of ``fixes`` begin with t, x, y. Of the first ``n`` rows, those with times up to ``now`` are read, except stale
+    fixes of a driving car (``kinds``, see `stale_fixes`). The result is valid until ``until[0]`` if no fix is added.
+    After an outage, the result is False until the window is full: over half a window, the noise of the speed is three
+    times as large, so a departing car could appear to stand.
     """
     count, t1, x1, y1, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     first, last, k = 0, 0, n - 1

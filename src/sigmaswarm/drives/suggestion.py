@@ -21,21 +21,21 @@ class SuggestedFilter:
 
 
 def suggest_filter(drives: Sequence[Drive | LogProperties]) -> SuggestedFilter:
-    """Choose the filter for cars from the sensors that all logs have, without running filters.
+    """Choose the filter for cars from the sensors that all drives have, without running filters.
 
-    - **tilted12** if every IMU has six axes, with gravity on az. It estimates roll and pitch, so hills and braking are
-      not mistaken for motion. Otherwise **planar8**.
+    - **tilted12** if every IMU has six axes, with gravity on az. This model estimates roll and pitch, so hills and
+      braking are not mistaken for motion. Otherwise **planar8**.
     - **lateral** and **standstill** always. These constraints determine the heading, which position fixes alone do not
       determine.
     - **odometer** if every log has one.
     - **accuracy** if every receiver states standard deviations, and these vary.
-    - **robust** always. It hardly changes results without outliers, and is needed with outliers.
+    - **robust** always. This option hardly changes results without outliers, and is needed with outliers.
 
-    The gate is not used, since a gate tuned on one receiver rejects good fixes of another. The receiver's velocity and
-    heading are not used, since no log with truth had them. Latency is not estimated. Scores do not choose the model:
-    the errors of models chosen by held-out likelihood and predictions exceeded those of the best model by 18 to 24% on
-    average, and by 61 to 122% at worst. With one good model for all drives, the errors exceeded those of the best model
-    by 4 to 12%.
+    The gate is not used, since a gate that was tuned on one receiver rejects good fixes of another receiver. The
+    receiver's velocity and heading are not used, since no drive with truth contained them. Latency is not estimated.
+    Scores do not choose the model: the errors of models chosen by held-out likelihood and predictions exceeded those of
+    the best model by 18 to 24% on average, and by 61 to 122% at worst. With one good model for all drives, the errors
+    exceeded those of the best model by 4 to 12%.
     """
     logs = [log_properties(drive) for drive in drives]
     six = bool(logs) and all(log.attitude for log in logs)

@@ -55,8 +55,8 @@ class TableFile:
     """The cells of a table, and the number of each row (n,), from 1: line of a CSV file, or row of a Parquet file.
 
     If all cells of a CSV file are finite numbers, they are stored as numbers, which need a fifth of the memory of
-    texts. Otherwise they are texts (None if empty), which messages quote. A table in memory has a name instead of a
-    path, and its rows are numbered from 0.
+    texts. Otherwise they are stored as texts (None if empty), which messages quote. A table in memory has a name
+    instead of a path, and its rows are numbered from 0.
     """
 
     path: Path
@@ -143,7 +143,9 @@ class TableFile:
             broken = self.cells[name].str.contains("\n", literal=True).fill_null(False)
             if broken.any():
                 what = "contains a line break"
-                raise self._fault(int(broken.arg_max() or 0), name, what, 'close the quote (") before it')
+                raise self._fault(
+                    int(broken.arg_max() or 0), name, what, 'close the quote (") before the line break'
+                )
 
     def _numbers(self, column: str) -> Array:
         text = self.cells[column]
@@ -199,7 +201,7 @@ def _require_size(path: Path, rows: int, columns: int) -> None:
 
 
 def _parquet(path: Path) -> pl.DataFrame:
-    """Read the numeric columns of a Parquet file; other columns are null."""
+    """Read the numeric columns of a Parquet file; other columns are read as null."""
     try:
         scan = pl.scan_parquet(**one_file(path), hive_partitioning=False)
         schema = scan.collect_schema()
@@ -215,7 +217,7 @@ def _parquet(path: Path) -> pl.DataFrame:
 
 
 def _plain_numbers(path: Path) -> pl.DataFrame | None:
-    """Read a CSV file of finite numbers with unquoted names; None for other files."""
+    """Read a CSV file of finite numbers with unquoted names; return None for other files."""
     if _has_lone_quote(path):
         return None
     try:

@@ -88,7 +88,7 @@ class Gps(Table):
     lat, lon, alt : deg, deg, m: the recorded fixes, if they are in WGS-84
     std_x, std_y : m, the receiver's stated standard deviation
     speed, course : m/s; rad, counter-clockwise from east
-    heading : rad, counter-clockwise from east, from two antennas or a compass; with it filters can start at rest
+    heading : rad, counter-clockwise from east, from two antennas or a compass; filters can then start at rest
     std_heading : rad, stated standard deviation of the heading; `NO_HEADING` or more if the fix has no heading
     """
 
@@ -144,7 +144,7 @@ class Odometer(Table):
 
 @dataclass(frozen=True, eq=False)
 class Truth(Table):
-    """The vehicle's true motion at the IMU, each column of shape (n,). Filters never use it.
+    """The vehicle's true motion at the IMU, each column of shape (n,). Filters never use the truth.
 
     Attributes
     ----------
@@ -190,4 +190,4 @@ def _columns(table: type[Table]) -> tuple[tuple[str, ...], tuple[str, ...]]:
 COLUMNS = {name: _columns(table) for name, table in RECORDS.items()}
 COLUMNS["enu"] = COLUMNS["gps"]
 COLUMNS["wgs84"] = ("t", "lat", "lon"), tuple(c for c in COLUMNS["gps"][1] if c not in ("lat", "lon"))
-"""Required and optional columns of each table; those of gps also for each frame."""
+"""Required and optional columns of each table, for the table gps also by frame."""

@@ -4,8 +4,9 @@ The mean specific force, minus the acceleration that the fixes and the gyro show
 
     forward:  accelerometer bias - g pitch        left:  accelerometer bias + g roll - v (vertical gyro bias)
 
-Only these sums are observable at the start. The gyro shows the changes of roll and pitch in the seconds before: with
-the tilt e = roll + i pitch at the start and the turn psi since an earlier time, the tilt at the earlier time is
+Only these sums are observable at the start. The gyro shows the changes of roll and pitch in the seconds before the
+start. If e = roll + i pitch is the tilt at the start and psi the turn since an earlier time, the tilt at the earlier
+time is
 
     exp(-i psi) (e - integral of (rates - biases) exp(i psi))
 """
@@ -36,11 +37,12 @@ lateral acceleration (m/s).
 class TiltEvidence:
     """Evidence about tilts and accelerometer biases from one alignment.
 
-    ``numbers`` (16,), in the order of C's InsGpsGyro: FORCE and its VARIANCE, forward and left, in m/s2 and (m/s2)^2;
-    TURN and DRIFT (s), the changes of the mean tilt, real and imaginary part, per unit of the tilt at the start and of
-    the gyro's biases about the forward and left axes; the mean speed, m/s. The alignment's mean is valid for the
-    forward force ASSUMED, and its covariance includes the variance of this force, ASSUMED_VARIANCE; CHANGE is the
-    change of x, y, vx, vy, theta per m/s2 of forward force.
+    ``numbers`` (16,) have the order of InsGpsGyro in C. FORCE and VARIANCE are the mean specific force, forward and
+    left, and its variance, in m/s2 and (m/s2)^2. TURN and DRIFT (s) are the changes of the mean tilt, real and
+    imaginary part, per unit of the tilt at the start and per unit of the gyro's biases about the forward and left axes.
+    The mean speed (m/s) follows. The alignment's mean is valid for the forward force ASSUMED, and the alignment's
+    covariance includes the variance of this force, ASSUMED_VARIANCE. CHANGE is the change of x, y, vx, vy, theta per
+    m/s2 of forward force.
     """
 
     numbers: Array

@@ -1,12 +1,12 @@
 """The merged time line: the steps of a filter, and the measurements at their ends.
 
-The IMU sample at t_k drives the filter from t_(k-1) to t_k. A fix between these times splits the step in two, both
-driven by this sample, and updates the filter at its own time. The second of two fixes with equal times, from two
-receivers, has a step of length 0. Process noise is the variance per nominal interval (the median) and is scaled by
-dt / nominal.
+The IMU sample at t_k drives the filter from t_(k-1) to t_k. A fix between these times splits the step into two steps,
+both driven by this sample, and updates the filter at the time of the fix. The second of two fixes with equal times,
+from two receivers, has a step of length 0. Process noise is the variance per nominal interval (the median) and is
+scaled by dt / nominal.
 
 In a gap of the IMU, the input is the mean of the samples before and after it (`drives.gaps`). Stale fixes are left out
-(`drives.stale_fixes`). With ``as_recorded`` both rules are off.
+(`drives.stale_fixes`). ``as_recorded`` turns off the rules for gaps and stale fixes.
 """
 
 from collections.abc import Sequence
@@ -122,7 +122,7 @@ class Timeline:
         return Alignments(self.drive, usable=self.kinds < STALE)
 
     def hiding(self, hidden: Mask) -> "Timeline":
-        """Return this time line with the fixes hidden where ``hidden`` (g,) is True; both share arrays."""
+        """Return this time line with fixes hidden where ``hidden`` (g,) is True; the two time lines share arrays."""
         hides = np.zeros(len(self.end), dtype=np.bool_)
         hides[self.updates] = hidden[_usable(self.drive, self.start, self.kinds)]
         return replace(self, updates=self.updates & ~hides, hides=hides, **self._seen(hidden))
@@ -161,8 +161,8 @@ def build_timeline(
 ) -> Timeline:
     """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out.
 
-    ``as_recorded``: use stale fixes, and treat IMU gaps as ordinary steps. ``kinds`` (g,): kinds of the fixes, if
-    already known.
+    ``as_recorded``: True to use stale fixes and to treat IMU gaps as ordinary steps. ``kinds`` (g,): kinds of the
+    fixes, if already known.
     """
     imu = drive.imu
     if kinds is None:
@@ -232,7 +232,10 @@ def _is_last(ends: Array) -> Mask:
 
 
 def _among(times: Array, known: Array) -> Mask:
-    """Mark the times that are among the known times, both increasing; `np.isin` would sort copies of both."""
+    """Mark the times that are among the known times.
+
+    Both arrays are increasing; `np.isin` would sort copies of them.
+    """
     if not len(known):
         return np.zeros(len(times), dtype=np.bool_)
     at = np.searchsorted(known, times, side="left")

@@ -22,13 +22,13 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
     """Write a drive as a folder from which ``read_drive`` reads identical data.
 
     The same drive always gives identical files. The folder is written under another name, read back and then renamed,
-    so that a partial or unreadable drive never appears.
+    so that a partial or unreadable drive is never visible.
 
     Parameters
     ----------
     drive : Drive
         A "wgs84" drive is written with lat, lon and alt, from which the reader computes x and y. The name is written if
-        it differs from that of the folder.
+        it differs from the name of the folder.
     path : str or Path
         The folder to create, including missing parents.
     overwrite : bool

@@ -1,1 +1,1 @@
-"""Many tunings, with different seeds, splits or methods, and statistics of their results."""
+"""Tuning runs with different seeds, splits or methods, and statistics of their results."""

@@ -93,15 +93,15 @@ def compare(
     progress : callable, optional
         Called with the number of finished runs and the number of all runs.
     optimizers : sequence of str
-        Names, optionally with settings: ``pso:polish=300``, ``pso:particles=10,trials=3``. All must have the same
-        budget: particles x generations x trials. The statistical tests compare the others with the first one. By
-        default pso, ga, ga-pso, de, cma-es and random.
+        Names, optionally with settings: ``pso:polish=300``, ``pso:particles=10,trials=3``. All optimizers must have the
+        same budget: particles x generations x trials. The statistical tests compare the first optimizer with each of
+        the others. By default pso, ga, ga-pso, de, cma-es and random.
     scales : sequence of str
         log10 (the default), linear or both.
     seeds : int
         Number of runs of each optimizer, with seeds 0, 1, ...; 20 by default.
     workers : int, optional
-        Number of threads; by default the number of cores. The result is the same with any number.
+        Number of threads; by default the number of cores. The result does not depend on this number.
     **options
         Options of every tuning, see `CompareOptions`: objective, model, particles, generations, ...
 
@@ -221,7 +221,7 @@ def _contenders(options: GridOptions, drives: Sequence[Any]) -> list[Contender]:
         if other.budget != first.budget:
             raise InputError(
                 f"{other.name} has {other.budget} evaluations (particles x generations x trials), "
-                f"but {first.name} has {first.budget}; use the same number for all"
+                f"but {first.name} has {first.budget}; use the same number for all optimizers"
             )
     return contenders
 

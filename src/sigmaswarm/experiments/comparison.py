@@ -98,7 +98,7 @@ class Comparison:
     Attributes
     ----------
     contenders : tuple of Contender
-        The first one is the reference of the statistical tests.
+        The first contender is the reference of the statistical tests.
     runs : mapping of a contender's label to tuple of Outcome
         One outcome for each seed.
     budget : int

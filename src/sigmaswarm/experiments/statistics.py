@@ -55,7 +55,7 @@ def _mean_known(values: Array, axis: int) -> Array:
 
 
 def std(values: Array) -> float:
-    """Return the standard deviation; NaN for fewer than two values, or if any is not finite."""
+    """Return the standard deviation; NaN for fewer than two values, or if a value is not finite."""
     return float(np.std(values, ddof=1)) if len(values) > 1 and np.isfinite(values).all() else math.nan
 
 
@@ -101,8 +101,8 @@ def crossed_bootstrap(values: Array, strata: Sequence[str], draws: Draws) -> Int
 
     The interval accounts for the choice of drives and the variation of the optimizer (A. B. Owen, The pigeonhole
     bootstrap, Annals of Applied Statistics 1, 2007). `levels` are resampled instead of scores, since the test drives of
-    trials differ. With few trials or drives, percentile intervals are too narrow, so the tail probability follows from
-    Student's t (T. C. Hesterberg, The American Statistician 69, 2015).
+    trials differ. With few trials or drives, percentile intervals are too narrow, so the tail probability is computed
+    from Student's t (T. C. Hesterberg, The American Statistician 69, 2015).
     """
     known_values = ~np.isnan(values)
     kept, trials = known_values.any(axis=0), known_values.any(axis=1)
@@ -123,7 +123,7 @@ def crossed_bootstrap(values: Array, strata: Sequence[str], draws: Draws) -> Int
 
 
 def levels(values: Array) -> tuple[Array, Array]:
-    """Return levels of drives (n,) and trials (m,) whose sums fit the known scores (m, n) by least squares."""
+    """Return the levels of drives (n,) and of trials (m,) whose sums fit the known scores (m, n) by least squares."""
     known = ~np.isnan(values)
     counted, filled = known.astype(np.float64), np.where(known, values, 0.0)
     share = counted / counted.sum(axis=0)  # weight of each trial in the levels of its drives
@@ -189,7 +189,7 @@ def median_interval(values: Array) -> Interval:
 def signed_rank(own: Array, theirs: Array) -> float:
     """Return the p-value of the two-sided signed-rank test over pairs; 1 if no pair differs.
 
-    An infinite cost is replaced by a larger value than all finite costs. F. Wilcoxon, Biometrics Bulletin 1, 1945.
+    An infinite cost is replaced by a value above all finite costs. F. Wilcoxon, Biometrics Bulletin 1, 1945.
     """
     finite = np.concatenate([own, theirs])
     finite = finite[np.isfinite(finite)]

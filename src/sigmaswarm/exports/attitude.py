@@ -1,4 +1,4 @@
-"""Attitudes and velocities in body axes of estimates. In planar models roll and pitch are 0."""
+"""Attitudes of estimates, and their velocities in body axes. In planar models roll and pitch are 0."""
 
 import numpy as np
 
@@ -31,7 +31,7 @@ def rotations(mean: Array) -> Array:
 
 
 def body_velocity(mean: Array) -> tuple[Array, Array]:
-    """Return the velocity along the body axes x and y, (k, 2) m/s, of means (k, n), and its Jacobian (k, 2, 3 or 5).
+    """Return the velocity along the body axes x and y, (k, 2) m/s, for means (k, n), and its Jacobian (k, 2, 3 or 5).
 
     The velocity is R' (vx, vy, vz), where vz is such that the velocity along the body's z axis is 0. The Jacobian is
     with respect to vx, vy, theta and, if the model has them, roll and pitch.

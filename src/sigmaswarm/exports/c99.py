@@ -46,13 +46,14 @@ def c99(
     """Return the text of each file by name. Q refers to steps of ``interval`` s; ``as_recorded``: see `PreparedDrive`.
 
     ``mounting``: roll, pitch and yaw of the IMU, deg, for the C function that rotates raw samples. ``lanes``: filters
-    of a bank; None: one filter. ``imu_axes``: expressions with which the import read the IMU's axes, for the README.
+    of a bank; None for a single filter. ``imu_axes``: expressions with which the import read the IMU's axes, for the
+    README.
 
     Raises
     ------
     InputError
-        If a parameter cannot be written as a C constant, the IMU's sampling rate is too high, or the model has no C
-        text for this kind of filter.
+        If a parameter cannot be written as a C constant, the IMU's sampling rate is too high, or the filter type of the
+        model is not available in C.
     """
     if interval < MIN_INTERVAL:
         raise InputError(
@@ -110,15 +111,16 @@ def replay_events(
 ) -> list[tuple[str, list[float]]]:
     """Return the events of a drive, sorted by time: ``start``, followed by ``imu``, ``fix`` and ``odometer``.
 
-    Each event has the numbers of a row of the input of replay.c. ``model`` determines the axes of IMU and lever arm.
-    ``heading`` includes headings of fixes. Fixes and readings after the last IMU sample are left out.
+    Each event has the numbers of a row of the input of replay.c. ``model`` determines the axes of the IMU and of the
+    lever arm. If ``heading`` is True, headings of fixes are included. Fixes and readings after the last IMU sample are
+    left out.
 
     Raises
     ------
     InputError
-        If the IMU lacks an axis of the model.
+        If the drive does not contain an IMU axis that the model needs.
     AlignmentError
-        If the drive has no start for the filter.
+        If the filter's initial state cannot be computed from the drive.
     """
     requirements.require_axes(drive, model)
     initial, imu = initial_state(drive, as_recorded=as_recorded), drive.imu
@@ -146,8 +148,9 @@ def replay_events(
 def _fixes(gps: Gps, heading: bool) -> list[list[float]]:
     """Return rows of time (s), position (m) and, if logged, velocity (m/s) and standard deviations (m), east and north.
 
-    With ``heading``, if fixes have headings, the rows have all these columns, and also the heading and its standard
-    deviation, rad. A missing velocity or heading is NaN, and missing standard deviations of the position are 0.
+    If ``heading`` is True and fixes have headings, the rows have all these columns, and also the heading and its
+    standard deviation, rad. A missing velocity or heading is NaN, and missing standard deviations of the position are
+    0.
     """
     heading = heading and gps.heading is not None
     columns = [gps.time, gps.x, gps.y]

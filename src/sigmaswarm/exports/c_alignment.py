@@ -1,4 +1,4 @@
-"""Translate the fit of an alignment from the library's functions to C99, always in double."""
+"""Translate the fit of an alignment from the library's functions to C99; the C code always uses double."""
 
 # pyright: reportPrivateUsage=false
 
@@ -71,7 +71,7 @@ class _OfMonitor(_OfFit):
 
 
 def alignment_of(*, biases: bool, tilted: bool) -> dict[str, str]:
-    """Return C text by name: the fit, the update of a filter with its evidence, and rules of the divergence monitor."""
+    """Return C text by name: the fit, the update of a filter with evidence, and the rules of the divergence monitor."""
     fit = [alignment_fit.turn_path, alignment_fit.fit_path, alignment_fit.convert_to_start]
     fit += [tilt_evidence.mean_forces] if tilted else []
     evidence = [*((gyro_bias.mix_biases, gyro_bias.update_biases) if biases else ())]

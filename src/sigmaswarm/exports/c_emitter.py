@@ -1,4 +1,4 @@
-"""Translate the kernels of the compiled filter to C99, for one batch column, without terms that are 0 in a filter."""
+"""Translate the kernels of the compiled filter to C99 for one filter, without terms that are 0 in this filter."""
 
 import ast
 import re
@@ -39,7 +39,7 @@ class Emitter:
     Parameters
     ----------
     rows : dict
-        For each row of parameters: C text, a number, or None if C does not have the row.
+        For each row of parameters: C text, a number, or None if the C code does not contain the row.
     states : sequence of str
         C names of the filter's states.
     settings : dict
@@ -65,7 +65,7 @@ class Emitter:
         """Translate a kernel or a plain function, and before it the functions that it calls.
 
         ``name`` is the name in calls, by default that of the function. ``known`` contains the values of parameters. If
-        its ``e`` are `Elements`, the function writes its results to these.
+        its value ``e`` is `Elements`, the function writes its results to these elements.
         """
         if isinstance(function, Kernel):
             function, known = function.source, {**function.known, **known}
@@ -102,7 +102,7 @@ class Emitter:
 class _Function(ast.NodeTransformer):
     """Translation of one function to C.
 
-    In a rewritten expression, each name is C text; numbers are also names, for example ``R(0.5)``.
+    A rewritten expression contains C text in place of each name and each number, for example ``R(0.5)``.
     """
 
     def __init__(
@@ -239,7 +239,7 @@ class _Function(ast.NodeTransformer):
         self.put(f"{self.call(call, outs)};", depth)
 
     def store_all(self, targets: list[ast.expr], values: list[ast.expr], depth: int) -> None:
-        """Print simultaneous assignments one after another; raise if one reads an earlier target."""
+        """Print simultaneous assignments one after another; raise an error if one reads an earlier target."""
         folded = [self.fold(value) for value in values]
         written: set[str] = set()
         for k, (target, value) in enumerate(zip(targets, folded, strict=True)):

@@ -1,7 +1,7 @@
 """Translate the rules for samples and fixes (standstill, stale fixes, gaps) from the library's functions to C99.
 
-The exported C has its own type for times, since the float build counts ticks. ``seconds_between`` returns the
-difference of two times; ``SECONDS`` converts seconds that are added to a time.
+The exported C code has a type for times, since the float build counts ticks. ``seconds_between`` returns the difference
+of two times; ``SECONDS`` converts seconds that are added to a time.
 """
 
 # pyright: reportPrivateUsage=false

@@ -56,16 +56,18 @@ def check_export(
     lanes: int = 1,
     seed: int = 0,
 ) -> list[ExportCheck]:
-    """Compile the exported C library in ``folder`` and compare it on drives, with arguments as in `export_texts`.
+    """Compile the exported C library in ``folder``, and compare it with Python on drives.
+
+    For the arguments see `export_texts`.
 
     The reference is `run_filter` without resets or, if ``lanes`` exceeds 1, a `LiveFilterBank` without searches.
 
     Raises
     ------
     InputError
-        If there is no C compiler, the build fails, or a drive lacks an input of the filter.
+        If there is no C compiler, the build fails, or a drive does not contain an input of the filter.
     AlignmentError
-        If a drive has no start for the filter.
+        If the filter's initial state cannot be computed from a drive.
     """
     all_lanes = Lanes(lanes, seed)
     double, single_precision = LIBRARIES

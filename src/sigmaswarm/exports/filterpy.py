@@ -1,6 +1,6 @@
 """Write the filter as a Python script that needs only NumPy and FilterPy.
 
-The script contains sigmaswarm's source of the parts that FilterPy lacks, so both give the same results.
+The script contains the source of those parts of sigmaswarm that FilterPy does not have, so both give the same results.
 """
 
 import ast
@@ -35,7 +35,7 @@ MODEL = {
     models: "THETA ACCEL_BIAS GYRO_BIAS planar5 planar8 gps_position velocity lateral_arm lateral_velocity "
     "wheel_speed heading gyro_bias"
 }
-"""Names in each module that the script contains; an empty text means all. Likewise FILTER and DRIVE."""
+"""Names in each module that the script contains; an empty text means all names. FILTER and DRIVE have the same form."""
 FILTER = {
     gaussian: "Innovation Prediction GaussianFilter",
     ekf: "complex_step",

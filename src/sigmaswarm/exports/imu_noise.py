@@ -51,7 +51,7 @@ def noise_texts(noise: Noise, target: NoiseTarget) -> dict[str, str]:
     sign = "%" if target == "matlab" else "#"
     lines = [f"Noise of the IMU of {noise.name}, {noise.rate:.6g} Hz, by sigmaswarm", *noise.remarks]
     lines += [
-        f"{axis} was not measured; it has the value of the other axes"
+        f"{axis} was not measured; the value is that of the other axes"
         for axes, _ in SENSORS.values()
         for axis in axes.split()
         if axis not in known
@@ -66,7 +66,7 @@ _white = attrgetter("white.value")
 
 
 def _walk_of(noise: Noise, sensor: str) -> Callable[[AxisNoise], float]:
-    """Return a function from an axis to the random walk of its bias, unit/sqrt(s); typical if it was not measured."""
+    """Return a function from an axis to the random walk of its bias, unit/sqrt(s); if not measured, a typical value."""
 
     def walk(axis: AxisNoise) -> float:
         std, time = axis.bias(noise.longest)

@@ -42,7 +42,7 @@ class Description:
 DESCRIPTIONS: dict[Target, Description] = {
     "c99": Description(
         title="C99",
-        needs="Needs a C compiler and math.h; no heap, no other library. Runs on a microcontroller.",
+        needs="Needs a C compiler and math.h; no heap, no other library. The code runs on a microcontroller.",
         commands={
             "ins_gps.c": "cd {} && cc -std=c99 -O2 ins_gps.c ins_gps_align.c replay.c -lm -o replay",
             "replay.csv": " && ./replay < replay.csv > estimate.csv",
@@ -58,7 +58,7 @@ DESCRIPTIONS: dict[Target, Description] = {
     ),
     "robot_localization": Description(
         title="ROS robot_localization",
-        needs="Needs ROS 2 and robot_localization. The values of a planar filter are only a starting point.",
+        needs="Needs ROS 2 and robot_localization. For a planar filter the values are only a first configuration.",
         commands={
             "ekf.launch.py": "ros2 launch {}/ekf.launch.py",
             "robot_localization.yaml": (

@@ -25,7 +25,7 @@ DEFAULT_PROCESS_NOISE = (
 )  # fmt: skip
 """Default process noise per second: x, y, z; roll, pitch, yaw; their rates; accelerations."""
 SMALL, FIRST_FIX = 1e-6, 1.0
-"""Initial variance of states that `two_d_mode` keeps at 0, and smallest initial variance of x and y (m2)."""
+"""Initial variance of the states that `two_d_mode` keeps at 0, and smallest initial variance of x and y (m2)."""
 START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
 """Initial variances of vx, vy, yaw, ax, ay, yaw rate, for an initial_state set as in README.md."""
 

@@ -34,7 +34,7 @@ INNOVATION, INNOVATION_SIGMA, NIS = (
 )
 INTERVAL = 0.1  # s between messages of the topics SIGMA and FIX
 NOT_ESTIMATED = 1e6
-"""Variance of what a filter does not estimate: height, vertical velocity, rates; in planar models roll and pitch."""
+"""Variance of states that a filter does not estimate: height, vertical velocity, rates; in planar models attitude."""
 RawMessage = tuple[int, Any, Any]  # ns, connection in the new bag, bytes
 Message = tuple[int, str, Any]  # ns, topic, message
 
@@ -52,13 +52,14 @@ def ros2(
 ) -> None:
     """Write a bag (a folder with MCAP storage) and a layout for Foxglove, with parameters as in `write_pieces`.
 
-    Without ``replace``, ``path`` must not exist. Topics of ``merge`` of unknown type are omitted with a warning.
+    Without ``replace``, ``path`` must not exist. Topics of the bag ``merge`` that have an unknown type are omitted with
+    a warning.
 
     Raises
     ------
     InputError
         If rosbags is not installed, a time is before 0, or ``merge`` is damaged, covers other times, or already
-        contains /sigmaswarm/odometry. No file remains.
+        contains /sigmaswarm/odometry. In these cases no file remains.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
@@ -206,7 +207,7 @@ class MessageFactory:
 def _messages(
     pieces: Iterable[Estimate], factory: MessageFactory, origin: Origin | None
 ) -> Iterator[Message]:
-    """Yield estimates; once per `INTERVAL` also standard deviations, if known, and the NavSatFix, if ``origin`` is."""
+    """Yield estimates; once per `INTERVAL` also standard deviations (if known) and the NavSatFix (with ``origin``)."""
     before = -1
     for estimate in pieces:
         velocity, jacobian = body_velocity(estimate.mean)
@@ -228,7 +229,7 @@ def _messages(
 
 
 def _of_innovations(innovations: Innovations | None, factory: MessageFactory) -> Iterator[Message]:
-    """Yield innovations, m east and north, their standard deviations (m) and NIS, of the fixes before a failure."""
+    """Yield innovations (m east and north), their standard deviations (m) and NIS for the fixes before a failure."""
     if innovations is None:
         return
     sound = definite(innovations.covariance)  # False after a failure of the filter

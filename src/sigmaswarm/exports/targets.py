@@ -50,14 +50,14 @@ def export_texts(
     Raises
     ------
     InputError
-        If the target is unknown or does not support the model, ``replay`` or ``lanes``; if the parameters lack the
-        nominal interval; or if a variance of Q is negative, or one of R is not positive.
+        If the target is unknown or does not support the model, ``replay`` or ``lanes``; if the parameters do not
+        contain the nominal interval; or if a variance of Q is negative or a variance of R is not positive.
     """
     interval = _checked(parameters, target)
     if target != "c99" and replay is not None:
-        raise InputError(f"--replay is for --to c99 only: {target} has no program that replays a drive")
+        raise InputError(f"--replay needs --to c99: {target} has no program that replays a drive")
     if target != "c99" and lanes != 1:
-        raise InputError(f"--lanes is for --to c99 only: {target} runs one filter")
+        raise InputError(f"--lanes needs --to c99: {target} runs only one filter")
     match target:
         case "c99":
             texts = c99(

@@ -40,7 +40,7 @@ def write_pieces(
 ) -> None:
     """Write an estimate, in pieces, to a file; the extension selects the format.
 
-    ``.csv``: t, x, y, vx, vy, theta and std_x ... std_theta (s, m, m/s, rad); also further states of the model with
+    ``.csv``: t, x, y, vx, vy, theta and std_x ... std_theta (s, m, m/s, rad); also the other states of the model and
     their standard deviations. ``.mat``, for MATLAB: t, the states by name, and covariance (n, states, states).
     ``.tum``: one line ``t x y z qx qy qz qw`` per estimate, z = 0 and the attitude as a quaternion. ``.kitti``: one
     line of 12 numbers per estimate, the 3 x 4 matrix of the pose row by row, without time. ``.ros2``: a ROS 2 bag (a
@@ -114,13 +114,13 @@ def write_fixes(
 def check_fixes_target(path: Path, origin: Origin | None = None) -> None:
     if path.suffix not in (endings := (".csv", *MAPS)):
         raise InputError(
-            f"{path}: this format needs poses, and fixes have no attitude; end the name in {', '.join(endings)}"
+            f"{path}: this format needs poses, but fixes have no attitude; end the name in {', '.join(endings)}"
         )
     check_target(path, origin)
 
 
 def time_origin_of(drive: Drive) -> float:
-    """Return the time on the log's clock (s) at which the times of a drive are 0; 0 if the import stored none."""
+    """Return the time on the log's clock (s) at which the times of a drive are 0; 0 if the import did not store it."""
     stated = drive.metadata.get("time_origin_s", 0.0)
     usable = isinstance(stated, int | float) and abs(stated) < _LATEST_ORIGIN  # not NaN
     return float(stated) if usable else 0.0
@@ -129,7 +129,10 @@ def time_origin_of(drive: Drive) -> float:
 def check_target(
     path: Path, origin: Origin | None = None, merge: str | Path | None = None, *, replace: bool = False
 ) -> None:
-    """Raise `InputError` if an estimate can't be written; ``replace`` permits to replace a bag of this function."""
+    """Raise `InputError` if an estimate can't be written.
+
+    If ``replace`` is True, a bag of this module may be replaced.
+    """
     endings = [*_WRITERS, BAG, *MAPS]
     if path.suffix not in endings:
         raise InputError(

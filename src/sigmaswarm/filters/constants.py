@@ -8,14 +8,18 @@ from sigmaswarm.filters.parameters import FilterParameters
 
 STANDSTILL_RATE_NOISE = np.radians(0.5) ** 2  # rad2/s2, variance of the gyro's reading around its bias
 SLIP_GATE = 9.0
-"""Largest accepted NIS of a wheel speed: three sigmas. The errors of slipping or locked wheels last for seconds, so
-even updates with small weights would add up. The number of consecutive rejections is not limited: the fixes determine
-the speed meanwhile, and P grows until it includes the true speed.
+"""Largest accepted NIS of a wheel speed: three sigmas.
+
+The errors of slipping or locked wheels last for seconds, so even updates with small weights would add up. The number of
+consecutive rejections is not limited: during rejections the fixes determine the speed, and P grows until the true speed
+is plausible.
 """
 HEADING_GATE = 9.0
-"""Largest NIS of a heading. If the NIS is larger, the variance is increased until the NIS has this value (G. Chang,
-Robust Kalman filtering based on Mahalanobis distance as outlier judging criterion, Journal of Geodesy 88, 2014). A
-filter with a wrong heading can therefore recover.
+"""Largest NIS of a heading.
+
+If the NIS is larger, the variance is increased until the NIS has this value (G. Chang, Robust Kalman filtering based on
+Mahalanobis distance as outlier judging criterion, Journal of Geodesy 88, 2014). A filter with a wrong heading can
+therefore recover.
 """
 MOST_REJECTED = 5  # the gate rejects at most this many consecutive fixes, so that a filter can recover
 
@@ -29,8 +33,9 @@ def gap_covariance(n: int, dt: float, gap: float) -> Array:
     """Return the covariance (n, n) that a step of ``dt`` s in a gap of ``gap`` s adds to P + Q; 0 if there is no gap.
 
     The unobserved motion is a constant turn rate and a constant acceleration over the gap. Together, the steps in a gap
-    therefore add (GAP_TURN_STD gap)^2 to the variance of the heading and (GAP_ACCELERATION_STD gap)^2 to that of each
-    velocity; in each step, the position changes by dt / 2 times the change of velocity. `GAP_TILT_STD` is not included.
+    therefore add (GAP_TURN_STD gap)^2 to the variance of the heading and (GAP_ACCELERATION_STD gap)^2 to the variance
+    of each velocity. In each step, the position changes by dt / 2 times the change of velocity. `GAP_TILT_STD` is not
+    included.
     """
     added = np.zeros((n, n))
     g = GAP_ACCELERATION_STD**2 * gap * dt

@@ -4,9 +4,9 @@ The fixes of the last few seconds determine position, speed and heading without 
 has diverged if, for `DIVERGED_AFTER` seconds, its heading differs from this alignment, or its position from the fixes,
 by far more than the covariances allow. It is then reset to the alignment.
 
-The thresholds were chosen on nine recordings. For filters that had not diverged, the heading differed by more than 20
-deg from the alignments for at most 8 s. The position differed by more than 20 m and 5 standard deviations from the
-fixes for at most 6 s. For diverged filters, both differences persisted for at least 18 s.
+The thresholds were chosen on nine recordings. Filters that had not diverged differed from the alignments by more than
+20 deg in heading for at most 8 s. They differed from the fixes by more than 20 m and 5 standard deviations for at most
+6 s. For diverged filters, both differences lasted for at least 18 s.
 """
 
 import math
@@ -36,7 +36,7 @@ POSITION_OFF = 20.0  # m, smallest difference of a fix from its prediction
 SUSPECT_HEADING = np.radians(10.0)  # rad, difference from the rough heading that requires an alignment
 SPEED_STD = 10.0  # m/s per axis, standard deviation of the velocity after a reset to the last fix
 CHECKS, SINCE, LAST = range(3)
-"""Indices in the record of a contradiction: number of checks, times of the first and the last check (s)."""
+"""Columns of a contradiction's record: its number of checks, and the times (s) of its first and last check."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +235,7 @@ class _Contradiction:
         return None
 
     def _soonest(self, times: Sequence[float]) -> int:
-        """Return the index of the first check that could complete `DIVERGED_AFTER`; if none can, of the last check."""
+        """Return the index of the first check that could complete `DIVERGED_AFTER`, or the index of the last check."""
         checks = self._record[CHECKS]
         since = self._record[SINCE] if checks else times[0]
         lasting = (t - since >= DIVERGED_AFTER and checks + k + 1 >= MIN_CHECKS for k, t in enumerate(times))

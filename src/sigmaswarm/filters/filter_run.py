@@ -26,7 +26,7 @@ CHUNK_SAMPLES = 10_000  # IMU samples in a piece (9 MB for planar8)
 
 @dataclass(frozen=True, eq=False)
 class EstimateChunk:
-    """Estimates at consecutive IMU samples; each uses all fixes up to its sample."""
+    """Estimates at consecutive IMU samples; each estimate uses all fixes up to its sample."""
 
     time: Array  # (r,), s
     mean: Array  # (r, n), as in `Estimate`
@@ -75,8 +75,8 @@ class Innovations:
 class FilterRun:
     """Run of a filter over a drive: an iterator of pieces. Sums and innovations are available after the last piece.
 
-    ``samples``: number of IMU samples in a piece; it does not affect the results. ``recover``: reset the filter if it
-    diverges. At a sample at which the filter is reset, the sums contain the error before the reset.
+    ``samples``: number of IMU samples in a piece; the results do not depend on this number. ``recover``: True to reset
+    the filter if it diverges. At a sample at which the filter is reset, the sums contain the error before the reset.
 
     Attributes
     ----------
@@ -179,7 +179,7 @@ class FilterRun:
     def _check(self, steps: Indices, record: Array) -> tuple[int, InitialState | None]:
         """Check the filter at the recorded steps, up to the first divergence.
 
-        Return the row of the divergence and the state for a reset (None if there is no alignment); without a
+        Return the row of the divergence and the state for a reset (None if there is no alignment). If there is no
         divergence, return the last row and None.
         """
         times = self._checks
@@ -256,7 +256,7 @@ class FilterRun:
 
     @property
     def innovations(self) -> Innovations:
-        """Innovations of all fixes, including hidden ones; available after the last piece."""
+        """Innovations of all fixes, including hidden fixes; available after the last piece."""
         self._need_all()
         rows, time = self._innovations, self._pass.timeline.fix_time
         return Innovations(time, rows[:, :2], rows[:, [2, 3, 3, 4]].reshape(-1, 2, 2))

@@ -1,14 +1,15 @@
 """Correlated fix errors as two Gauss-Markov states b: an option of every model with the IMU as input.
 
 Many receivers smooth their fixes, so the errors of successive fixes are correlated. The states b (m, east and north)
-are appended to the model's states; the model's process does not depend on b. A fix measures p + b + v: position of the
-antenna, correlated error, white noise. Between two fixes dt apart
+are appended to the model's states; the model's process does not depend on b. A fix measures p + b + v, where p is the
+position of the antenna, b the correlated error and v white noise. Between two fixes dt apart
 
     b <- phi b,    P_bb <- phi^2 P_bb + g s^2 (1 - phi^2),    phi = exp(-dt / tau)
 
 where g and tau are the parameters ``fix_error`` and ``fix_error_time``, and s is the stated standard deviation of the
-later fix; if none is stated, s is ``fix_std``. A filter starts at a fix with the estimate 0 of b, so the errors of its
-position and of b are b and -b: P_bb = g s^2, P_pp += g s^2, P_pb = -g s^2. Returned estimates omit b.
+later fix or, if none is stated, ``fix_std``. A filter starts at a fix with an estimate of 0 for b. Therefore the error
+of the position is b, and the error of the estimate of b is -b: P_bb = g s^2, P_pp += g s^2, P_pb = -g s^2. Returned
+estimates omit b.
 """
 
 from collections.abc import Callable
@@ -26,7 +27,7 @@ SUFFIX = "+fix-error"  # end of the name of a model with the states b
 
 @dataclass(frozen=True)
 class AugmentedMeasurement:
-    """A measurement of a model with the states b; ``gain`` is 1 if the measurement contains b, else 0."""
+    """A measurement of a model with the states b; ``gain`` is 1 if the measurement contains b, otherwise 0."""
 
     own: Any
     gain: float = 0.0

@@ -63,7 +63,7 @@ def _filter(
 
 
 def _variances(line: Timeline) -> Array:
-    """Return the variance of each fix per axis, m2; a typical variance if not all fixes state theirs."""
+    """Return the variance of each fix per axis, m2; a typical variance if not all fixes have stated variances."""
     stated = line.fixes[:, FIX_VAR_X : FIX_VAR_X + 2].mean(axis=1)
     return (
         stated if line.states_accuracy and np.all(stated > 0) else np.full(len(stated), UNSTATED_GPS_STD**2)
@@ -71,7 +71,7 @@ def _variances(line: Timeline) -> Array:
 
 
 def fit_noise(replay: FilterPass) -> MotionNoise:
-    """Estimate the noise parameters of a drive by maximum likelihood of its fixes; with fewer than 3, both are 1."""
+    """Estimate the noise parameters of a drive by maximum likelihood; for fewer than 3 fixes, both are 1."""
     line = replay.timeline
     fixes, variance = np.ascontiguousarray(line.fixes[:, FIX_X : FIX_X + 2]), _variances(line)
     if len(fixes) < 3:
@@ -93,7 +93,7 @@ def fitted_noise(ready: PreparedDrive) -> MotionNoise:
 
 
 class FixesAlone:
-    """Run of this filter over a drive; it yields one piece, with estimates at the times of the IMU samples."""
+    """Run of this filter over a drive, which yields one piece with estimates at the times of the IMU samples."""
 
     failure: str | None = None
     restarts: Sequence[float] = ()

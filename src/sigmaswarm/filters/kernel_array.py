@@ -40,7 +40,8 @@ from sigmaswarm.filters.starts import start_std, starts_of
 from sigmaswarm.filters.student import OUTLIERS_SPAN
 
 Starts = dict[InitialState, tuple[Array, Array]]
-"""Initial state rows (N_STATE, columns) and headings (columns,), rad; a single column if all are equal."""
+"""Initial state rows (N_STATE, columns) and headings (columns,), rad; a single column if all sets have the same start.
+"""
 
 MAX_STARTS = 20_000  # largest number of columns of starts that are computed in advance; each has 3 kB
 MAX_CACHED_STARTS = 1_000  # largest number of cached starts with one column
@@ -105,7 +106,7 @@ class KernelArray:
         self._starts: Starts = {}
 
     def part(self, sets: range) -> "KernelArray":
-        """Return the array of some of the sets, which shares the values computed for all sets."""
+        """Return an array of only these sets; it shares the values computed for all sets."""
         part = copy(self)
         part._first, part.size = self._first + sets.start, len(sets)
         return part
@@ -129,7 +130,7 @@ class KernelArray:
 
     @property
     def plausible(self) -> Mask:
-        """True for sets with Q >= 0 and R > 0, (size,); for others, P may become indefinite long before a check."""
+        """True for sets with Q >= 0 and R > 0, (size,); for other sets, P may become indefinite long before a check."""
         own = self._constants[:, self._first : self._first + self.size]
         r = own[[R.RX - CONSTANT_ROWS.start, R.RY - CONSTANT_ROWS.start]]
         return (own[_Q].min(axis=0) >= 0) & (r.min(axis=0) > 0)
@@ -194,7 +195,7 @@ def _starts_of(initial: tuple[InitialState, ...], model: str, std: Array) -> Sta
 
 @lru_cache(4)
 def _shared_starts(initial: tuple[InitialState, ...], model: str, std: tuple[float, ...]) -> Starts:
-    """Return starts of sets with equal `start_std`; cached, since all generations of a search have the same starts."""
+    """Return the starts of sets with equal `start_std`; cached, since they are equal in all generations of a search."""
     return _starts_of(initial, model, np.array([std]))
 
 

@@ -72,7 +72,7 @@ class LiveFilter:
     """A Kalman filter that processes one sample at a time.
 
     Samples are in the axes of the vehicle. If the IMU is mounted as in the training drives, SciPy's
-    ``Rotation.from_euler("xyz", tuning.mounting, degrees=True)`` rotates its samples into these axes.
+    ``Rotation.from_euler("xyz", tuning.mounting, degrees=True)`` rotates raw samples into these axes.
 
     A fix waits for the next IMU sample. The filter is then propagated to the time of the fix, updated, and propagated
     to the time of the sample. If a fix is at most ``history`` seconds late, the filter returns to the time of the fix
@@ -82,8 +82,9 @@ class LiveFilter:
 
     Without IMU samples, the state does not change and fixes wait; the next sample bridges the gap (`drives.gaps`). A
     sample whose time stamp is more than 10 s ahead of the filter waits for a second sample within a second of this
-    time. If the next sample is such a sample, both are used, as after a gap; otherwise the first one is dropped and
-    counted in ``time_jumps``. The same rule applies to fixes, which IMU samples near their time also confirm.
+    time. If the next sample is such a sample, both samples are used, as after a gap; otherwise the first sample is
+    dropped and counted in ``time_jumps``. The same rule applies to fixes, which IMU samples near their time also
+    confirm.
 
     The divergence monitor compares the filter once a second with the latest fixes and resets it if it has diverged
     (`divergence`). If fixes are delayed, the reset is later than in `run_filter`. Fixes from before a reset count as
@@ -116,8 +117,8 @@ class LiveFilter:
     restarts : list of float
         Times of the last `MAX_RESTARTS` resets, s.
     too_late : int
-        Number of fixes and odometer readings that were ignored because they were more than ``history`` s late, too many
-        were waiting in an IMU gap, or their time was not finite.
+        Number of fixes and odometer readings that were ignored, since they were more than ``history`` s late, too many
+        of them waited in an IMU gap, or their time was not finite.
     time_jumps : int
         Number of samples, fixes and odometer readings that were dropped because of a time stamp far ahead, which was
         not confirmed.
@@ -170,17 +171,17 @@ class LiveFilter:
         self._lag = None if lag is None else FixedLag(kernel, lag, most_steps=waiting + samples)
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
-        """Process an IMU sample; ignore it if its time is not after that of the last one.
+        """Process an IMU sample; ignore a sample whose time is not after that of the last sample.
 
-        A sample more than 10 s ahead waits: see `LiveFilter`. Samples before the start only determine the noise at
-        rest, for the detection of standstills.
+        A sample more than 10 s ahead waits: see `LiveFilter`. Samples before the start are used only to estimate the
+        noise at rest, for the detection of standstills.
 
         Parameters
         ----------
         t : float
             Time stamp, s.
         imu : sequence of float
-            The axes that the model reads, in its order (m/s2, rad/s); for planar models ax, ay, gz.
+            The axes that the model reads, in the order of the model (m/s2, rad/s); for planar models ax, ay, gz.
 
         Raises
         ------
@@ -211,9 +212,9 @@ class LiveFilter:
         """Process a fix: x, y (m).
 
         ``velocity``: m/s east and north, for a filter with ``velocity_noise``. ``std``: standard deviations that the
-        receiver states, m east and north. A filter with ``accuracy_scale`` needs them; a filter with ``fix_error`` uses
-        them if given. ``heading``: heading and its stated standard deviation, rad (0 if none is stated), for a filter
-        with ``heading_noise``.
+        receiver states, m east and north. A filter with ``accuracy_scale`` needs ``std``; a filter with ``fix_error``
+        uses ``std`` if it is given. ``heading``: heading and its stated standard deviation, rad (0 if none is stated),
+        for a filter with ``heading_noise``.
 
         Returns
         -------
@@ -371,10 +372,10 @@ class LiveFilter:
 
     @property
     def smoothed(self) -> LiveState:
-        """Fixed-lag smoothed state at the last IMU sample that is at least ``lag`` s old; computed at each access.
+        """Smoothed state at the last IMU sample that is at least ``lag`` s old; computed at each access.
 
-        It equals the result of `smooth` at that time with the data so far. Its ``time`` is never before the start or
-        the last reset.
+        This state equals the result of `smooth` at that time with the data so far. Its ``time`` is never before the
+        start or the last reset.
 
         Raises
         ------

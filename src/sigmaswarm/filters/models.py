@@ -161,9 +161,10 @@ class Tilts:
 VARIANCE = (1e-5, 10.0)  # bounds of all variances in the paper; Q is per nominal IMU step
 SMALL_VARIANCE = (1e-12, 10.0)  # bounds of Q for position and velocity
 HEADING_VARIANCE = (1e-10, 1e-1)
-"""Bounds of Q per second for the heading; no gyro drifts by a third of a radian in one second. With a larger Q, a
-filter would determine the heading from the fixes alone. Such a filter may have the highest likelihood if the receiver
-smooths its fixes.
+"""Bounds of Q per second for the heading; no gyro drifts by a third of a radian in one second.
+
+With a larger Q, a filter would determine the heading from the fixes alone. If the receiver smooths its fixes, such a
+filter may have the highest likelihood.
 """
 CITY_VARIANCE = (1e-5, 1e3)  # bounds of R: between high buildings, fixes have errors of tens of meters
 BIAS_WALK = (1e-16, 1e-4)  # bounds of Q for the random walks of the biases
@@ -201,7 +202,7 @@ class State:
 class CarModel:
     """A process model for cars. The measurements of a model with roll and pitch have a ``jacobian``.
 
-    ``filter_types`` are the compiled filter types; the first one is the default. ``measures_imu``: as in
+    ``filter_types`` are the compiled filter types, beginning with the default. ``measures_imu``: as in
     robot-localization, acceleration and yaw rate are states that the IMU measures with `FilterParameters.imu_noise`,
     and the velocity is in the body frame. A model with ``measures_imu`` supports neither smoothing nor live filters.
     """
@@ -331,6 +332,6 @@ MODELS: dict[str, CarModel] = {
 
 
 def require_driven_by_imu(model: str, use: str) -> None:
-    """Raise `InputError` if a model treats IMU samples as measurements; ``use`` names the unsupported use."""
+    """Raise `InputError` if a model treats IMU samples as measurements; ``use``: name of the unsupported use."""
     if MODELS[model].measures_imu:
         raise InputError(f"{use} does not support {model}; use planar8 or tilted12")

@@ -1,4 +1,4 @@
-"""Many parameter sets as columns of numbers; building an object for each set would take as long as running a drive."""
+"""Many parameter sets as columns of numbers, since building an object for each set takes as long as running a drive."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +20,8 @@ _ABSENT: dict[str, float] = described("absent")
 class ParameterTable(Sequence[FilterParameters]):
     """Parameter sets with the same model and measurements; indexing builds a `FilterParameters`.
 
-    ``like`` has the fields that all ``size`` = n sets share; ``columns`` has those that differ, (n,) or (n, k).
+    ``like`` contains the fields that are equal in all ``size`` = n sets; ``columns`` contains the other fields, (n,) or
+    (n, k).
     """
 
     like: FilterParameters

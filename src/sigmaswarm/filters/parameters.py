@@ -149,7 +149,7 @@ class FilterParameters:
     fix_std : float
         Standard deviation of fixes per axis (m), which ``fix_error`` uses if the receiver states none.
     robust_dof : float or None
-        Degrees of freedom of Student's t for the errors of fixes, so that outliers have little weight (R. Piche, S.
+        Degrees of freedom of Student's t for the errors of fixes, with which outliers have little weight (R. Piche, S.
         Sarkka and J. Hartikainen, MLSP 2012). Start with 4; use fewer if there are more outliers. None: Gaussian
         errors.
 
@@ -235,10 +235,10 @@ class FilterParameters:
         return kernel_name(self.model, self.kind, self.fix_error is not None)
 
     def scaled(self, factor: float) -> "FilterParameters":
-        """Multiply all variances by a factor; the estimates hardly change.
+        """Multiply all variances by a factor, which hardly changes the estimates.
 
-        The initial standard deviations of the biases are multiplied by the root of the factor. The rest of the initial
-        covariance and the covariance that IMU gaps add do not change. The estimates change if a gate or ``robust_dof``
+        The initial standard deviations of the biases are multiplied by the root of the factor. The other initial
+        covariances and the covariance that IMU gaps add do not change. The estimates change if a gate or ``robust_dof``
         is set, since these depend on the covariance.
 
         Raises
@@ -342,14 +342,14 @@ _ACTIVATES = {s.option: n for n, s in SEARCHED.items() if getattr(FilterParamete
 """Options of ``tune --use``, and for each the field that is None unless the option is used."""
 _SCALED = tuple(described("scaled"))
 NOISES = ("process_noise", "measurement_noise", "imu_noise", *_SCALED)
-"""Fields that are noise variances or factors of them; multiplying all by one factor scales the covariance."""
+"""Fields that are noise variances or factors of variances; one factor on all of them scales the covariance."""
 RULES_SINCE = (0, 3)  # first version with the present treatment of stale fixes, gaps and standstills
 
 
 def incompatibility(kind: str, use: Collection[str]) -> str | None:
     """Return the reason why a filter type and options conflict; None if they do not."""
     if "robust" in use and "gate" in use:
-        return "robust and gate can't be combined, since robust weights the fixes that gate rejects; leave one out"
+        return "robust and gate can't be combined, since robust weights the fixes that gate rejects; omit one option"
     if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"):
         return (
             f"robust can't be combined with {kind}, which adapts its noise to outliers; use ukf or ekf, or "

@@ -1,4 +1,4 @@
-"""Run any number of filters over drives, and compute the sums of which scores and costs consist."""
+"""Run any number of filters over drives, and compute the sums from which scores and costs are computed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -26,8 +26,8 @@ class Targets:
     """Times at which estimates are compared with a known position and heading.
 
     ``noise`` (m, 4) contains the weights of the squared errors of position and heading, and the variances of x and y,
-    m2, which the NEES adds to P; its shape is (0, 4) if the reference is exact. ``weight`` (m,) is that of the later
-    estimate in the interpolation between the estimates around the time.
+    m2, which the NEES adds to P. For an exact reference the shape of ``noise`` is (0, 4). ``weight`` (m,) is the weight
+    of the later estimate in the interpolation between the two estimates around a target's time.
     """
 
     weight: Array

@@ -6,7 +6,7 @@ The paper mentions "default parameters" but does not state their values.
     A common first choice: Q = I, R = I, alpha 0.1, beta 2, kappa 0.
 ``datasheet``
     Values from data sheets: R from the receiver's stated accuracy, Q from the IMU's noise density. If the drive does
-    not state these, R = 2.1^2 m2 (u-blox M8, 2.5 m CEP), and Q is for an MPU-6050.
+    not state these values, R = 2.1^2 m2 (u-blox M8, 2.5 m CEP), and Q is that of an MPU-6050.
 ``paper``
     The paper's published optimum: alpha 0.03, beta 2.5, kappa 0.48, Q = 2 I, R = 0.1 I.
 """
@@ -48,11 +48,13 @@ MPU6050_GYRO_NOISE_DENSITY = np.radians(0.3) / 60
 BIAS_WALKS = {"accel": 2 * 0.01**2 / 3600, "gyro": 2 * np.radians(200 / 3600) ** 2 / 3600}
 """Growth of the biases' variances per second, (m/s2)2 and (rad/s)2: 2 s^2 / tau of Gauss-Markov biases with s = 0.01
 m/s2 and 200 deg/h, tau = 1 h. These are values of an ICM-20602 (i2Nav's awesome-gins-datasets); the data sheet of the
-MPU-6050 states none.
+MPU-6050 states no such values.
 """
 TYPICAL_VALUES: dict[str, float] = described("typical")
-"""Typical values of parameters that no data sheet states; the noises in m2/s2 or rad2. The gate accepts 99% of good
-fixes, and the stated accuracy is used unchanged."""
+"""Typical values of parameters that no data sheet states; noise variances in m2/s2 or rad2.
+
+The gate accepts 99% of good fixes, and the stated accuracy is used unchanged.
+"""
 HALF_A_WHEELBASE = 1.3  # m from the rear axle to an IMU in the middle of a car
 MODEL_NOISE = {"accel": 0.3, "gyro": 1e-3}
 """Noise density for unmodeled effects (slopes, vibration, scale factors, mounting), m/s2/sqrt(Hz) and rad/s/sqrt(Hz).
@@ -77,8 +79,8 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
     ----------
     drive : Drive
     like : FilterParameters, optional
-        Filter whose model, type and options the result has. None: the preset ``datasheet``, a planar5 UKF with values
-        from data sheets only: without `MODEL_NOISE` and without an estimate from the fixes.
+        Filter whose model, type and options the result has. If None, the result is the preset ``datasheet``, a planar5
+        UKF with values from data sheets only (without `MODEL_NOISE` and without an estimate from the fixes).
     """
     if like is None:
         return _planar(drive, stated_std(drive) or (UNSTATED_GPS_STD, UNSTATED_GPS_STD))
@@ -162,7 +164,7 @@ def _as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
 
 
 def _stated_imu(drive: Drive, p: FilterParameters) -> tuple[float, ...]:
-    """Return the variances of gz and ax that the log's messages state; if they state none, those of ``p``."""
+    """Return the variances of gz and ax that the log's messages state, or the variances of ``p``."""
     return tuple(map(float, drive.metadata.get("imu_stated_noise", p.imu_noise)))
 
 

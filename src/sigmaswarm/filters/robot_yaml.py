@@ -86,7 +86,7 @@ def _loaded(path: Path) -> Any:
 
 
 def _chosen(content: Any, path: Path) -> Block:
-    """Return the parameters of the first filter node with an input topic that contains "gps", or of the first one."""
+    """Return the parameters of the first filter node with "gps" in the name of an input topic, or of the first node."""
     blocks = [*_blocks(content, set())]
     if not blocks:
         raise InputError(
@@ -114,7 +114,7 @@ def _entries(value: Any, path: Path, key: str) -> list[bool]:
 
 
 def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
-    """Return the variances per second of the eight states, or the defaults if the file has none."""
+    """Return the variances per second of the eight states, or the defaults if the file contains no variances."""
     key = "process_noise_covariance"
     if key not in block:
         return PROCESS_NOISE
@@ -157,6 +157,6 @@ def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:
         if block.get(f"{name}_differential") is True or block.get(f"{name}_relative") is True:
             yield f"{name}: the settings differential and relative are ignored"
         if entries[_YAW]:
-            yield f"{name}: its yaw is replaced by the heading of the fixes, and ignored if they have no heading"
+            yield f"{name}: the yaw is replaced by the heading of the fixes, or ignored if the fixes have no heading"
         if entries[_VYAW] and not name.startswith("imu"):
             yield f"{name}: the yaw rate is not used"

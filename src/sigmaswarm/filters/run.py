@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Estimates of a filter at each IMU sample after the start; each uses all fixes up to its time.
+    """Estimates of a filter at each IMU sample after the start; each estimate uses all fixes up to its time.
 
     Attributes
     ----------
@@ -43,8 +43,8 @@ class Estimate:
     restarts : tuple of float
         Times of the resets after divergence, s: see `divergence`.
     lost : ndarray of bool, shape (n,) or None
-        True from a divergence until an alignment is available for the reset, while the position is the last fix. None
-        if divergence is not monitored.
+        True if the filter has diverged and no alignment is available for a reset; the position is then the last fix.
+        None if divergence is not monitored.
     failure : str or None
         The failure and its time; None if the filter did not fail.
     """
@@ -136,7 +136,7 @@ def run_filter(
     Raises
     ------
     AlignmentError
-        If ``initial`` is not given and the drive has no start.
+        If ``initial`` is not given and cannot be computed from the drive.
     """
     drive_pass = whole_pass(drive, initial, as_recorded=as_recorded)
     return estimate_of(FilterRun(drive_pass, parameters, recover=recover), recover=recover)
@@ -185,7 +185,7 @@ class Run(Protocol):
 
 
 def estimate_of(run: Run, *, recover: bool) -> Estimate:
-    """Join all pieces of a run; ``recover``: whether the run monitors divergence."""
+    """Join all pieces of a run; ``recover``: True if the run monitors divergence."""
     whole = join_chunks(run)
     lost = whole.lost if recover else None
     return Estimate(
@@ -221,8 +221,8 @@ def run_textbook(
     drive, parameters, initial
         See `run_filter`.
     heading_first : bool
-        Compute the Cholesky factor of P with theta as the first state, like the compiled filter. False: keep the order
-        of the states, like FilterPy.
+        Compute the Cholesky factor of P with theta as the first state, like the compiled filter. If False, keep the
+        order of the states, like FilterPy.
     redraw_sigma_points : bool
         See `UnscentedKalmanFilter`.
 

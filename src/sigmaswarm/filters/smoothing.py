@@ -44,7 +44,7 @@ def smooth(
     recover: bool = True,
     as_recorded: bool = False,
 ) -> Estimate:
-    """Run the compiled filter over a drive, and smooth its estimates, so that each uses all fixes, also later ones.
+    """Run the compiled filter over a drive, and smooth its estimates: each estimate uses earlier and later fixes.
 
     Sources: H. E. Rauch, F. Tung and C. T. Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA
     Journal 3(8), 1965; for unscented filters S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE TAC 53(3), 2008.
@@ -63,7 +63,7 @@ def smooth(
     Raises
     ------
     AlignmentError
-        If ``initial`` is not given and the drive has no start.
+        If ``initial`` is not given and cannot be computed from the drive.
     """
     drive_pass = whole_pass(drive, initial, as_recorded=as_recorded)
     return estimate_of(SmootherRun(drive_pass, parameters, recover=recover), recover=recover)
@@ -71,7 +71,7 @@ def smooth(
 
 @dataclass(frozen=True, eq=False)
 class _ForwardLog:
-    """Log of one piece of the forward pass for `smooth_back`; ``lost``: True at samples where the filter is lost."""
+    """Log of one piece of the forward pass for `smooth_back`; ``lost``: True at samples at which the filter is lost."""
 
     steps: Array
     start: Array

@@ -27,9 +27,9 @@ def start_std(p: FilterParameters) -> Array:
 def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> tuple[Array, Array]:
     """Return means (m, r, n) and covariances (m, r, n, n) for m starts and std of shape (r, 3).
 
-    All starts have the same number of states. States that a start lacks begin at 0; their standard deviation is ``std``
-    (see `start_std`) for a bias or fix error, and otherwise the state's ``start_std``. The evidence of the alignment is
-    included: see `GyroBiasEvidence.update` and `add_tilt_evidence`.
+    All starts have the same number of states. States that a start does not contain begin at 0; their standard deviation
+    is ``std`` (see `start_std`) for a bias or fix error, otherwise the state's ``start_std``. The evidence of the
+    alignment is included: see `GyroBiasEvidence.update` and `add_tilt_evidence`.
     """
     n = len(model.states)
     known = known_states(n, len(initial[0].mean))
@@ -60,7 +60,7 @@ _LENGTHS = {len(model.states) for model in FILTERS.values() if model.fix_error}
 
 
 def known_states(n: int, given: int) -> int:
-    """Return the number of a model's n states that an initial state with ``given`` states determines."""
+    """Return how many of a model's n states an initial state with ``given`` states contains."""
     if n == given:
         return n
     return min(n - 2 if n in _LENGTHS else n, given - 2 if given in _LENGTHS else given)

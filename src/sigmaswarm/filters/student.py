@@ -1,7 +1,7 @@
 """Student's t: constants of filters and objectives that are robust to outliers.
 
-With v degrees of freedom, Student's t is a Gaussian whose covariance is divided by a random weight of mean 1 from a
-gamma distribution; an outlier's weight is small.
+With v degrees of freedom, Student's t is a Gaussian whose covariance is divided by a random weight. The weight has a
+gamma distribution with mean 1; for an outlier the weight is small.
 """
 
 ITERATIONS = 3  # number of alternating estimates of the state and the weight of a fix

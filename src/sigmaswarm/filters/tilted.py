@@ -33,8 +33,10 @@ THETA, ACCEL_X, ACCEL_Y, GYRO, ROLL, PITCH, GYRO_X, GYRO_Y, N = range(4, 13)
 ATTITUDE = [ROLL, PITCH, THETA]
 ACCEL_BIAS, GYRO_BIAS = [ACCEL_X, ACCEL_Y], [GYRO_X, GYRO_Y, GYRO]  # axes: forward, left; forward, left, up
 STEP_FIRST, MEASURED_FIRST = (7, 10, 11, 4, 8, 9), (4, 8, 9)
-"""States whose columns come first in the square root of P, for the sigma points of a step and of a measurement. If
-these states are fixed, process and measurements are linear in all others."""
+"""States whose columns come first in the square root of P, for the sigma points of a step and of a measurement.
+
+If these states are fixed, process and measurements are linear in all other states.
+"""
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 
 
@@ -122,7 +124,7 @@ def minus(state: Array, other: Array) -> Array:
 
 
 def nearest(error: Array, near: Array) -> Array:
-    """Add whole turns to the rotation vector of an error (12,), to get the one nearest to that of ``near``."""
+    """Add whole turns to the rotation vector of an error (12,), so that it is nearest to that of ``near``."""
     vector, other = error[ATTITUDE], near[ATTITUDE]
     angle = np.sqrt(vector @ vector)
     if not angle > 0:
@@ -263,7 +265,7 @@ def _jacobian_along(state: Array, axis: Array, up: Array) -> Array:
 
 @dataclass(frozen=True)
 class States:
-    """Direct measurement of states: of the velocity, or of the gyro's biases at rest."""
+    """Direct measurement of states: the velocity, or the gyro's biases at rest."""
 
     indices: tuple[int, ...]
 

@@ -1,4 +1,4 @@
-"""Networks that support a tuned filter, trained on the user's drives without truth.
+"""Networks that assist a tuned filter, trained on the user's drives without truth.
 
 - outage-lstm: a network that estimates the vehicle's displacements in outages; after X. Li et al., Sci. Rep. 15, 11817,
   2025, and Y. Yang et al., Sci. Rep. 14, 13905, 2024

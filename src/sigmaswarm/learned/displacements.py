@@ -5,9 +5,9 @@ The measurement
     z = R(theta_0)^T (p_1 - p_0) + noise
 
 also depends on the state at time 0, as in stochastic cloning (S. Roumeliotis and J. Burdick, ICRA 2002). If p_0 were
-taken as known, each update would add its error again. The cross-covariance of the state errors e is Cov(e_1, e_0) = A
-P_0, since e_1 = A e_0 + an independent part. The columns of A are finite differences between runs of the filter, all in
-one call of the compiled kernel.
+assumed to be known, each update would add the error of p_0 again. The cross-covariance of the state errors e is
+Cov(e_1, e_0) = A P_0, since e_1 = A e_0 + an independent part. The columns of A are finite differences between runs of
+the filter, all in one call of the compiled kernel.
 """
 
 from typing import Any, NamedTuple
@@ -105,11 +105,11 @@ class Displacements:
 
 
 def body_displacement(begin: Array, end: Array) -> Array:
-    """Return the displacement between states (..., n), m forward and left at the start, (..., 2)."""
+    """Return the displacement (..., 2) between states (..., n), m forward and left in the body frame of ``begin``."""
     return to_body_axes(end[..., 0] - begin[..., 0], end[..., 1] - begin[..., 1], begin[..., THETA])
 
 
 def to_body_axes(x: Any, y: Any, theta: Any) -> Array:
-    """Return a vector (x east, y north) as components forward and left, (..., 2), at a heading, rad."""
+    """Return the components forward and left, (..., 2), of a vector (x east, y north) at a heading, rad."""
     c, s = np.cos(theta), np.sin(theta)
     return np.stack([c * x + s * y, c * y - s * x], axis=-1)

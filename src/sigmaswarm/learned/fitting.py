@@ -1,4 +1,4 @@
-"""Fit weights by AdamW with early stopping; results are reproducible, and a stopped fit resumes after its last epoch.
+"""Fit weights by AdamW with early stopping. Results are reproducible, and a stopped fit resumes after its last epoch.
 
 This module needs JAX and Optax, the extra ``learned``.
 """
@@ -67,8 +67,8 @@ class Schedule:
 class TrainingResult:
     """Weights after the best epoch, and losses.
 
-    ``losses``, shape (epochs + 1, 2): mean over the training examples during each epoch (first: NaN), and mean over the
-    validation examples before the first and after each epoch.
+    ``losses``, shape (epochs + 1, 2): mean over the training examples during each epoch (NaN in the first row), and
+    mean over the validation examples before the first epoch and after each epoch.
     """
 
     weights: dict[str, Array]
@@ -138,7 +138,7 @@ def fit(
 
 @lru_cache(maxsize=4)
 def _compiled(loss: Loss, learning_rate: float) -> tuple[Any, Any, Any]:
-    """Return the optimizer, the compiled loss and the compiled epoch; trainings with the same loss share them."""
+    """Return the optimizer, the compiled loss and the compiled epoch; cached for trainings with the same loss."""
     import jax
     import optax
 

@@ -95,12 +95,12 @@ class LearnedNetwork:
 
 
 def training_landmarks(folder: Path) -> list[Landmarks]:
-    """Return the landmarks of the training drives of the network in a folder; an empty list if there are none."""
+    """Return the landmarks of the training drives of the network in a folder; an empty list if the file is missing."""
     return [] if not folder.is_dir() else load_landmarks(folder / LEARNED_SEEN) or []
 
 
 def load_learned(folder: Path) -> LearnedNetwork | None:
-    """Read the network of a folder; return None if there is none; raise `InputError` if a file is damaged."""
+    """Read the network of a folder; return None if it contains no network; raise `InputError` if a file is damaged."""
     folder = folder if folder.is_dir() else folder.parent
     file, weights = folder / LEARNED_FILE, folder / WEIGHTS_FILE
     if not file.exists():

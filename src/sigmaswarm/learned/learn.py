@@ -41,7 +41,7 @@ POPULATION = 4  # combinations of settings in a batch of the search
 
 @dataclass(frozen=True)
 class TrainingProgress:
-    """Progress after an epoch: ``done`` of at most ``total`` epochs of all trainings; least validation ``loss``."""
+    """Progress after an epoch: number of epochs ``done`` and at most ``total``, and lowest validation ``loss``."""
 
     trial: int
     epoch: int
@@ -99,7 +99,7 @@ class LearnConfig:
         }
 
     def split(self) -> tuple[Sequence[Drive], Sequence[Drive]]:
-        """Return training and validation drives; without the latter, the ends of training drives are for validation."""
+        """Return training drives and validation drives (by default the ends of training drives)."""
         if self.kind == noise_gru.NAME or self.validation:
             return self.drives, self.validation
         last = len(self.drives) - len(self.drives) // 3  # the calibration needs long drives

@@ -31,8 +31,8 @@ from sigmaswarm.learned.cells import gru
 from sigmaswarm.learned.noise_gru import features_of, log_scales, nis_of
 
 N_COLUMNS = 14
-"""Number of columns of a step: dt, q_scale, gap, ax, ay, gz; flags of a fix, a sample, a lateral update and a
-standstill; x and y of the fix, m; the stated variances of x and y, m2.
+"""Number of columns of a step: dt, q_scale, gap, ax, ay, gz; flags for a fix, a sample, a lateral update and a
+standstill; x and y of the fix, m; stated variances of x and y, m2.
 """
 
 
@@ -161,8 +161,8 @@ def _take_standstill(noise: float, m: Any, c: Any, u: Any) -> tuple[Any, Any]:
 def run(settings: FilterConstants, weights: Any, mean: Any, covariance: Any, columns: Any) -> tuple[Any, Any]:
     """Run the filter with its network over k steps, from a mean (n,) and a covariance (n, n).
 
-    Return an array (k, 6), and the means (k, n). The array contains nu, m, and xx, xy, yy of S, m2, before the update
-    of each step with a fix; its last column is 1 at these steps, else 0.
+    Return an array (k, 6), and the means (k, n). The columns of the array are nu (m) and xx, xy, yy of S (m2) before
+    the update, for steps with a fix; the last column is 1 at these steps, otherwise 0.
     """
     p, nothing = settings.parameters, jnp.array([0.0, 0.0, 1.0, 0.0, 1.0, -1.0])
 
@@ -194,7 +194,7 @@ def run(settings: FilterConstants, weights: Any, mean: Any, covariance: Any, col
 def innovation_loss(settings: FilterConstants, innovations: Any) -> tuple[Any, Any]:
     """Return the sum of the fixes' negative log-likelihoods, nats, and the number of fixes.
 
-    The likelihood is Student's t for a robust filter (see `student`), else Gaussian.
+    The likelihood is Student's t for a robust filter (see `student`), otherwise Gaussian.
     """
     fixed = innovations[..., 5]
     nis, det = nis_of(innovations[..., :2], innovations[..., 2:5])

@@ -7,7 +7,7 @@ input, since the update would use it twice.
 Errors of the forecasts are modeled as Gauss-Markov processes. In an outage, the error at the last fix, multiplied by a
 decay, is subtracted. Two factors are chosen to maximize the likelihood of hidden fixes on validation data. A factor on
 the variance of the forecasts accounts for the remaining correlation in time. A factor on the Q of the velocity is
-needed, since a filter that was tuned with fixes often has too small a velocity covariance in an outage.
+needed, since the velocity covariance of a filter that was tuned with fixes is often too small in an outage.
 """
 
 from collections.abc import Mapping, Sequence
@@ -91,7 +91,7 @@ def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Win
 
 
 def pairs_of(time: Array, after: float, until: float, every: float) -> tuple[Indices, Indices]:
-    """Return indices of pairs of samples, `HORIZON` apart, between two times, one pair per ``every`` s, (k,) each."""
+    """Return the first and the second samples, (k,), of pairs `HORIZON` apart; a pair starts every ``every`` s."""
     first, stop = np.searchsorted(time, [after, until])
     grid = np.arange(float(time[first]), float(time[stop - 1]) + 1e-9, every) if stop > first else np.empty(0)
     at = np.searchsorted(time[:stop], grid - 1e-9)
@@ -105,7 +105,7 @@ def features_at(line: Timeline, end: Indices, *, axes: Sequence[str], window: fl
     """Return the inputs of the network at the samples ``end``, (k, WINDOW_STEPS, 2 n) for n ``axes``.
 
     The inputs are the mean (m/s2, rad/s) and the logarithm of the standard deviation in each step of the last
-    ``window`` s. Vibration, and with it the standard deviation, grows with the speed of a car.
+    ``window`` s. The standard deviation shows the vibration, which grows with the speed of a car.
     """
     time = line.drive.imu.time
     edges = line.imu_time[end][:, np.newaxis] + np.linspace(-window, 0.0, WINDOW_STEPS + 1)
@@ -193,7 +193,7 @@ class OutageLstm:
         return dict(zip(windows.end.tolist(), map(DisplacementForecast, *numbers, *outputs), strict=True))
 
     def corrected(self, forecast: DisplacementForecast, velocity: Array) -> tuple[Array, Array]:
-        """Subtract the error at the last fix, from the velocity there; return displacement, m, and variance, m2."""
+        """Subtract the error at the last fix, given ``velocity`` there; return displacement, m, and variance, m2."""
         share = self.remains(forecast.age)
         moved = forecast.moved + share * (HORIZON * velocity - forecast.before)
         return moved, self.inflation * (forecast.variance * (1.0 - share**2) + MIN_STD**2)

@@ -78,7 +78,7 @@ def tracks_of(
 
 
 def cases_of(tracks: Sequence[Track], seed: int) -> list[tuple[FilterPass, float]]:
-    """Place outages on validation data several times; return the passes and the starts of the validation data, s."""
+    """Place several sets of outages on validation data; return the passes and the starts of the validation data, s."""
     cases: list[tuple[FilterPass, float]] = []
     for number, track in enumerate(tracks):
         drive, initial = track.ready.drive, track.ready.initial
@@ -118,7 +118,7 @@ def examples_of(tracks: Sequence[Track], axes: Sequence[str], window: float) -> 
 
 
 def _loss(fixed: dict[str, Array]) -> Loss:
-    """Return the loss: -ln N(moved; output, std^2) in units of ``scale``, without constants."""
+    """Return the loss: -ln N(moved; output, std^2) in units of ``scale``, without constant terms."""
     import jax.numpy as jnp
 
     def of(weights: Any, batch: tuple[Any, ...]) -> Any:
@@ -211,8 +211,8 @@ def calibrate(
 ) -> OutageLstm:
     """Choose the factors of `OutageLstm` that maximize the likelihood of hidden fixes.
 
-    The inflation is infinite if no factors improve the mean log-likelihood over that of the filter alone by more than a
-    standard error, in which only the outages of one set count as independent.
+    The inflation is infinite if no factors increase the mean log-likelihood above that of the filter alone by more than
+    a standard error. The standard error counts only the outages of one set as independent.
     """
     windows = [
         outage_windows(drive_pass.timeline, axes=network.axes, window=network.window)

@@ -34,7 +34,8 @@ def imu_noise(log: Drive | Imu | str | Path, **settings: Any) -> Noise:
     Parameters
     ----------
     log : Drive, Imu, or path
-        Also a drive's folder, a folder with imu.csv alone, or any log that `import_log` reads. Fixes are not needed.
+        A path may be a drive's folder, a folder with imu.csv alone, or any log that `import_log` reads. Fixes are not
+        needed.
     **settings
         Settings of the import: ``recipe``, ``maps``, ``time``, ``choice``; see `import_log`.
 

@@ -71,9 +71,9 @@ class AxisNoise:
     def bias(self, longest: float) -> tuple[float, float]:
         """Return standard deviation (unit) and correlation time (s) of the bias as a Gauss-Markov process.
 
-        ``longest``: length (s) of the longest stretch, which replaces an infinite correlation time. Flicker noise adds
-        the variance of a Gauss-Markov process whose largest Allan variance equals that of the flicker noise. If the log
-        shows neither flicker noise nor a random walk, the upper end of the interval of ``walk`` is used.
+        ``longest``: length (s) of the longest stretch at rest, which replaces an infinite correlation time. Flicker
+        noise adds the variance of a Gauss-Markov process whose largest Allan variance equals that of the flicker noise.
+        If the log shows neither flicker noise nor a random walk, the upper end of the interval of ``walk`` is used.
         """
         time = self.correlation_time if math.isfinite(self.correlation_time) else longest
         nothing = self.walk.value == 0 and self.instability.value == 0
@@ -107,11 +107,11 @@ class Noise:
 
     @property
     def longest(self) -> float:
-        """Length of the longest stretch, s; an hour if there is no stretch."""
+        """Length of the longest stretch at rest, s; an hour if there is no such stretch."""
         return max((length for _, length in self.stretches), default=HOUR)
 
     def of(self, sensor: str, value: Callable[[AxisNoise], float]) -> list[float]:
-        """Return a value for the three axes of a sensor; a missing axis has the RMS of the others."""
+        """Return a value for the three axes of a sensor; a missing axis has the RMS of the other axes."""
         known = {a.axis: value(a) for a in self.axes}
         axes = SENSORS[sensor][0].split()
         there = [known[a] for a in axes if a in known]

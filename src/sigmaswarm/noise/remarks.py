@@ -1,4 +1,4 @@
-"""Remarks on a log: noise terms that it does not determine, and signs of faults."""
+"""Remarks on a log: noise terms that the log does not determine, and signs of faults."""
 
 import math
 from collections.abc import Iterator, Sequence

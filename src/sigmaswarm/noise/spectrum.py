@@ -6,8 +6,9 @@ The two-sided spectral density is
 
 with white noise N (angle or velocity random walk), flicker noise B (bias instability) and a bias with rate random walk
 K. For finite T the bias is a first-order Gauss-Markov process with variance K^2 T / 2. The fit maximizes Whittle's
-likelihood (1953) of the periodogram; its profile gives the intervals. Unlike straight lines fitted to an Allan
-deviation, the likelihood separates overlapping processes, and shows which of them the log does not determine.
+likelihood (1953) of the periodogram; the intervals are computed from the likelihood's profile. Unlike straight lines
+fitted to an Allan deviation, the likelihood separates overlapping processes, and shows which processes the log does not
+determine.
 """
 
 import math
@@ -61,7 +62,7 @@ class Interval:
 
 
 class NoiseFit(NamedTuple):
-    """Fitted N, B, K and T (s); T is inf if the log does not show that it is finite."""
+    """Fitted N, B, K and T (s); T is inf if the log does not show that T is finite."""
 
     white: Interval
     instability: Interval
@@ -72,7 +73,7 @@ class NoiseFit(NamedTuple):
 def spectrum_of(parts: Sequence[Array], interval: float) -> Spectrum:
     """Average the periodograms of stretches (n,) of one signal, after subtraction of their means and trends.
 
-    The sine taper keeps the power of a drift away from higher frequencies (Riedel and Sidorenko 1995).
+    The sine taper prevents the power of a drift from leaking to higher frequencies (Riedel and Sidorenko 1995).
     """
     duration = interval * sum(map(len, parts))
     highest = min(0.5, max(BAND, MIN_FREQUENCIES * interval / duration)) / interval

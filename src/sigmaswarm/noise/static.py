@@ -83,7 +83,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
 
 
 def _calm_blocks(imu: Imu, starts: NDArray[np.int_], size: int, fresh: Mask) -> Mask:
-    """Return a mask of blocks that are nearly as quiet as the quietest, and whose means are near their neighbors'."""
+    """Return a mask of blocks that are nearly as quiet as the quietest block and similar in mean to their neighbors."""
     calm = np.ones(len(starts), np.bool_)
     for axis in AXES:
         values = getattr(imu, axis)
@@ -141,7 +141,7 @@ def fault_of(values: Sequence[Array]) -> str | None:
         return f"constant at {low + 0.0:.6g}: defective, or quantized in steps that are larger than its noise"
     step, count = step_of(np.concatenate(values)), sum(map(len, values))
     if high - low <= 2.5 * step:
-        return f"quantized in steps of {step:.3g}, which hide its noise"
+        return f"quantized in steps of {step:.3g}, which hide the noise"
     for end, inward in ((high, -1.0), (low, 1.0)):
         inner = [v[v != end] for v in values]
         follows = -inward * max(float(np.max(-inward * v)) for v in inner if len(v))

@@ -1,7 +1,8 @@
 """Compute truth with standard deviations: the fixes of a good receiver, smoothed with the drive's IMU.
 
 The smoother's standard deviations are multiplied by a factor that is determined from the errors at hidden fixes. The
-variance of a fix is added, since errors of fixes are correlated: many fixes are no more accurate than one.
+variance of a fix is added, since errors of fixes are correlated: the mean of many fixes is no more accurate than one
+fix.
 """
 
 import math
@@ -77,8 +78,8 @@ def reference(
     """Compute truth from the fixes of a good receiver (RTK) on the same vehicle, and from the drive's IMU.
 
     A filter is tuned on these fixes, without truth, and its estimates are smoothed. Float solutions, and fixes with a
-    stated standard deviation above ``accuracy``, are omitted, since their errors are correlated. The IMU bridges the
-    gaps.
+    stated standard deviation above ``accuracy``, are omitted, since their errors are correlated. In the resulting gaps
+    the track follows from the IMU.
 
     Parameters
     ----------
@@ -94,9 +95,11 @@ def reference(
     offset : float
         Time to add to the fixes' times (s), so that both are on one clock; 0 by default.
     accuracy : float
-        Largest standard deviation of the truth per axis, m; rows with a larger one are omitted. 0.1 by default.
+        Largest standard deviation of the truth per axis, m; rows with a larger standard deviation are omitted. 0.1 by
+        default.
     fix_std : float, optional
-        Lower limit of a fix's standard deviation, m per axis; also used for fixes without a stated standard deviation.
+        Lower limit of the standard deviation of a fix, m per axis; also used for fixes without a stated standard
+        deviation.
     seed : int
         Seed of the tuning, and of the windows of hidden fixes; 0 by default.
 
@@ -109,8 +112,8 @@ def reference(
     Raises
     ------
     InputError
-        If the fixes can't be read, share no time with the drive, state no accuracy, or are too few, or if the result is
-        nowhere as accurate as ``accuracy``.
+        If the fixes can't be read, have no common time with the drive, state no accuracy, or are too few, or if the
+        standard deviation of the truth exceeds ``accuracy`` at all times.
     AlignmentError
         If the car hardly moves while the good receiver has fixes.
     """
@@ -241,7 +244,7 @@ def _stretch(ready: PreparedDrive, parameters: FilterParameters, rng: np.random.
 
 
 def _off(estimate: Estimate, gps: Gps, drive: Drive) -> Array:
-    """Return the distances of hidden fixes from the smoothed antenna along each axis, in sigmas."""
+    """Return the distances of hidden fixes from the smoothed antenna along each axis, in standard deviations."""
     gps = gps.select((gps.time > estimate.time[0]) & (gps.time <= estimate.time[-1]))
     antenna = _antenna(estimate.mean, drive)
     variance = np.diagonal(estimate.covariance, axis1=1, axis2=2)

@@ -60,7 +60,7 @@ def comparison_table(comparison: Comparison) -> Table:
 
 
 def comparison_figure(comparison: Comparison) -> Figure:
-    """Draw the training cost over the evaluations, with quartiles, and every run's cost, held-out if known."""
+    """Draw the training cost over the evaluations, with quartiles, and the cost of every run (held-out, if known)."""
     last = "held_out_cost" if "held_out_cost" in comparison.measures else "cost"
     contenders = comparison.contenders
     looks = many_styles(len(contenders), 1.6)
@@ -97,7 +97,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
 
 
 def _frame(comparison: Comparison) -> tuple[float | None, float | None]:
-    """Return the limits of the cost axis: with margins, the lowest cost and the cost at a tenth of the budget."""
+    """Return the limits of the cost axis: the lowest cost and the cost at a tenth of the budget, with margins."""
     medians = comparison.curves["median"].to_numpy().reshape(len(comparison.contenders), -1)
     finite = medians[np.isfinite(medians)]
     if not len(finite):

@@ -116,8 +116,8 @@ def comparison(evaluation: Evaluation) -> Figure:
 def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, ...]:
     """Draw the mean over the drives of every method as a bar, one chart per measure.
 
-    The methods "IMU only" and "fixes alone" do not affect the scale. A bar beyond the scale is cut and has an arrow.
-    With ``titled``, the measure is named in the title of the chart, not at the axis.
+    The methods "IMU only" and "fixes alone" do not affect the scale. A bar beyond the scale is cut and has an arrow. If
+    ``titled`` is True, the title of the chart names the measure, not the axis.
     """
 
     def bars(measure: Measure, values: Mapping[str, float]) -> Chart:
@@ -248,7 +248,7 @@ def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
 
 
 def swarm_charts(tracks: Tracks) -> tuple[Chart, ...]:
-    """Draw the stacked weights of a bank's filters over time, and the offsets of its parameters from the tuned ones."""
+    """Draw the stacked weights of a bank's filters over time, and the offsets of its parameters from the tuning."""
     shares, moved = (tracks.series.get("swarm" + ending) for ending in (SHARES, MOVED))
     if shares is None or moved is None:
         return ()

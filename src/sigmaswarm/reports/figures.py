@@ -67,7 +67,7 @@ def show_time(ax: Axes, name: str = "time t, s") -> None:
 
 
 def logarithmic(axis: Axis) -> None:
-    """Use a logarithmic scale with plain numbers; a small range, with few powers of ten, has further labels."""
+    """Use a logarithmic scale with plain numbers; a range with few powers of ten gets additional labels."""
     axis.axes.set(**{f"{axis.axis_name}scale": "log"})  # pyright: ignore
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(_Between())
@@ -107,7 +107,7 @@ def figure_of(
 ) -> Figure:
     """Draw charts on a figure, in rows of ``columns`` charts (by default one row); ``size`` is in inches.
 
-    The legend "below" all charts contains the names of the first chart only. ``shared``: ``sharex`` and ``sharey`` of
+    A legend "below" the charts contains only the names of the first chart. ``shared``: ``sharex`` and ``sharey`` of
     matplotlib.
     """
     columns = columns or len(charts)
@@ -138,7 +138,7 @@ def _legend_below(figure: Figure, columns: int) -> None:
 def _plain(artist: Artist) -> None:
     """Draw texts literally, since names of drives are not formulas.
 
-    Numbers at the axes are excepted: they may contain powers, and creating ticks is slow.
+    Labels of ticks are not changed, since they may contain powers, and since creating ticks is slow.
     """
     if isinstance(artist, Text):
         artist.set_parse_math(False)
@@ -163,7 +163,7 @@ def save_both(figure: Figure, stem: Path) -> list[Path]:
 
 
 def svg(chart: Chart) -> str:
-    """Return a chart without its title as an SVG element as wide as its container.
+    """Return a chart without title as an SVG element that is as wide as its container.
 
     Sizes are in inches. The page enlarges the chart by a factor of 1.2 on a phone and 1.8 on a screen.
     """

@@ -14,7 +14,7 @@ REPORTS = {"scores.json": evaluation_report, "results.json": study_report, "tuni
 
 
 def read_report(folder: Path) -> Report:
-    """Read a folder of results; raise `InputError` if it has no results, or a file is missing or damaged."""
+    """Read a folder of results; raise `InputError` if there are no results, or a file is missing or damaged."""
     if not folder.is_dir():
         wrong = "is a file" if folder.exists() else "no such folder"
         raise InputError(f"{folder}: {wrong}; name a folder that tune, evaluate or study wrote")

@@ -32,19 +32,19 @@ TERMS = {
     "NIS": "normalized innovation squared: squared innovation of a fix, relative to its covariance",
     "NEES": "normalized estimation error squared: squared position error, relative to the filter's covariance",
     "RMSE": "root of the mean squared error",
-    "whiteness p": "probability that uncorrelated innovations seem at least as correlated as these (Ljung-Box test "
-    "over lags of one to ten fixes)",
+    "whiteness p": "probability that uncorrelated innovations appear at least as correlated as the observed "
+    "innovations (Ljung-Box test over lags of one to ten fixes)",
     "correlation": "correlation of consecutive innovations; 0 if the filter is consistent",
     "consistent": "95% range of the mean NIS of a consistent filter",
     "95% gate": "fraction of the fixes with a NIS below 5.99; 95% if the filter is consistent",
     "outage drift": "RMS position error at the ends of intervals without fixes",
     "position 50%": "median of the position error",
     "position 95%": "95th percentile of the position error",
-    "baseline": "the tuned filter's model with typical noise parameters, not tuned",
+    "baseline": "a filter with the tuned filter's model and typical noise parameters, not tuned",
     "fixes alone": "a constant-velocity filter without the IMU",
     "raw GPS": "the receiver's fixes, without a filter",
     "IMU only": "the filter without fixes after its start",
-    "3 sigma": "three standard deviations from the covariance of the filter",
+    "3 sigma": "three standard deviations, computed from the covariance of the filter",
     "cost": "value of the objective; lower is better",
     "density": "noise density that corresponds to the variance per step",
 }
@@ -59,7 +59,7 @@ class TrackView:
     """Interactive tracks.
 
     ``labels`` and ``looks`` have an entry per series, from top to bottom. When the page opens, it shows 3 sigma and NIS
-    of the series ``main``, whose heading errors also set the scale.
+    of the series ``main``, whose heading errors also determine the scale.
     """
 
     drives: Sequence[Tracks]
@@ -96,7 +96,7 @@ class Report:
 
 
 def page(report: Report) -> str:
-    """Render the page. Names of drives may contain code, so texts are escaped and the page can make no request."""
+    """Render the page. Names of drives may contain code, so texts are escaped and the page can't make requests."""
     tracks = next((section.tracks for section in report.sections if section.tracks), None)
     return (
         _environment()

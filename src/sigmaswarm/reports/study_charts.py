@@ -49,9 +49,9 @@ MARK_STYLE = Look(SLATE, 1.0, "--")
 def means_chart(
     results: Results, measure: str, reach: float = SCALE_RATIO, mark: float | None = None
 ) -> Chart | None:
-    """Draw the mean of every method with two intervals, on a logarithmic scale that ends at ``reach`` x lowest mean.
+    """Draw the mean of every method with two intervals, on a logarithmic scale up to ``reach`` x the lowest mean.
 
-    A mean beyond the scale is drawn as an arrow with the number, without intervals. ``mark``: position of a line.
+    A mean beyond the scale is drawn as an arrow with a number and without intervals. ``mark``: position of a line.
     """
     rows = [(row, row.mean) for row in results.means(measure) if row.mean]
     if not rows:

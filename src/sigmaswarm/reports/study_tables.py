@@ -1,4 +1,4 @@
-"""Tables of a study: its results next to the paper's, comparisons, conditions, search results and rivals."""
+"""Tables of a study: its results next to those of the paper, comparisons, conditions, search results and rivals."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -352,7 +352,7 @@ def rivals_tables(results: Results, times: Times | None = None) -> dict[str, Tab
 
 
 def rivals_table(results: Results, times: Times) -> Table:
-    """Tabulate data, number of free parameters, drift and processor ``times`` of each tuned or trained method."""
+    """Tabulate training data, number of free parameters, drift and processor ``times`` of tuned and trained methods."""
     columns = [Column("method"), *(_figures(title, 0) for title in ("labeled, s", "learned, s", "numbers"))]
     columns += [_figures("training, s", 1), _figures("per sample, us", 2)] if times else []
     columns += _with_intervals(f"drift over {length}, m" for length in OUTAGE_LENGTHS.values())
@@ -386,7 +386,7 @@ def _elsewhere_table(results: Results, rivals: RivalResults, place: str) -> Tabl
         cells = (_mean_cells(by_method.get((protocol, method, m))) for m in ELSEWHERE_MEASURES)
         rows.append((results.label(method, protocol), *chain(*cells)))
     note = (
-        "Filters and networks of all trials, which were tuned and trained on the drives of the study. 95% intervals "
+        "The filters and networks of all trials were tuned and trained on the drives of the study. 95% intervals "
         "for new drives: bootstrap over drives and trials. Number of drives: "
         f"{max(row.n_drives for row in there)}."
     )

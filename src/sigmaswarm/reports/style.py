@@ -1,4 +1,4 @@
-"""Style of all pictures, for color-blind readers and gray prints."""
+"""Style of all pictures, suitable for color-blind readers and for gray prints."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,7 +10,7 @@ from sigmaswarm.scoring.methods import AGAINST, BASELINE, FIXES, METHODS, OPTION
 class Look:
     """Style of a line, with line style and marker of matplotlib; sizes are in points.
 
-    ``visible``: pictures contain the line, and a page shows it when it opens.
+    ``visible``: True if pictures contain the line, and a page shows the line when the page opens.
     """
 
     color: str

@@ -37,8 +37,8 @@ STATED_OPTIONS = (
 TUNE_DEFAULTS = {name: field.default for name, field in TuneConfig.model_fields.items()}
 PARAMETER_MEANINGS = {
     "latency": (
-        "delay of the fixes with which this filter predicts them best; the doctor estimates this delay as a clock "
-        "offset, from turns and accelerations"
+        "delay with which this filter predicts the fixes best; the doctor estimates this delay as a clock offset, "
+        "from turns and accelerations"
     ),
     "rear_axle": "distance of the IMU in front of the rear axle; negative: behind the rear axle",
 }
@@ -66,7 +66,7 @@ def convergence(tuning: Tuning) -> Figure:
 
 
 def _convergence_chart(history: pl.DataFrame, best_trial: int, objective: str) -> Chart:
-    """Draw the lowest cost so far and the median cost of each generation, the best trial in bold.
+    """Draw the lowest cost so far and the median cost of each generation, with the best trial in bold.
 
     The scale is logarithmic if all costs are positive; the cost of a likelihood may be negative.
     """
@@ -141,7 +141,7 @@ def filter_name(file: TuningRecord) -> str:
 
 def what_was_tuned(file: TuningRecord) -> str:
     if file.result is None:
-        return f"The filter is {filter_name(file)}; its file has no record of a tuning."
+        return f"The filter is {filter_name(file)}; its file does not describe a tuning."
     length = sum(d.duration_s or 0 for d in file.data)
     on = count_of(len(file.data), "drive") + (f" ({length / 60:.1f} min)" if length else "")
     meaning = f": {file.result.objective_meaning}" if file.result.objective_meaning else ""
@@ -246,7 +246,7 @@ def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
 def shown_config(config: dict[str, Any]) -> dict[str, Any]:
     """Return the configuration of the search, with the coefficients of pso only if this is the optimizer.
 
-    Of a custom model, only name and fingerprint are kept.
+    For a custom model, the result contains only name and fingerprint of the model.
     """
     if config.get("optimizer", "pso") != "pso":  # old files of pso lack this key
         config = {key: value for key, value in config.items() if key not in SWARM}

@@ -76,8 +76,8 @@ class PassOptions:  # arguments of BatchScorer
 class BatchScorer:
     """Scorer that prepares drives once and runs any number of parameter sets over them.
 
-    ``as_recorded`` applies to drives that are not prepared. ``outages`` adds a pass over every drive with outages of
-    ``outage_length`` s. ``forecasts`` adds a pass in which fixes are hidden in windows of 3 to 5 s.
+    ``as_recorded`` applies only to drives that are not yet prepared. ``outages`` adds a pass over every drive with
+    outages of ``outage_length`` s. ``forecasts`` adds a pass in which fixes are hidden in windows of 3 to 5 s.
     """
 
     def __init__(
@@ -205,8 +205,8 @@ def scores_from_sums(passes: Mapping[str, Sequence[FilterPass]], sums: Mapping[s
 def _divisors_of(replays: Sequence[FilterPass]) -> Array:
     """Return the divisors of the sums of each replay, shape (5, n_drives, 1); NaN replaces 0.
 
-    Divisors in this order: number of positions, weight of all positions, weight of all headings, number of fixes,
-    number of hidden fixes.
+    The order of the divisors is: number of positions, total weight of positions, total weight of headings, number of
+    fixes, number of hidden fixes.
     """
     counts = np.array(
         [

@@ -43,7 +43,7 @@ class Consistency(BaseModel):
     ----------
     n_fixes : int
     mean_nis : float
-        2 for a consistent filter, more for an overconfident one.
+        2 for a consistent filter, larger for an overconfident filter.
     nis_band : (float, float)
         95% band of the mean NIS of a consistent filter with ``n_fixes`` independent innovations.
     inside_gate : float
@@ -92,7 +92,7 @@ def consistency(
 def consistency_of(
     innovations: Innovations, mean_nees: float = math.nan, own_sigma: float = math.nan
 ) -> Consistency | None:
-    """Compute consistency from innovations; None if there are at most 2 LAGS of them, or a covariance is invalid."""
+    """Compute consistency from innovations; return None for at most 2 LAGS innovations, or an invalid covariance."""
     n, s = len(innovations.time), innovations.covariance
     if n <= 2 * LAGS or not np.isfinite(s).all():
         return None
@@ -134,10 +134,12 @@ Kind = Literal[
 
 - ``optimistic``: larger than their covariances predict (overconfident).
 - ``pessimistic``: smaller than their covariances predict.
-- ``alike``: smaller, and consecutive innovations are nearly equal; the position error is unknown, without truth.
-- ``lasting``: smaller, since predictions contain the errors of the fixes; errors against truth agree with covariances.
-- ``correlated``: of the expected size, but correlated; only without truth.
-- ``optimistic_position``: not larger, but errors against truth are larger than the position covariance predicts.
+- ``alike``: smaller, and consecutive innovations are nearly equal; without truth, the position error is unknown.
+- ``lasting``: smaller, since predictions contain the errors of the fixes; errors against truth agree with the
+  covariances.
+- ``correlated``: as large as their covariances predict, but correlated; only without truth.
+- ``optimistic_position``: not larger than predicted, but position errors against truth are larger than the covariance
+  predicts.
 """
 EQUAL_CORRELATION = 0.5  # lag-1 correlation above which consecutive innovations are nearly equal
 MAX_CORRELATION = 0.2  # lag-1 correlation above which a mean NIS of 2 does not prove consistency

@@ -60,10 +60,10 @@ class OutageDrifts:
         *,
         monitored: bool = True,
     ) -> None:
-        """Run methods with the fixes hidden, without storing their estimates.
+        """Run methods with hidden fixes, without storing the estimates.
 
-        If ``monitored``, a filter is reset after divergence. Otherwise all ``filters`` run as one batch. ``also``:
-        functions that run further methods.
+        If ``monitored`` is True, a filter is reset after divergence. Otherwise all ``filters`` run as one batch.
+        ``also``: functions that run further methods.
         """
         for seed in self.seeds:
             self._ready.forget()
@@ -73,7 +73,7 @@ class OutageDrifts:
     def _run_placed(
         self, seed: Seed, filters: Mapping[str, FilterParameters], also: RunFactories, *, monitored: bool
     ) -> None:
-        """Run one set of outages; as a separate function, it frees its memory before the next set."""
+        """Run one set of outages, in a separate function that frees its memory before the next set."""
         outages = outage_pass(self._ready, length=self._length, seed=seed)
         ends = self._ends[self.seeds.index(seed)]
         if monitored:
@@ -91,7 +91,7 @@ class OutageDrifts:
     def _recorded(
         self, method: str, outages: FilterPass, parameters: FilterParameters, ends: Array
     ) -> FilterRun:
-        """Run a filter; store variances and errors at the ends of the outages if it is the tuned filter."""
+        """Run a filter; for the tuned filter, store variances and errors at the ends of the outages."""
         recording = FilterRun(outages, parameters, recover=True)
         if method != "tuned":
             return recording.finished()

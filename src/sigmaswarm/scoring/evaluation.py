@@ -124,8 +124,8 @@ class EvaluationOptions:
 class DriveResult:
     """Results of all methods on a drive.
 
-    ``restarts``: times of resets (s) by method. ``drifts``: records by measure. ``consistency`` and ``innovations`` are
-    those of the tuned filter. ``picture`` has more points than ``tracks``.
+    ``restarts``: times of resets (s) by method. ``drifts``: drift records by measure. ``consistency`` and
+    ``innovations`` belong to the tuned filter. ``picture`` contains more points than ``tracks``.
     """
 
     scores: Mapping[str, Score]
@@ -218,7 +218,7 @@ class Evaluation:
 
     @property
     def measures(self) -> Mapping[str, Measure]:
-        """`measures` with the outage length of this evaluation in the titles."""
+        """The `measures`, with the outage length of this evaluation in the titles."""
         return measures(self.outage_length)
 
     @property
@@ -228,7 +228,7 @@ class Evaluation:
 
     @property
     def worse_than_raw(self) -> tuple[str, ...]:
-        """Sentences on drives on which the tuned filter has larger position errors than the raw fixes."""
+        """Sentences on drives on which the tuned filter's position errors exceed those of the raw fixes."""
         return worse_than_raw(self.record)
 
     @property
@@ -238,7 +238,7 @@ class Evaluation:
 
     @property
     def is_worse_than_untuned(self) -> bool:
-        """True if the baseline or the fixes alone are more than 10% better in the position RMSE or in most measures."""
+        """True if the baseline or the fixes alone are over 10% more accurate in position RMSE or most measures."""
         return is_worse_than_untuned(self.record, self.measures)
 
     @property
@@ -311,7 +311,7 @@ class Evaluation:
         return self.view.to_html()
 
     def save(self, folder: Path) -> list[Path]:
-        """Write scores.json, scores.csv, evaluation.json, tracks.npz and the other filter, if any; return the paths."""
+        """Write scores.json, scores.csv, evaluation.json, tracks.npz and a filter ``against``; return the paths."""
         paths = [folder / name for name in (SCORES_FILE, "scores.csv", EVALUATION_FILE, TRACKS_FILE)]
         write_json(paths[0], self.to_dict())
         write_atomically(paths[1], self._frame({m: m for m in self.names}).write_csv())
@@ -333,8 +333,8 @@ def evaluate(
 ) -> Evaluation:
     """Compare a tuned filter with the baseline, raw GPS, fixes alone and IMU only: see `sigmaswarm.evaluate`.
 
-    ``seen``: landmarks that identify the training drives and parts of them. ``cluster``: Dask cluster whose workers
-    read the drives and run the filters; ``drives`` may then be paths or URLs. ``options``: attributes of
+    ``seen``: landmarks that identify the training drives and their parts. ``cluster``: Dask cluster whose workers read
+    the drives and run the filters; ``drives`` may then be paths or URLs. ``options``: attributes of
     `EvaluationOptions`.
     """
     (dataset,) = make_datasets(drives, cluster=cluster)
@@ -434,9 +434,9 @@ def _tracked(
     filters: Mapping[str, FilterParameters],
     options: EvaluationOptions,
 ) -> tuple[DriveResult, RunFactories]:
-    """Run every method with all fixes; return the results, and a run function for each method that is not one filter.
+    """Run every method with all fixes; return the results, and functions that run methods other than single filters.
 
-    As a separate function, it frees its memory before the next pass.
+    This is a separate function, so that its memory is freed before the next pass.
     """
     drive_pass = tracking_pass(ready)
     further = options.optional_runs(filters["tuned"])

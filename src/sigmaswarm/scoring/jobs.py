@@ -1,6 +1,6 @@
 """Jobs of a batch; each job runs some of the parameter sets over some of the passes.
 
-A kernel runs up to `most_lanes` parameter sets at once; with fewer sets, each set takes more time.
+A kernel runs up to `most_lanes` parameter sets at once. With fewer sets at once, the time per set is longer.
 """
 
 import os

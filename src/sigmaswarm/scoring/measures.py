@@ -44,9 +44,12 @@ MEASURES = measures()
 DRIFTS = ("short_outage_drift_m", "outage_drift_m", "long_outage_drift_m")
 """Measures in which a filter with an IMU should be better than the fixes alone."""
 NO_OUTAGES = ("raw_gps", "imu_only")
-"""Methods whose outage drifts are not shown. In files, the drift of imu_only has accumulated since its start."""
+"""Methods whose outage drifts are not shown.
+
+In files, the drift of imu_only is the error since the start of the run.
+"""
 POSITION_MEASURES = {"position_rmse_m": "RMSE", "position_median_m": "50%", "position_95_m": "95%"}
-"""Measures by which a filter is compared with the raw fixes, and their names in sentences."""
+"""Measures by which a filter is compared with the raw fixes, and the names of these measures in sentences."""
 
 
 def with_outages(method: str, values: Mapping[str, float | None]) -> dict[str, float | None]:

@@ -43,7 +43,7 @@ def method_names(
     """Return the display names of the methods.
 
     ``also``: optional rows from `OPTIONAL_METHODS`; `AGAINST` adds the row of another filter. ``against``: description
-    of that filter, if known.
+    of this other filter, if known.
     """
     first = {AGAINST: f"other {against or 'filter'}"} if AGAINST in also else {}
     first |= {"tuned": f"tuned {filter_called(kind, model)}"}

@@ -1,7 +1,7 @@
 """Compute the radius within which a position error lies with a given probability, and its coverage.
 
-The filter's covariance may lack the variance of correlated fix errors, which do not average out. The total variance per
-axis is estimated as
+The filter's covariance may not include the variance of correlated fix errors, which do not average out. The total
+variance per axis is estimated as
 
     sigma^2 = P + max(s^2 - w^2 - min(g s^2, P), 0)
 
@@ -54,7 +54,10 @@ def factor_of(level: float) -> float:
 
 
 def lasting_variance(drive: Drive, parameters: FilterParameters, time: Array, variance: Array) -> Array:
-    """Return the variance per axis (m2) of correlated fix errors that the filter's ``variance`` lacks, shape (n,)."""
+    """Return the part of the variance of correlated fix errors that the filter's ``variance`` does not contain.
+
+    Shape (n,), m2 per axis.
+    """
     gps, typical = drive.gps, float(np.mean(np.square(receiver_std(drive))))
     if (std := gps.std) is None:
         stated = np.full(len(time), typical)
@@ -78,7 +81,7 @@ def stated_radius(
 def radius_record(variance: Array, lasting: Array, error: Array | None) -> RadiusRecord | None:
     """Summarize variances of the filter and of correlated errors (m2), and position errors (m).
 
-    Return None if a variance is not finite, or there is none.
+    Return None if a variance is not finite, or if there are no variances.
     """
     total = variance + lasting
     if not len(total) or not np.isfinite(total).all():

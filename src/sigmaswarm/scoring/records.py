@@ -24,7 +24,7 @@ MIN_OUTAGES = 4  # number of outages in a set; with fewer outages, all sets hide
 
 
 class DriftRecord(BaseModel):
-    """Number of outages of one length in all placements; by method the RMS drift (m) per placement, None: failed."""
+    """Number of outages of one length in all placements, and RMS drift (m) per placement by method (None: failed)."""
 
     outages: int
     each: dict[str, list[float | None]]
@@ -70,7 +70,7 @@ class ScoresRecord(BaseModel):
         return self.mean.get(method, {}).get(measure)
 
     def known(self, methods: Iterable[str], measures: Iterable[str]) -> tuple[list[str], list[str]]:
-        """Return the methods, without raw GPS if it has no value, and the measures with values (all if none has)."""
+        """Return the methods (raw GPS only if it has values), and the measures with values (all if none has values)."""
         methods, measures = [*methods], [*measures]
         known = [m for m in measures if any(self.mean_of(method, m) is not None for method in methods)]
         raw = any(self.mean_of("raw_gps", m) is not None for m in known)
@@ -106,14 +106,14 @@ class EvaluationRecord(BaseModel):
     data: list[DriveRecord]
     against: AgainstRecord | None = None
     findings: dict[str, list[str]] = Field(default_factory=dict)
-    """Serious findings and warnings of the doctor by drive; empty in files of earlier versions than 0.4.0."""
+    """Serious findings and warnings of the doctor by drive; empty in files of versions before 0.4.0."""
     truth_offsets: dict[str, str] = Field(default_factory=dict)
     """Sentence on a constant offset between fixes and truth, by drive."""
     fixes_alone: MotionNoise | None = None
     """Noise parameters from the tuning; None if they were fitted to each drive."""
     as_recorded: bool = False
     files: dict[str, str] = Field(default_factory=dict)
-    """SHA-256 of the files by name; empty in files of earlier versions than 0.4.0."""
+    """SHA-256 of the files by name; empty in files of versions before 0.4.0."""
 
 
 _CHECKED_FILES = (SCORES_FILE, "tracks.npz", "tuning.toml", AGAINST_FILE)

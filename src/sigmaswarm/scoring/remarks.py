@@ -40,7 +40,7 @@ def describe_training_drives(drive: DriveRecord) -> str:
     used, whole = drive.seen_s or 0.0, drive.duration_s or 0.0
     part = "all" if round(used) >= round(whole) else f"{used:.0f}"
     others = [name for name in drive.seen_in if name != drive.name]
-    as_others = f", as {', '.join(others)}" if others else ""
+    as_others = f", as part of {', '.join(others)}" if others else ""
     return f"the tuning used {part} of the {whole:.0f} s of {drive.name}{as_others}"
 
 
@@ -54,7 +54,7 @@ def describe_drives(data: Sequence[DriveRecord]) -> str:
 
 
 def other_sensors(drive: DriveRecord, training: Sequence[DriveRecord]) -> str:
-    """Describe sensors of an evaluated drive that clearly differ from those of all training drives; else ""."""
+    """Describe sensors of an evaluated drive that clearly differ from those of all training drives; "" if none do."""
     differences: list[str] = []
     drives = drive, *training
     rates = [(one.imu_samples or 0) / (one.duration_s or np.inf) for one in drives]
@@ -67,8 +67,8 @@ def other_sensors(drive: DriveRecord, training: Sequence[DriveRecord]) -> str:
         return ""
     return (
         f"the sensors or surroundings of {drive.name} differ from those of the training drives "
-        f"({', '.join(differences)}). There a filter can be far less accurate; tune on such drives, and compare with "
-        "--against"
+        f"({', '.join(differences)}). On such drives the filter can be far less accurate; tune on such drives, and "
+        "compare with --against"
     )
 
 
@@ -124,7 +124,7 @@ def _is_worse(worse: Collection[str], known: int) -> bool:
 def _worse_measures(
     scores: ScoresRecord, shown: Mapping[str, Measure], method: str
 ) -> tuple[dict[str, tuple[float, float]], int]:
-    """Return means (tuned, method) of measures that are over 10% lower for the method, and the number of measures."""
+    """Return the means (tuned, method) of measures over 10% lower for the method, and the number of all measures."""
     known = {
         m: (tuned, other)
         for m in ("position_rmse_m", "heading_rmse_deg", *DRIFTS)
@@ -166,7 +166,7 @@ def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
 
     The estimate is the RMS of the filter's position standard deviations. If the innovations are far smaller than
     expected, the error may be as large as the error of a fix. Innovations do not show errors that consecutive fixes
-    have in common; ``lasting`` is their RMS (m per axis), which the covariance lacks.
+    have in common. ``lasting`` is the RMS of these errors (m per axis), which the covariance does not include.
     """
     own, missed = consistency.own_sigma or 0.0, consistency.missed or 0.0
     expected = consistency.expected or 0.0
@@ -176,7 +176,7 @@ def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
         guess = ""
         if expected > own:
             fixes = (expected**2 - own**2) ** 0.5
-            guess = f". It may be as large as the error of a fix, {fixes:.2g} m RMS according to R"
+            guess = f". The position error may be as large as the error of a fix, {fixes:.2g} m RMS according to R"
         return (
             f"unknown, since there is no truth{guess}. The filter's covariance gives {own:.2g} m RMS, but it is not "
             f"reliable: the innovations are smaller than expected ({nis}). The receiver smooths its fixes, or their "

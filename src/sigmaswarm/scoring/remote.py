@@ -1,4 +1,4 @@
-"""Scores on drives that the workers of a cluster have read; workers receive parameter sets and return numbers."""
+"""Scores on drives that the workers of a cluster have read. The workers receive parameter sets and return scores."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor

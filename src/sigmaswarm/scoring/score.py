@@ -38,8 +38,8 @@ class Score:
     innovation_nll : nats, mean over the fixes of -ln N(nu; 0, S), before each update
     innovation_t : nats, mean of `negative_log_t` over the fixes, before each update, with v = 4
     forecast_t : nats, mean of `negative_log_t` over the hidden fixes of ``forecast_rmse``, with v = 8
-    mean_nis : mean of nu^T S^-1 nu over the fixes; 2 if the covariance is right
-    mean_nees : mean of e^T P^-1 e of the position; 2 if the covariance is right. P includes the variances of truth
+    mean_nis : mean of nu^T S^-1 nu over the fixes; 2 if the covariance is correct
+    mean_nees : mean of e^T P^-1 e of the position; 2 if the covariance is correct. P includes the variance of truth
     failed : bool
     """
 
@@ -73,7 +73,7 @@ def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: floa
 
 
 class PieceErrors:
-    """Errors of estimates that arrive in pieces; ``initial`` is the initial state of the method."""
+    """Errors against truth of an estimate that arrives in pieces; ``initial`` is the initial state of the method."""
 
     def __init__(self, truth: Truth, initial: InitialState) -> None:
         self._truth = truth

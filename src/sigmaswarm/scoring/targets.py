@@ -25,13 +25,16 @@ OUTAGE_FIRST_AFTER = 10.0  # s, shortest time from the start to the first outage
 
 
 def tracking_pass(ready: PreparedDrive) -> FilterPass:
-    """Create a pass with all fixes; estimates are compared with truth where it is known."""
+    """Create a pass with all fixes; estimates are compared with truth at times with known truth."""
     timeline = ready.timeline()
     return FilterPass(timeline, ready.initial, _truth_targets(ready.drive.truth, timeline))
 
 
 def outage_pass(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: Seed = 0) -> FilterPass:
-    """Create a pass with random outages; errors at their ends are relative to truth or, without truth, to the fixes."""
+    """Create a pass with random outages.
+
+    Errors at the ends of outages are relative to truth or, without truth, to the fixes.
+    """
     windows = outage_windows(ready.drive, ready.initial, length=length, seed=seed)
     timeline = ready.timeline(hidden_fixes(ready.drive.gps.time, windows), removed=True)
     ends, reference = windows[:, 1], drift_reference(ready)
@@ -68,9 +71,9 @@ def forecast_windows(drive: Drive, initial: InitialState, *, seed: int) -> Array
 
 
 def placements(drive: Drive, initial: InitialState, *, length: float, seed: int) -> list[Seed]:
-    """Return seeds for several random sets of outages of ``length`` s, since the drift depends on their times.
+    """Return seeds for several random sets of outages of ``length`` s, since the drift depends on the outages' times.
 
-    There are 2 to `MAX_PLACEMENTS` seeds, or none if the drive is too short. The first one is ``seed`` itself.
+    There are 2 to `MAX_PLACEMENTS` seeds, or none if the drive is too short. The first seed is ``seed`` itself.
     """
     fitting = len(outage_windows(drive, initial, length=length, seed=seed))
     wanted = min(max(-(-TARGET_OUTAGES // fitting), 2), MAX_PLACEMENTS) if fitting else 0
@@ -108,6 +111,6 @@ def _truth_targets(truth: Truth | None, timeline: Timeline) -> Targets:
 
 
 def _end(timeline: Timeline, times: Array) -> NDArray[np.int32]:
-    """Return the number of target times up to the end of each step."""
+    """Return the number of target times up to the end of each step of the time line."""
     done = np.searchsorted(times, timeline.imu_time, side="right")
     return np.concatenate([[0], done]).astype(np.int32)[np.cumsum(timeline.sampled, dtype=np.int32)]

@@ -1,4 +1,4 @@
-"""Limit the number of points of series that arrive in pieces."""
+"""Limit the number of points of a series that arrives in pieces."""
 
 from collections.abc import Mapping
 from itertools import pairwise
@@ -59,7 +59,7 @@ def _extremes(columns: Columns, ends: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 class CloseUp:
-    """All rows of a series near a position, m, shape (2,), with a gap where the series leaves the region.
+    """All rows of a series in a region around a position, m, shape (2,), with a gap where the series leaves the region.
 
     The region is twice as wide as ``side`` (m), since a plot with equal scales may show more than a square.
     """

@@ -45,7 +45,7 @@ CLOSE_UP_SIZE = 50.0  # m, side of the close-up of a track
 class Tracks:
     """Estimates and errors of all methods on one drive.
 
-    Series have the columns time (s), x and y (m). All but ``truth`` also have position_error (m). Filters and
+    Series have the columns time (s), x and y (m). All series except ``truth`` also have position_error (m). Filters and
     ``imu_only`` have heading_error (deg), and filters have position_3sigma (m) and heading_3sigma (deg). The series
     ``F.nis`` has the time and NIS of the fixes that filter ``F`` used. Without truth there are no error columns; in
     gaps of truth the errors are NaN.
@@ -59,9 +59,9 @@ class Tracks:
 class Picture:
     """Data of a static plot of the tracks on a drive.
 
-    ``close`` has all x and y of each series near the sharpest turn, and NaN where the series leaves this region.
-    ``start`` and ``turn``, shape (2,), are the positions of the filters' start and of the turn, m east and north.
-    ``frame``, shape (2, 2), has the smallest and the largest x and y of the fixes.
+    ``close`` contains all x and y of each series in a region around the sharpest turn, and NaN where the series leaves
+    this region. ``start`` and ``turn``, shape (2,), are the positions of the filters' start and of the turn, m east and
+    north. ``frame``, shape (2, 2), has the smallest and the largest x and y of the fixes.
     """
 
     whole: Tracks
@@ -80,7 +80,7 @@ class Tracker:
 
     ``own_sigma``: RMS of each filter's position standard deviation, m. ``stated``: times of truth (s), and the tuned
     filter's position variances per axis (m2) and errors (m) at these times; without truth, times and variances of all
-    estimates. With ``picture``, the data of a static plot are also recorded.
+    estimates. If ``picture`` is True, the data of a static plot are also recorded.
     """
 
     def __init__(self, ready: PreparedDrive, most_points: int = MAX_POINTS, *, picture: bool = False) -> None:
@@ -199,7 +199,7 @@ class Tracker:
 class FirstTrack:
     """Result of a tuned filter on a training drive.
 
-    ``position_rmse``, m: of the tuned filter, the baseline and the raw fixes; NaN if there is no truth.
+    ``position_rmse``: values for the tuned filter, the baseline and the raw fixes, m; NaN if there is no truth.
     """
 
     picture: Picture

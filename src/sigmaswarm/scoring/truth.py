@@ -1,4 +1,4 @@
-"""Weights of errors by the accuracy of truth, and a constant offset between truth and fixes."""
+"""Weights of errors by the accuracy of truth, and detection of a constant offset between truth and fixes."""
 
 import math
 
@@ -13,8 +13,8 @@ from sigmaswarm.drives.tables import Truth
 POSITION_FLOOR = 0.3
 """Standard deviation of truth, m per axis, below which the weight hardly increases.
 
-This is the accuracy of the best filters with cheap receivers. Without a limit, nearly all weight would be on parts
-under open sky, where every filter is accurate.
+This is the accuracy of the best filters with cheap receivers. Without this limit, parts under open sky, where every
+filter is accurate, would have nearly all of the weight.
 """
 HEADING_FLOOR = math.radians(0.3)  # rad, the same limit for the true heading
 N_BLOCKS = 8  # parts of a drive; the spread of the offset over them shows the effect of correlated errors
@@ -46,7 +46,7 @@ def root_mean(squares: Array, weights: Array | None = None) -> float:
 
 
 def truth_offset(drive: Drive) -> str:
-    """Return a sentence on a constant offset of the fixes from truth, with its remedy; "" if there is none.
+    """Return a sentence on a constant offset of the fixes from truth, with a remedy; "" if there is no offset.
 
     The offset is constant in the map frame (east, north) or in the vehicle frame (forward, left): in the frame in which
     the medians of `N_BLOCKS` parts of the drive agree better.

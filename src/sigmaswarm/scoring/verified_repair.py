@@ -1,4 +1,4 @@
-"""Repair a log, but reject repairs that increase the errors of predicted fixes."""
+"""Repair a drive, but reject repairs that increase the prediction errors of the fixes."""
 
 import warnings
 from collections.abc import Collection
@@ -23,8 +23,8 @@ VERIFIED = CLOCKS | {"rotate", "gyro", "accelerometer", "turn", "level"}
 MAX_ERROR_RATIO = 1.05
 """Largest accepted ratio (after / before) of forecast errors.
 
-For a rotation alone, it applies to the geometric mean of four ratios: after the rotation of a tilted phone, one error
-of planar8, which models no tilt, was 10% larger, and three were 28 to 58% smaller.
+If only a rotation is repaired, the limit applies to the geometric mean of four ratios: after the rotation of a tilted
+phone, one error of planar8, which does not model tilt, was 10% larger, and three errors were 28 to 58% smaller.
 """
 DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
 """Noise densities of planar8's states, unit of the state per sqrt(s).
@@ -55,10 +55,10 @@ def checking_filter(drive: Drive) -> FilterParameters:
 def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None = None) -> Drive:
     """Return a repaired copy of the drive; reject repairs that increase prediction errors.
 
-    A filter with fixed noise runs over the log before and after the repairs; for clocks and rotations, the baseline of
-    the default filter also runs. These filters forecast the next fix, and fixes that are hidden for 3 to 5 s. If the
+    A filter with fixed noise runs over the drive before and after the repairs; for clocks and rotations, the baseline
+    of the default filter also runs. These filters forecast the next fix, and fixes that are hidden for 3 to 5 s. If the
     RMS of a forecast error increases by more than 5%, the responsible repair of axes, signs, units or clocks is
-    rejected. If a rotation is the only such repair, it is rejected if the geometric mean of these errors increases by
+    rejected. A rotation that is the only such repair is rejected if the geometric mean of these errors increases by
     more than 5%.
 
     Parameters
@@ -72,8 +72,8 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
     Returns
     -------
     Drive
-        Drive of the same name. In its metadata, ``repaired`` lists the codes of repaired findings, and ``withheld``
-        those whose repair was not applied.
+        Drive of the same name. In the metadata, ``repaired`` lists the codes of repaired findings, and ``withheld`` the
+        codes of findings whose repair was rejected.
 
     Warns
     -----

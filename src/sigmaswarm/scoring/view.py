@@ -230,7 +230,7 @@ class EvaluationView:
         return tuple(sentences)
 
     def verdicts(self) -> dict[str, str]:
-        """Return a sentence for each kind of verdict, without drives on which the filter failed: see `warnings`."""
+        """Return a sentence for each kind of verdict. Drives on which the filter failed are omitted: see `warnings`."""
         failed = {drive for drive, methods in self.scores.failed.items() if "tuned" in methods}
         kinds = verdicts([one for drive, one in self.scores.consistency.items() if drive not in failed])
         return {kind: _sentence(message) for kind, message in kinds.items()}
@@ -278,7 +278,7 @@ class EvaluationView:
         return tuple(dict.fromkeys((*first, *second)))
 
     def missing_scores(self) -> tuple[str, ...]:
-        """Return a sentence for each outage drift, and for the heading error, that some drives lack."""
+        """Return a sentence for each drift that is missing for some drives, and for a missing heading error."""
         slow = f"never exceeds {MIN_HEADING_SPEED:g} m/s according to the truth"
         reasons = dict.fromkeys(DRIFTS, "can't contain such an outage") | {"heading_rmse_deg": slow}
         without_truth = {drive.name for drive in self.setup.data if not drive.has_truth}
@@ -376,7 +376,7 @@ def explained_scores(view: EvaluationView) -> str:
 def with_training(drive: DriveRecord, tuned_on: Sequence[DriveRecord]) -> DriveRecord:
     """Mark a drive as a training drive if it has the hash of a training drive.
 
-    Other drives remain unmarked, since it is unknown whether they contain a part of a training drive.
+    Other drives are not marked, since they may contain a part of a training drive.
     """
     same = [one.name for one in tuned_on if one.sha256 == drive.sha256 and one.sha256]
     if drive.seen_s is not None or not same:

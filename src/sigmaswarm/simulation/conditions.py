@@ -47,7 +47,7 @@ def simulate_many(
         Function of a drive, called in the thread of the simulation, for example to write the drive. Its result is
         yielded instead of the drive.
     ahead : int
-        Maximum number of drives simulated in advance. If it is less than the number of workers, some are idle.
+        Maximum number of drives simulated in advance. If it is less than the number of workers, some workers are idle.
     leave_out : container of str
         Names of drives to skip, for example after an interruption.
     **options
@@ -56,12 +56,12 @@ def simulate_many(
     Yields
     ------
     Drive, or the result of `use`
-        In the order maneuver, environment, run, for any number of workers; each as soon as it is ready.
+        The order is maneuver, environment, run, for any number of workers. A drive is yielded as soon as it is ready.
 
     Raises
     ------
     InputError
-        If an argument is invalid, as in `simulate`; raised instead of the first drive.
+        If an argument is invalid, as in `simulate`. The error is raised when the first drive is requested.
     """
     duration = options.pop("duration", None)
     _check_conditions(maneuvers, environments, runs, duration)

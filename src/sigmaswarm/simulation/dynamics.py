@@ -136,8 +136,8 @@ def _tire(
 ) -> tuple[float, float, float, float]:
     """Return longitudinal and lateral force (N) and normalized longitudinal and combined slip of a tire.
 
-    Similarity method [P]: slips are normalized by stiffness over friction and add as vectors. The magic formula of the
-    sum gives the force, at most friction x load.
+    Similarity method [P]: slips are normalized by stiffness over friction and add as vectors. The magic formula,
+    applied to the sum, gives the force, which is at most friction x load.
     """
     stiffness = 1.0 - car.load_sensitivity * (load / static_load - 1.0)
     slip_x = car.slip_stiffness * stiffness * kappa / friction
@@ -172,8 +172,8 @@ def _spin_up(
 ) -> float:
     """Return the angular acceleration (rad/s2) of a wheel under torques (N m) and a tire force (N).
 
-    Idealized anti-lock and traction control reduce the torques from full at the slip of the peak force (1) to 0 at
-    twice this slip.
+    Idealized anti-lock and traction control reduce the torques linearly, from the full torque at the slip of the peak
+    force (1) to 0 at twice this slip.
     """
     control = _clip(2.0 - slip, 0.0, 1.0)
     most = control * brake
@@ -295,7 +295,7 @@ def _record(row: Array, s: Array, rate: Array, ax: float, ay: float, use: float)
 def _advance(
     s: Array, k: Array, row: Array, steer: float, pedal: float, friction: float, car: Vehicle
 ) -> None:
-    """Do one Runge-Kutta step in place; `row` records the state before it, `k` (5, states) is work space."""
+    """Do one Runge-Kutta step in place; `row` records the state before the step, `k` (5, states) is work space."""
     trial = k[4]
     ax, ay, use = _derivative(s, k[0], steer, pedal, friction, car)
     _record(row, s, k[0], ax, ay, use)
@@ -337,8 +337,8 @@ def run_open_loop(car: Vehicle, friction: float, start: Array, steer: Array, ped
 def _steer(s: Array, path: Array, spacing: float, nearest: int, car: Vehicle) -> tuple[float, int, float]:
     """Return the desired steering angle (rad), the index of the nearest point, and the distance along the path, m.
 
-    The angle is the sum of a feedforward from the curvature ahead and a feedback. With the feedback, an offset from the
-    path decays like a damped oscillation of frequency speed / 5 m, at most 1.5 rad/s.
+    The angle is the sum of a feedforward from the curvature ahead and a feedback. The feedback makes an offset from the
+    path decay like a damped oscillation of frequency speed / 5 m, at most 1.5 rad/s.
     """
     while nearest < len(path) - 2:
         dx, dy = s[X] - path[nearest + 1, 0], s[Y] - path[nearest + 1, 1]
@@ -384,7 +384,7 @@ def _press(s: Array, now: Array, soon: Array, gone: float, car: Vehicle) -> floa
 def run_closed_loop(
     car: Vehicle, friction: float, start: Array, path: Array, spacing: float, plan: Array
 ) -> Array:
-    """Let the driver follow a path and a plan from a `start_state`; return the record (m * 10, 21), every 1 ms.
+    """Let the driver follow a path and a plan from a `start_state`; return the record (m * 10, 21), a row per ms.
 
     ``path`` (p, 4): m east, m north, heading (rad, not wrapped) and curvature (1/m) every ``spacing`` m.
 

@@ -1,7 +1,8 @@
 """Environments: friction of the road, and the assumed effect of weather on satellite navigation.
 
-Darkness and fog do not change traction, and in CARLA no weather does (carla-simulator/carla#655). Clear, night and fog
-have the same friction. Therefore, without ``gnss_degradation``, only three of the paper's five environments differ.
+Darkness and fog do not change traction; in CARLA no weather changes traction (carla-simulator/carla#655). Clear, night
+and fog have the same friction. Therefore, without ``gnss_degradation``, only three of the paper's five environments
+differ.
 """
 
 from dataclasses import dataclass

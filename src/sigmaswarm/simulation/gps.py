@@ -73,7 +73,7 @@ GPS_GRADES = by_name(
         source="u-blox M8 data sheet; the split into 0.5 m of white noise and a correlated rest is from the "
         "author's memory, not verified",
     ),
-    GpsGrade("white-1m", 1.0, source="1 m of white noise: the simplest comparison"),
+    GpsGrade("white-1m", 1.0, source="1 m of white noise, the simplest error"),
     GpsGrade("gnss-ins-sim", 5.0, velocity_std=0.05, source="gnss-ins-sim: 5 m, 0.05 m/s, white"),
     GpsGrade(
         "f9p-rtk",
@@ -144,7 +144,7 @@ def measure_gps(
     rng: np.random.Generator,
     outages: list[tuple[float, float]],
 ) -> Gps:
-    """Make fixes with time stamps (n,) in s from the antenna's motion at these times minus the latency of the grade.
+    """Make fixes with time stamps (n,) in s. A fix measures the antenna's position at its time stamp minus the latency.
 
     There are no fixes in the outages, (start, end), s. The number of random numbers does not depend on the grade.
     """

@@ -50,7 +50,7 @@ def drive_maneuver(
 
 
 def time_between(speed: Array, slow: float, fast: float, rising: bool) -> float:
-    """Return the shortest time (s) between two speeds (m/s), from the last sample before the change to the first after.
+    """Return the shortest time (s) between two speeds (m/s), from the last sample before to the first after the change.
 
     The time is NaN if a speed is never reached.
     """

@@ -2,7 +2,7 @@
 
 The body pitches and rolls about its center of gravity. Attitude: yaw, then pitch (positive nose down), then roll
 (positive left side up), each about the new body axis. A left turn rolls the body to the right, so gravity increases the
-measured lateral acceleration. The angles of the body are the sums of those of the road and of the suspension. The
+measured lateral acceleration. The angles of the body are the sums of the angles of the road and of the suspension. The
 equations are exact rigid-body kinematics.
 """
 
@@ -108,7 +108,7 @@ def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm | Array) -> Mot
 
 
 def vibrate(motion: Motion, rate: float, strength: float, rng: np.random.Generator) -> Motion:
-    """Add vibration to specific force and angular rate, sampled at ``rate`` Hz; the strength of real cars is 1."""
+    """Add vibration to specific force and angular rate, sampled at ``rate`` Hz; strength 1 is that of real cars."""
     speed = np.linalg.norm(motion.velocity, axis=1, keepdims=True)
     level = strength * np.sqrt(rate) * np.minimum(speed / FULL_SPEED, 1.0)
     shaking = rng.standard_normal((2, *motion.specific_force.shape)) * level

@@ -19,7 +19,7 @@ class OdometerGrade:
     rate : float
         Rate of the readings, Hz.
     window : float
-        Length of the counting window before a reading, s. The age of the reading is half of this length.
+        Length of the counting window before a reading, s. The age of a reading is half of this length.
     teeth : int
         Pulses of both rear wheels together per revolution.
     scale_std : float
@@ -57,8 +57,11 @@ ODOMETER_GRADES = by_name(
         "is from the author's memory, not verified",
     ),
 )
-"""Grades by name. The standard deviation of the scale error (wear and pressure of tires), 1%, is from the author's
-memory. The odometer of comma2k19's car reads 0.8% too low."""
+"""Grades by name.
+
+The standard deviation of the scale error (wear and pressure of tires), 1%, is from the author's memory. The odometer of
+comma2k19's car reads 0.8% too low.
+"""
 
 
 def measure_odometer(

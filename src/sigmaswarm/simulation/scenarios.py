@@ -101,14 +101,14 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
     duration : float, optional
         Duration of "urban", s; 180 by default.
     warm_up : bool
-        Begin with at least 30 m at 5 m/s or more, so that a filter can align (the default). Otherwise the drive begins
-        in motion with the maneuver itself.
+        Begin with at least 30 m at 5 m/s or more, so that a filter can align (the default). If False, the drive begins
+        with the maneuver itself, in motion.
     imu_place : tuple of float
         Position of the IMU, m forward, left and up of the center of gravity; (0.2, 0, 0.1) by default. The truth refers
         to this point.
     vibration : float
         Level of the vibration while driving, 0 by default as in CARLA. 1 is the level in two recordings of real cars,
-        which have much more noise than data sheets state.
+        whose noise is much larger than data sheets state.
     gnss_degradation : bool
         Multiply the errors of the receiver by the environment's factor, which is **an assumption, not a measurement**.
     terrain : str or Terrain

@@ -1,15 +1,15 @@
 """Simulate hills: grade and bank of the road, for a car with the path and speed of a flat road.
 
 The path in the plane is the path on a flat road, since the driver compensates for the slope. Slopes change the height
-of the car and its attitude, which also changes because gravity acts on the suspension. The slopes depend on the
+and the attitude of the car. The attitude also changes because gravity acts on the suspension. The slopes depend on the
 distance s:
 
     grade pitch p(s), bank roll f(s);  slope of the road ahead  -tan p,  to the left  tan f / cos p
     height' = slope ahead x vx + slope to the left x vy
 
-Grade and bank are second-order Gauss-Markov processes along the path, autocovariance std^2 (1 + d/L) exp(-d/L) (R. G.
-Brown and P. Y. C. Hwang, "Introduction to Random Signals and Applied Kalman Filtering", ch. 3). Cubic splines avoid
-jumps of the angular acceleration. The bank also has a crossfall to the right and a superelevation in bends.
+Grade and bank are second-order Gauss-Markov processes along the path with the autocovariance std^2 (1 + d/L) exp(-d/L)
+(R. G. Brown and P. Y. C. Hwang, "Introduction to Random Signals and Applied Kalman Filtering", ch. 3). Cubic splines
+avoid jumps of the angular acceleration. The bank also has a crossfall to the right and a superelevation in bends.
 
 Sources, cited after the values: [M] measured by `benchmarks/road_slopes.py`: KITTI's residential and hill drives,
 rtklibexplorer's Colorado drive. [A] AASHTO, "A Policy on Geometric Design of Highways and Streets": cross slope,

@@ -39,7 +39,7 @@ class BatchResult:
     scores : tuple of tuple of Score
         ``scores[i][j]``: set i on drive j.
     failed : ndarray of bool, shape (n_sets,)
-        True if, on any drive, a covariance became indefinite or a value NaN.
+        True for a set with which, on any drive, a covariance became indefinite or a value became NaN.
     """
 
     costs: Array
@@ -64,10 +64,10 @@ def run_batch(
     drives : Drive or sequence of Drive
     parameter_sets : FilterParameters or sequence of FilterParameters
     objective : str
-        A name in `OBJECTIVES`, or a weighted sum of them.
+        A name in `OBJECTIVES`, or a weighted sum of such names.
     worst : float
-        Fraction of the drives, those on which a set has its highest costs, over which its cost is averaged. 1 means all
-        drives.
+        The cost of a set is averaged over this fraction of the drives, those with the highest costs of the set. 1 means
+        all drives.
     outage_seed : int
         Seed of the outages, for objectives that hide fixes.
     as_recorded : bool
@@ -91,8 +91,8 @@ def run_batch(
     given: Any = executor
     if given is not None and not isinstance(given, Executor):
         raise InputError(
-            f"executor = {printable(given)}: is not an executor; use concurrent.futures.ThreadPoolExecutor(2), "
-            "or leave it out"
+            f"executor = {printable(given)}: is not an executor; use concurrent.futures.ThreadPoolExecutor(2), or "
+            "leave executor out"
         )
     goal = parse_objective(objective)
     check_drives(dataset.map(log_properties), goal)

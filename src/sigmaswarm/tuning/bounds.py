@@ -49,9 +49,10 @@ class TouchedBound:
 class Dimension:
     """One tuned parameter: its field of `FilterParameters`, and its range.
 
-    - ``entries``: number of entries that the parameter sets in a field that is a tuple; 0 if the field is a number.
+    - ``entries``: number of entries to which the parameter applies, if the field is a tuple; 0 if the field is a
+      number.
     - ``logarithmic``: True if the range spans powers of ten.
-    - ``inflation``: decades by which the parameter grows per decade of the inflation factor (`tuning.inflation`).
+    - ``inflation``: decades by which the parameter increases per decade of the inflation factor (`tuning.inflation`).
     - ``least``: lower limit after inflation.
     - ``typical``: mean and standard deviation of the prior (if ``logarithmic``, in decades); None: no prior.
     """
@@ -69,7 +70,7 @@ class Dimension:
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """Bounds of d parameters in their units and in search coordinates; arrays have shape (d,)."""
+    """Bounds of d parameters, in the parameters' units and in search coordinates; arrays have shape (d,)."""
 
     dimensions: tuple[Dimension, ...]
     scale: Scale

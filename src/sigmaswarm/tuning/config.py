@@ -53,20 +53,20 @@ class SearchConfig(BaseModel):
     scale: Scale = "log10"
     """Scale of searched variances and other parameters whose range spans powers of ten; the paper uses linear."""
     particles: int = Field(default=30, ge=2)
-    """Size of the swarm: evaluations per generation."""
+    """Size of the swarm: number of evaluations per generation."""
     generations: int = Field(default=50, ge=1)
-    """Generations of each trial, including the initial one."""
+    """Number of generations of each trial, including the initial generation."""
     trials: int = Field(default=1, ge=1)
-    """Number of independent searches; the result is the best one, and all are reported."""
+    """Number of independent searches; the result is that of the search with the lowest cost. All costs are reported."""
     seed: int = Field(default=0, ge=0)
     """Seed of all random numbers; the same seed gives the same result."""
     worst: float = Field(default=1.0, gt=0, le=1)
-    """Fraction of the drives, those with the highest costs, over which the cost is averaged; 1 means all drives."""
+    """Average the cost over this fraction of the drives, those with the highest costs; 1 means all drives."""
     # At the same budget, de-qpso is at least as good as de and better than the paper's pso (docs/optimizers.md).
     optimizer: OptimizerName | OwnOptimizer | OwnOptimizerName = "de-qpso"
     """Search algorithm; bo needs scikit-learn. In Python, a custom class is also possible. See docs/optimizers.md."""
     polish: int = Field(default=0, ge=0)
-    """Evaluations of the budget reserved for a final Nelder-Mead search from the best point."""
+    """Number of evaluations reserved for a final Nelder-Mead search from the best point."""
     racing: bool = False
     """Stop evaluating the worse candidates of a generation after a few drives; saves time with many drives."""
     inertia: float = INERTIA
@@ -90,8 +90,8 @@ class SearchConfig(BaseModel):
         for name in SWARM if self.optimizer != "pso" else ():
             if getattr(self, name) != type(self).model_fields[name].default:
                 raise ValueError(
-                    f"{name} is an option of the optimizer pso, not of {_qualified_name(self.optimizer)}; "
-                    "choose pso, or leave it out"
+                    f"{name} is an option of the optimizer pso, not of {_qualified_name(self.optimizer)}; choose "
+                    f"pso, or leave {name} out"
                 )
         return self
 
@@ -100,7 +100,7 @@ class SearchConfig(BaseModel):
 
 
 class TuneConfig(SearchConfig):
-    """Options for tuning a built-in model; `defaults.default_filter_options` chooses missing ``model`` and ``use``."""
+    """Options for tuning a built-in model; `defaults.default_filter_options` adds missing ``model`` and ``use``."""
 
     model: ModelName = "planar5"
     """Process model: planar5 (paper), planar8 (IMU biases), tilted12 (roll, pitch). Default: depends on the sensors."""
@@ -111,13 +111,17 @@ class TuneConfig(SearchConfig):
     outage_seed: int = Field(default=0, ge=0)
     """Seed of the outage windows, for objectives that hide fixes."""
     as_recorded: bool = False
-    """Run without preprocessing: use stale fixes, treat IMU gaps as ordinary steps; for diagnosis and the paper."""
+    """Run without preprocessing (for diagnosis and the paper): use stale fixes, treat IMU gaps as ordinary steps."""
     prior: float | None = Field(default=None, ge=0, le=100)
-    """Weight of priors on R and (tilted12) other parameters; 0 disables them. Default: 1 for likelihoods without truth,
-    0.3 with fix-error and truth, otherwise 0."""
+    """Weight of priors on parameters; 0: none.
+
+    Default: 1 for likelihoods without truth, 0.3 with fix-error and truth, otherwise 0.
+    """
     inflation: float | None = Field(default=None, ge=0, le=1)
-    """Relative cost increase allowed for inflating process noise; 0 disables it. Default: 0 to 0.05, depending on
-    model and truth."""
+    """Relative cost increase allowed for inflating process noise; 0 disables it.
+
+    Default: 0 to 0.05, depending on model and truth.
+    """
 
     @model_validator(mode="before")
     @classmethod
@@ -135,7 +139,7 @@ class TuneConfig(SearchConfig):
     def _inflation_needs_logarithms(self) -> Self:
         if self.inflation and self.scale != "log10":
             raise ValueError(
-                "inflation multiplies process noise variances by a factor, which needs scale = log10"
+                "inflation needs scale = log10, since it multiplies process noise variances by a factor"
             )
         return self
 
@@ -147,11 +151,11 @@ class ModelTuneConfig(SearchConfig):
 
 MODEL_REMEDIES = {
     "use": "add the sensor to h, measurement_noise and the logs",
-    "kind": "give kind to Model",
+    "kind": "specify kind in Model",
     "prior": "narrow the bounds of the parameters of measurement_noise",
     "start": "narrow the bounds of the parameters",
 }
-"""Remedies if options of built-in models are given for a custom model; for other options: leave them out."""
+"""Remedies if options of built-in models are given for a custom model. Options that are not listed must be left out."""
 
 
 _PAPER_DEFAULTS = (
@@ -167,7 +171,7 @@ PAPER_OPTIONS: dict[str, Any] = {
     "prior": 0.0,
     "inflation": 0.0,
 }
-"""Options that ``paper=True`` sets. The paper repeats such a tuning 20 times, and states neither inertia nor seed."""
+"""Options that ``paper=True`` sets. The paper repeats the tuning 20 times, and states neither inertia nor seed."""
 
 
 def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -185,9 +189,9 @@ def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:
 def current_options(
     config: type[SearchConfig], options: Mapping[str, Any], arguments: Iterable[str]
 ) -> dict[str, Any]:
-    """Return options under their current names; reject unknown ones and suggest a similar name.
+    """Return options under their current names; reject an unknown option and suggest a similar name.
 
-    ``config`` defines the options. ``arguments`` are further names to suggest.
+    ``config`` defines the options. ``arguments`` are further names that can be suggested.
     """
     known, current = config.model_fields, dict[str, Any]()
     for name, value in options.items():

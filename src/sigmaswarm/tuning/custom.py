@@ -41,7 +41,7 @@ class ModelProblem(Problem[dict[str, float]]):
         return dict(zip(self.space.names, self.space.values(point).tolist(), strict=True))
 
     def failure_reason(self, point: Array) -> str | None:
-        """Return why the filter at a point, shape (d,), failed on a log; None if it did not fail."""
+        """Return the reason why the filter at a point, shape (d,), failed on a log; None if it did not fail."""
         parameters = self.parameters(point)
         failures = (run_model(log, self.model, parameters).failure for log in self.logs)
         return next((f"model {failure}" for failure in failures if failure), None)
@@ -86,13 +86,14 @@ def model_problem(logs: Sequence[Log], model: Model, config: SearchConfig) -> Mo
 def truth_rmse(log: Log, model: Model) -> Callable[[Array], float]:
     """Return a function that computes the RMSE of a model's ``scored`` states; by default, of every state with truth.
 
-    Its argument is the state means at the log's times, shape (k, n); they are interpolated to the truth times.
+    The function takes the state means at the log's times, shape (k, n), and interpolates them to the times of the
+    truth.
     """
     names = model.scored or tuple(log.truth)
     missing = [name for name in names if name not in log.truth]
     if missing or not names:
         what = f"of {missing[0]!r} " if missing and log.truth else ""
-        raise log.wrong(f"has no truth {what}for truth-rmse; add it, or tune with innovation-nll")
+        raise log.wrong(f"has no truth {what}for truth-rmse; add the truth, or tune with innovation-nll")
     moments = log.time if log.truth_time is None else log.truth_time
     within = (moments >= log.time[0]) & (moments <= log.time[-1])
     if not within.any():

@@ -23,13 +23,13 @@ OBJECTIVES_OF_CARS = ("truth-pose + 0.2 nees", "innovation-t")
 FORECAST_OBJECTIVES = ("truth-pose + 0.2 nees + 0.2 forecast-t", "0.5 innovation-t + 0.5 forecast-t")
 """Objectives with and without truth, for a model with roll and pitch, if the fix errors of most drives are white.
 
-With truth, truth-pose contains the drift of few outages. After tuning on three simulated drives of 120 s without
-forecasts, the 5 s drift on other drives was 1.9 m instead of 0.8 m.
+With truth, forecasts are added, since truth-pose contains the drift of few outages. After tuning on three simulated
+drives of 120 s, the 5 s drift on other drives was 1.9 m without forecasts and 0.8 m with them.
 
 If the fix errors are correlated, a filter that is tuned by forecasts reproduces these errors: with a u-blox M8, its
-position RMSE was 11 m instead of 4 m. Without truth, a planar filter overfits to the training roads: on a drive of
-another car, its position RMSE was 3.6 times that of the fixes. With truth, forecasts increase the heading error of
-planar8 by 5% (ten cases).
+position RMSE was 11 m instead of 4 m. For planar models forecasts are not used. Without truth, they overfit the filter
+to the training roads: on a drive of another car, its position RMSE was 3.6 times that of the fixes. With truth, they
+increase the heading error of planar8 by 5% (ten cases).
 """
 FIX_ERROR_OBJECTIVE = "innovation-t + 0.2 truth-pose + 0.2 nees"
 """Objective with truth and fix-error: mainly the likelihood, since a drive has few independent position errors.
@@ -45,17 +45,19 @@ a weight of 1, the position RMSE after tuning on one such drive was 5% larger on
 """
 MIN_DRIVEN = 30.0  # s, driving time that each drive must exceed for `FORECAST_OBJECTIVES`
 OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
-"""Objectives with and without truth for custom models, which support only these."""
+"""Objectives with and without truth for custom models, which support no other objectives."""
 
 
 def default_filter_options(
     options: dict[str, Any], drives: Sequence[Drive | LogProperties]
 ) -> tuple[dict[str, Any], str]:
-    """Add missing ``model`` and ``use``; return the options and one line that explains them, or "" if none was missing.
+    """Add missing ``model`` and ``use``.
+
+    Return the options, and a line that explains the added options ("" if none was missing).
 
     For planar5, the paper's model, no measurements are added. Measurements that conflict with ``kind`` or the objective
-    are omitted. ``fix-error`` is added only to the model that suits the sensors: on roads that need tilted12, it
-    doubles the drift of planar8 over 30 s.
+    are omitted. ``fix-error`` is added only to the model that suits the sensors: on roads that need tilted12,
+    ``fix-error`` doubles the drift of planar8 over 30 s.
     """
     if "model" in options and "use" in options:
         return options, ""
@@ -83,11 +85,12 @@ def default_filter_options(
 
 
 def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive | LogProperties]) -> bool:
-    """Return True if all logs show correlated fix errors in enough fixes, and filter and objective permit fix-error.
+    """Return True if all drives have correlated fix errors and enough fixes, and filter and objective permit fix-error.
 
-    Without truth, the states for these errors change the position RMSE by -25% on kingston-1, and by -13% or +6% on two
-    parts of comma2k19. With simulated receivers and errors that last minutes, only the covariance improves. If all logs
-    have truth, the states are used only with the default objective and roll and pitch: see `space.FIX_ERROR_TIME`.
+    Without truth, fix-error changes the position RMSE by -25% on kingston-1, and by -13% and +6% on two parts of
+    comma2k19. With simulated receivers and errors that last minutes, fix-error improves only the covariance. If all
+    drives have truth, fix-error is used only with the default objective and a model with roll and pitch: see
+    `space.FIX_ERROR_TIME`.
     """
     have, objective = [log_properties(one) for one in drives], options.get("objective") or "auto"
     known = model in MODELS
@@ -152,7 +155,7 @@ def complete_config(config: C, data: Sequence[LogProperties | Log]) -> C:
 
 
 def explain_tuning(drives: Sequence[Drive | LogProperties], **options: Any) -> list[str]:
-    """Describe the filter, the objective and the search that `tune` would use, in three lines."""
+    """Describe in three lines the filter, the objective and the search that `tune` would use."""
     sensors = [log_properties(one) for one in drives]
     options, because = default_filter_options(options, sensors)
     config = complete_config(validated_config(TuneConfig, options), sensors)

@@ -1,7 +1,8 @@
-"""Find faults of a tuned filter that its objective hardly shows: divergence, drift and a wrong covariance scale.
+"""Find faults of a tuned filter that the objective hardly shows: divergence, drift and a wrong scale of the covariance.
 
-If all variances are multiplied by mean NIS / 2, the mean NIS becomes 2. The factor changes the estimates only if gains
-depend on the scale (fixed variances of the initial state; robust weights), so the change of the RMSE is measured.
+If all variances are multiplied by mean NIS / 2, the mean NIS becomes about 2. This factor can change the estimates,
+since fixed variances of the initial state and robust weights make the gains depend on the scale. Therefore the change
+of the RMSE is measured.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -34,15 +35,15 @@ MONITORED_TIME = 3600.0  # s from the start in which divergence is checked; a lo
 MAX_DRIFT_RATIO = 1.5  # ratio to the baseline's drift above which a warning is given
 FIRST_SETS = 2  # sets of outages that are checked first
 RECHECK_RATIO = 1.2
-"""Ratio of the filter's drift to the baseline's above which all sets of outages are measured, not only `FIRST_SETS`.
+"""Largest ratio of the filter's drift to the baseline's drift at which `FIRST_SETS` sets of outages suffice.
 
-With `FIRST_SETS` sets the ratio is accurate to 10%.
+With this number of sets the ratio is accurate to 10%. For larger ratios, all sets are measured.
 """
 CHECKED_TIME = 600.0  # s in the middle of a drive that are checked for drift
 DO_NOT_USE = "DO NOT USE THIS FILTER"
 REMEDY = f"{DO_NOT_USE}; check the drive with `sigmaswarm doctor`, or tune with more trials or on more drives"
 MAX_CORRELATION = 0.3
-"""Lag-1 autocorrelation of innovations above which a warning is given.
+"""Largest lag-1 autocorrelation of innovations without a warning.
 
 For filters tuned without truth, the median autocorrelation was -0.05 and 0.12 with white fix errors, 0.15 with a
 simulated u-blox M8, and 0.33 to 0.91 with real receivers.
@@ -79,7 +80,10 @@ def larger_drifts(forecasts: Sequence[DriftComparison]) -> list[str]:
 
 
 def drift_table(forecasts: Sequence[DriftComparison], durations: Sequence[float] = ()) -> Table:
-    """Return a table of drifts; its caption states the measured part of the drives, with ``durations``, s."""
+    """Return a table of drifts.
+
+    The caption states which part of the drives was measured; ``durations``: durations of the drives, s.
+    """
     first = f"first {MAX_NAMED_DRIVES} " * (len(durations) > MAX_NAMED_DRIVES)
     part = f", {CHECKED_TIME:g} s in the middle of each" * (
         max(durations[:MAX_NAMED_DRIVES], default=0) > CHECKED_TIME
@@ -96,7 +100,7 @@ def drift_table(forecasts: Sequence[DriftComparison], durations: Sequence[float]
 def forecasts_of(
     parameters: FilterParameters, noise: MotionNoise, scorer: AnyBatchScorer
 ) -> Iterator[DriftComparison]:
-    """Measure the drift over outages of several lengths, in the middle of the first drives.
+    """Measure the drift over outages of several lengths in the middle part of the first drives.
 
     On a drive of at most `CHECKED_TIME`, an evaluation with the default seed has the same outages and drift.
     """
@@ -157,9 +161,9 @@ def correlation_of(ready: PreparedDrive, parameters: FilterParameters) -> float:
 def correlation_warnings(
     parameters: FilterParameters, correlations: Iterable[float], use: Sequence[str] = ()
 ) -> list[str]:
-    """Warn if innovations are correlated and the filter could model correlated fix errors.
+    """Warn if innovations are correlated although the filter could model correlated fix errors.
 
-    ``use``: values of ``--use`` for the proposed command.
+    ``use``: values of ``--use`` in the proposed command.
     """
     known = [value for value in correlations if np.isfinite(value)]
     augmented = kernel_name(parameters.model, parameters.kind, fix_error=True)

@@ -1,4 +1,4 @@
-"""Inflate the process noise, for roads and IMUs that the tuning did not use.
+"""Inflate the process noise, so that the filter suits roads and IMUs that the tuning did not use.
 
 Inflation selects the largest noise whose cost is close to the lowest cost, similar to the rule of one standard error
 (L. Breiman et al., Classification and Regression Trees, 1984, section 3.4.3). A longer drive determines the noise
@@ -12,7 +12,7 @@ for position and velocity, the position RMSE on another car's drive is 0.86 inst
 Without inflation of position and velocity, the heading error with a cheap IMU is 50% larger. The noises of heading and
 yaw rate in robot-localization are not inflated, since they do not depend on roads.
 
-A factor has no effect on a noise near zero. In a filter with roll and pitch, the noise of these angles, the random
+Multiplication hardly changes a noise near zero. In a filter with roll and pitch, the noise of these angles, the random
 walks of the gyro's x and y biases, and the standard deviations of the initial biases therefore have minima
 (`space.INFLATION_MINIMA`). With these minima, a filter that was tuned on one drive has a position RMSE of 0.8 m instead
 of 1.7 m on another car's drive. On drives of the same car, the minima change the RMSE by -5 to +2%. Three or more
@@ -39,7 +39,7 @@ from sigmaswarm.tuning.objectives import parse_objective
 from sigmaswarm.tuning.problem import Problem, duration_share
 
 INFLATION, TILTED_INFLATION, WITH_TRUTH = 0.05, 0.02, 0.01
-"""Default allowed cost increases: planar without truth, other models without truth, tilted12 with truth."""
+"""Default limits of the relative cost increase: planar without truth, others without truth, tilted12 with truth."""
 MIN_DRIVES_WITH_TRUTH = (
     3  # drives with truth from which the standard deviations of the initial biases are determined
 )
@@ -48,13 +48,13 @@ REFERENCE_DURATION, TILTED_DURATION = 100.0, 150.0
 
 Twice this time allows half of the increase. On the 72 pairs of drives of `benchmarks/road_matrix.py`, the position RMSE
 of planar8 is 1 to 2% lower and its 5 s drift 3 to 4% lower with 100 s than with 150 s. With roll and pitch, a filter
-was tuned on 200 s of kitti-09-30-0018 and tested on kitti-09-30-0033. With 100 s instead of 150 s, 83% instead of 90%
-of its errors were inside the 95% radius; the position RMSE on the training roads was the same within 1%. Shorter drives
-do not allow a larger increase: after tuning on 60 s of a highway, an increase of 0.086 instead of 0.05 raised the 5 s
-drift on other roads by 20%.
+was tuned on 200 s of kitti-09-30-0018 and tested on kitti-09-30-0033. With 100 s, 83% of its errors were inside the 95%
+radius, with 150 s 90%; the position RMSE on the training roads differed by less than 1%. Shorter drives do not allow a
+larger increase: after tuning on 60 s of a highway, an increase of 0.086 instead of 0.05 raised the 5 s drift on other
+roads by 20%.
 """
 MIN_BIAS_RATIO = 5.0
-"""Smallest mean of bias^2 / variance, over starts and axes, at which the gyro biases are significant.
+"""Smallest ratio bias^2 / variance, averaged over initial alignments and axes, at which gyro biases are significant.
 
 This mean is at most 1.4 on real drives and with a simulated ICM-20602, and 7 to 90 with a simulated MPU-6050.
 """
@@ -89,7 +89,7 @@ def inflate(
 
 
 def shown_bias(starts: Sequence[InitialState]) -> float:
-    """Return the RMS of the gyro biases at the starts, corrected for estimation errors, rad/s; 0 if they show none."""
+    """Return the RMS of the gyro biases at the starts (rad/s), corrected for their errors; 0 if insignificant."""
     gyros = [start.gyro for start in starts if start.gyro is not None]
     bias, variance = (np.array([getattr(one, what) for one in gyros]) for what in ("bias", "variance"))
     # The variance of an axis that was not observed is infinite.

@@ -33,7 +33,7 @@ from sigmaswarm.tuning.search import TrialRunner
 
 ARM = ("forward", "left")
 UNKNOWN_STD, STATED_STD = 2.0, 1.0
-"""Prior standard deviations, m, if drive.toml has no lever arm, and if it has one without ``gps_lever_arm_std_m``."""
+"""Prior standard deviations, m: if drive.toml has no lever arm; if it has a lever arm without a standard deviation."""
 SCALES = ("scale_ax", "scale_ay", "scale_gz")
 ROLLING = 0.1
 """Prior standard deviation of a planar filter's accelerometer scale errors, which include effects of roll and pitch."""
@@ -53,7 +53,10 @@ Without this factor, 93% of the errors on 65 simulated drives were within 1.96 s
 MAX_ROUNDS, STEP_TOLERANCE = 8, 0.005
 """Largest number of Gauss-Newton steps, and step of the lever arm (m) below which the iteration ends."""
 NOISE_SEARCH: dict[str, Any] = {"particles": 32, "generations": 50, "inflation": 0.0, "prior": 0.0}
-"""Options for tuning the noise; without tuning, the lever arm's standard deviations are two to six times as large."""
+"""Options for tuning the noise.
+
+Without tuning, the standard deviations of the lever arm are two to six times as large.
+"""
 Values = dict[str, float]
 Whitened = tuple[Array, Array, Array, Array]
 """Arrays of a drive: times (f,), s; L^-1 nu (f, 2); its negative derivatives (f, 2, k); robust weights (f,)."""
@@ -70,9 +73,9 @@ class LeverArmEstimate:
     std : (float, float)
         Standard deviations of forward and left, m.
     stated : (float, float)
-        Lever arm in drive.toml, m; zeros if there is none.
+        Lever arm in drive.toml, m; zeros if drive.toml contains none.
     within : float
-        Required accuracy, m: an axis is observable if 1.96 standard deviations are at most this.
+        Required accuracy, m: an axis is observable if 1.96 standard deviations are at most this value.
     """
 
     forward: float
@@ -137,7 +140,7 @@ def estimate_lever_arm(
     parameters : FilterParameters, optional
         The filter that computes the innovations. Default: the default filter for the logs, tuned by likelihood.
     within : float
-        Required accuracy, m: an axis is observable if its 95% error is at most this.
+        Required accuracy, m: an axis is observable if its 95% error is at most this value.
 
     Returns
     -------
@@ -248,8 +251,8 @@ def _deviations(
 ) -> tuple[float, float]:
     """Return the standard deviations of the lever arm, forward and left, m.
 
-    Each is `STD_FACTOR` times the larger one of the model's estimate and the sandwich estimate from blocks of the
-    drives (White, 1980).
+    Each is `STD_FACTOR` times the larger of two estimates: that of the model, and the sandwich estimate from blocks of
+    the drives (White, 1980).
     """
     scatter, inverse = before.copy(), np.linalg.inv(information)
     for time, nu, columns, weight in whitened:

@@ -31,7 +31,7 @@ class Objective:
     scale_free : bool
         True if the cost does not depend on a common factor of all covariances.
     likelihood : bool
-        True for a negative log-likelihood, or a sum with such a term. The whole sum then counts as nats.
+        True for a negative log-likelihood, or a sum with such a term. The unit of the whole sum is then nats.
     nats : float
         Total weight of the logarithmic terms; 0 if the cost is a positive error. If errors are 1% larger, a term of
         weight 1 increases by 0.01 nats per element of a measurement.
@@ -51,7 +51,7 @@ class Objective:
     warning: str | None = None
 
     def costs(self, scores: Scores, worst: float = 1.0) -> Array:
-        """Return the mean of the highest costs of each set, shape (n_sets,); ``inf`` if it failed on any drive.
+        """Return the mean of the highest costs of each set, shape (n_sets,); ``inf`` if the set failed on any drive.
 
         ``worst`` is the fraction of the drives that are averaged.
         """

@@ -65,12 +65,12 @@ class Problem(ABC, Generic[P]):
 
     @property
     def described(self) -> list[dict[str, Any]]:
-        """``data`` with properties that do not identify a drive, for tuning.toml."""
+        """``data`` with additional properties that do not identify a drive, for tuning.toml."""
         return self.data
 
     @property
     def seen(self) -> Iterable[Landmarks]:
-        """Landmarks that identify each drive; none for logs of a custom model."""
+        """Landmarks that identify each drive; empty for logs of a custom model."""
         return ()
 
     @property

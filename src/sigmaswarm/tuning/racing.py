@@ -1,12 +1,13 @@
-"""Race candidates: evaluate all of them on a few drives, and only the better ones on more drives.
+"""Race candidates: evaluate all candidates on a few drives, and only the better candidates on more drives.
 
 This is successive halving (K. Jamieson and A. Talwalkar, AISTATS 2016) with drives as the resource: each rung drops the
-worse half of the candidates. In F-race (M. Birattari et al., GECCO 2002), a test decides how many are dropped.
+worse half of the candidates. In F-race (M. Birattari et al., GECCO 2002), a statistical test decides how many
+candidates are dropped.
 
 A single filter takes as long as eight filters in one vector, so the last candidate of a race is expensive. With many
 drives, candidates must therefore also be better than the best candidate so far, the leader. The leader's costs are a
 control variate for the costs of dropped candidates. A race that starts with 1/32 instead of 1/12 of the drives is
-faster, but the resulting costs mislead the search.
+faster, but its costs mislead the search.
 """
 
 from collections.abc import Sequence
@@ -29,7 +30,7 @@ Order = Sequence[int] | NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Leader:
-    """The best candidate so far: its total cost, and its cost on each drive, shape (m,)."""
+    """Total cost of the best candidate so far, and its cost on each drive, shape (m,)."""
 
     cost: float
     each: Array
@@ -75,8 +76,8 @@ def race(
 ) -> RaceResult:
     """Evaluate points, shape (n, d), on the drives in the given order, and drop the worse half at each rung.
 
-    With `MIN_RACED_DRIVES` or more drives, points that are not better than ``leader`` are dropped, too. With so many
-    drives, but without a leader or with only one point, no point is dropped.
+    With `MIN_RACED_DRIVES` or more drives, points that are not better than ``leader`` are dropped, too; if there is no
+    leader or only one point, no point is dropped.
     """
     order = np.asarray(order)
     many, n, m = len(order) >= MIN_RACED_DRIVES, len(points), len(order)
@@ -112,21 +113,21 @@ def race(
 
 
 def _ahead(each: Array, costs: Array, rival: Leader, drives: NDArray[np.int64]) -> Mask:
-    """Select candidates that are better than the leader by more than a standard error of the difference."""
+    """Select candidates that are better than the leader by more than one standard error of the difference."""
     with np.errstate(invalid="ignore"):  # a failed candidate has infinite costs
         std = (each - rival.each[drives]).std(axis=1, ddof=1)
     return costs + std / np.sqrt(len(drives)) < rival.cost
 
 
 def _in_order(each: Array, order: NDArray[np.int64]) -> Array:
-    """Sort columns by drive, C-contiguous, since the rounding of sums depends on order and memory layout."""
+    """Sort columns by drive into a C-contiguous array: the rounding of sums depends on order and memory layout."""
     return np.ascontiguousarray(each[:, np.argsort(order[: each.shape[1]], kind="stable")])
 
 
 def _behind(
     costs: Array, finished: NDArray[np.int64], dropped: list[NDArray[np.int64]], otherwise: float
 ) -> Array:
-    """Raise the costs of dropped candidates above those of finished ones, or above ``otherwise`` if none finished."""
+    """Raise the costs of dropped candidates above those of finished candidates, or above ``otherwise``."""
     shifted, floor = costs.copy(), _highest(costs[finished], otherwise)
     for group in reversed(dropped):
         best = float(costs[group].min(initial=np.inf))

@@ -3,8 +3,8 @@
 Many receivers smooth their fixes. For smoothed fixes, the likelihood is largest if R corresponds to centimeters, and a
 filter with this R copies the fixes. The prior penalizes an R below the receiver's variance. It penalizes a larger R
 only with fix-error, since in cities receivers state standard deviations that are too small. The prior is counted once
-per fix. If it were counted once in total, its weight would decrease with the number of fixes, as if their errors were
-independent.
+per fix. If it were counted once in total, its relative weight would decrease with the number of fixes, as if the errors
+of the fixes were independent.
 """
 
 from collections.abc import Sequence
@@ -53,7 +53,7 @@ def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array
 
 
 def typical_variance(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
-    """Return the variances, shape (n, m, 2), that n filters assume for the error of the median fix of m drives."""
+    """Return the variances, shape (n, m, 2), that n filters assume for fixes of m drives with accuracy ``std``."""
     table = ParameterTable.of(parameter_sets)
     scale = table.column("accuracy_scale") + table.column("fix_error")
     return table.column("measurement_noise")[:, None, :] + scale[:, None, None] * std**2
@@ -125,7 +125,7 @@ def noise_warnings(
 
 
 def _state_remedy(scatter: float) -> str:
-    """Return the remedy with the scatter of the fixes, m per axis, which is a lower limit; NaN if unknown."""
+    """Return the remedy, which states the scatter of the fixes (m per axis; NaN if unknown) as a lower limit."""
     limit = f" (at least their scatter of {scatter:.2g} m)" if np.isfinite(scatter) else ""
     return STATE_REMEDY.replace(", m per axis", f", m per axis{limit}")
 

@@ -66,7 +66,7 @@ class ResultRecord(BaseModel):
     filter_steps: int = 0
     filter_steps_without_racing: int = 0
     lower_cost_at: dict[str, float] = Field(default_factory=dict)
-    """Lowest relative change of the cost if only this parameter changes, by parameter; negative changes only."""
+    """By parameter, the lowest relative change of the cost if only this parameter changes; only negative values."""
 
 
 class TuningRecord(BaseModel):
@@ -95,12 +95,12 @@ class TuningRecord(BaseModel):
 
     @property
     def mounting(self) -> Angles | None:
-        """Mounting of all training drives, deg; None if it is unknown or the drives have different mountings."""
+        """Mounting of the IMU in all training drives, deg; None if it is unknown or differs between the drives."""
         return common_mounting(drive.imu_mounting_deg for drive in self.data)
 
     @property
     def imu_axes(self) -> dict[str, str]:
-        """Import expressions of the IMU's axes if all training drives have the same; empty if not, or if unknown."""
+        """Import expressions of the IMU's axes; empty if they are unknown or differ between the training drives."""
         return common_axes(drive.imu_axes for drive in self.data)
 
     @property
@@ -127,7 +127,7 @@ def tuning_file(path: Path) -> Path:
 def training_data_of(path: Path) -> list[Landmarks]:
     """Return the landmarks of the training drives of a tuning.toml or its folder, from seen.npz next to it.
 
-    If seen.npz is missing or has other drives than tuning.toml, only whole drives are recognized.
+    If seen.npz is missing or does not belong to tuning.toml, only whole drives can be recognized.
     """
     data = TuningRecord.read(path).data
     kept = load_landmarks(tuning_file(path).parent / TRAINING_DATA_FILE)

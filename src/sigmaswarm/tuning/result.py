@@ -33,7 +33,7 @@ from sigmaswarm.wording import count_of, sort_remarks, to_do
 P = TypeVar("P", default=FilterParameters)
 SHOWN_REMARKS = 5  # number of remarks in the printed text
 INFLATION_REMARK = (
-    "process-noise inflation, for other roads and IMUs, multiplied {}; --inflation 0 turns it off"
+    "process-noise inflation, for other roads and IMUs, multiplied {}; --inflation 0 turns the inflation off"
 )
 SENSORS_REMARK = (
     "a filter tuned with truth is valid only for the receiver and the IMU of these drives. With other sensors it may "
@@ -50,7 +50,7 @@ LARGE_GAP = 0.2  # relative increase of the errors on validation drives above wh
 
 @dataclass(frozen=True)
 class Validation:
-    """Cost without a prior on drives that the search did not use; ``gap``: relative increase over the training cost."""
+    """Cost without priors on drives that the search did not use; ``gap``: relative increase over the training cost."""
 
     cost: float
     gap: float
@@ -68,7 +68,7 @@ class Tuning(Generic[P]):
     cost : float
         Cost of these parameters on the training drives, including priors.
     touched_bounds : list of TouchedBound
-        Parameters at a bound: the optimum may lie beyond it.
+        Parameters at a bound, beyond which the optimum may lie.
     trial_costs : tuple of float
         Lowest cost of each trial, before inflation.
     best_trial : int
@@ -76,13 +76,13 @@ class Tuning(Generic[P]):
     trials : tuple of Trial
         Empty if the folders of the trials are missing.
     evaluations, failures : int
-        Number of evaluated parameter sets, and number of failed ones.
+        Number of evaluated parameter sets, and number of these that failed.
     steps, full_steps : int
-        Number of filter steps of the search, and the number that the same evaluations without racing would take.
+        Number of filter steps of the search, and number of filter steps of the same search without racing.
     data : list of dict
         Name, duration, fingerprint and other properties of each training drive.
     seen : sequence of Landmarks
-        Landmarks by which `evaluate` recognizes training drives and parts of them.
+        Landmarks by which `evaluate` recognizes training drives and parts of training drives.
     warnings : tuple of str
         Faults of the tuned filter on the training drives that the objective does not show.
     sensitivities : tuple of Sensitivity
@@ -139,12 +139,12 @@ class Tuning(Generic[P]):
 
     @property
     def mounting(self) -> Angles | None:
-        """Roll, pitch and yaw of the IMU in the vehicle, deg, if the training drives agree on a mounting, else None."""
+        """Roll, pitch and yaw of the IMU in the vehicle, deg; None if unknown or different between drives."""
         return common_mounting(entry.get(KEY) for entry in self.data)
 
     @property
     def imu_axes(self) -> dict[str, str]:
-        """Import expressions of the IMU's axes if all training drives have the same; empty if not, or if unknown."""
+        """Import expressions of the IMU's axes; empty if they are unknown or differ between the training drives."""
         return common_axes(map(axes_of, self.data))
 
     @property

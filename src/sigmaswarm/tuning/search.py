@@ -63,7 +63,7 @@ class Trial:
     steps : ndarray of int, shape (generations,)
         Number of filter steps from the first to this generation.
     evaluations, failures : int
-        Number of evaluated parameter sets, and number of failed ones.
+        Number of evaluated parameter sets, and number of these that failed.
     """
 
     cost: float
@@ -76,7 +76,7 @@ class Trial:
 
 
 def saved_trials(folder: Path, count: int) -> tuple[Trial, ...]:
-    """Read the trials of a finished tuning; return an empty tuple if one is missing."""
+    """Read the trials of a finished tuning; return an empty tuple if a trial is missing."""
     finished = [finished_trial(folder, number) for number in range(count)]
     trials = tuple(_trial(*done) for done in finished if done)
     return trials if len(trials) == count else ()
@@ -91,7 +91,7 @@ class TrialRunner:
     """Settings that the trials of one tuning share.
 
     The first generation is drawn around ``center``, shape (d,); None: uniformly within the bounds. Custom optimizers
-    that are no `AskTell` ignore ``center``.
+    that are not subclasses of `AskTell` ignore ``center``.
     """
 
     problem: Problem[Any]

@@ -33,9 +33,9 @@ SCALING = (
 FIX_ERROR_TIME = "fix_error_time"
 """Parameter that is searched only with truth, and only for models with roll and pitch.
 
-Without truth, the likelihood hardly depends on this time constant. In a planar filter, slopes also cause correlated
-innovations: after tuning with truth on kingston-1, the position RMSE was 3.1 m with a searched time and 2.2 m with a
-fixed time.
+Without truth, the likelihood hardly depends on this time constant. With a planar filter, slopes also cause correlated
+innovations: after tuning with truth on kingston-1, the position RMSE was 3.1 m with a searched and 2.2 m with a fixed
+time constant.
 """
 TYPICAL_SLIP = 0.005
 """Tire slip of passenger cars, s2/m, used if the objective does not use truth.
@@ -75,9 +75,10 @@ The variances of the process noise are per second, for an automotive MEMS IMU: n
 1e-4 rad/s/sqrt(Hz), and random walks of the biases of 1e-4 m/s2/sqrt(s) and 3e-6 rad/s/sqrt(s).
 """
 TYPICAL_WEIGHT, TYPICAL_DURATION = 1 / 250, 150.0
-"""Weight of this prior, nats per fix, and total driving time, s, above which the weight decreases in proportion.
+"""Weight of this prior, nats per fix, and longest total driving time, s, with this weight.
 
-In a cost that is the mean over n independent fixes, a prior has the weight 1 / n. For 150 s, n is set to 250.
+Above this time, the weight is inversely proportional to the time. In a cost that is the mean over n independent fixes,
+a prior has the weight 1 / n. For 150 s, n is set to 250.
 """
 DEFAULT_INTERVAL = 0.01  # IMU interval, s, if no drive is known yet
 IMU_DIMENSIONS = (
@@ -88,7 +89,7 @@ IMU_DIMENSIONS = (
 ENTRIES = {"imu_gate": ("gate_gyro", "gate_accel")}
 """Names of the dimensions of a field that is a tuple."""
 NOISE_ONLY_OPTIONS = ("lateral", "odometer")
-"""Options of which robot-localization has only the noise: it reads velocities in m/s, at the IMU, without delay."""
+"""Options of which robot-localization has only the noise variance, and none of the other parameters."""
 KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
     **dict.fromkeys(
         ("adaptive-ukf", "strong-tracking-ukf"),
@@ -215,7 +216,10 @@ def _with_prior(dimensions: Sequence[Dimension], interval: float) -> Iterator[Di
 
 
 def _with_fixed_time(dimensions: Sequence[Dimension], fix_std: float, weighs: bool) -> Iterator[Dimension]:
-    """Omit `FIX_ERROR_TIME`, and set a minimum of R; ``weighs``: True if R depends on the stated variance of a fix."""
+    """Omit `FIX_ERROR_TIME`, and set a lower bound of R.
+
+    ``weighs``: True if R depends on the stated variance of a fix.
+    """
     field, least = (
         ("accuracy_scale", MIN_SEARCHED_WHITE_SHARE)
         if weighs
@@ -231,9 +235,9 @@ def _dimensions(
 ) -> Iterator[Dimension]:
     """Yield the dimensions in order; east and north have the same noise, except in planar5 without ``lateral``.
 
-    With separate noises, a filter tuned on roads to the east had 1000 times more velocity noise to the north. On a road
-    to the north, the lateral constraint then corrected mostly the velocity along the road: docs/results/planar5.md,
-    "One noise for both map axes".
+    With separate noises, a filter tuned on roads to the east had 1000 times as much velocity noise to the north as to
+    the east. On a road to the north, the lateral constraint therefore corrected mostly the velocity along the road:
+    docs/results/planar5.md, "One noise for both map axes".
     """
     if kind != "ekf":
         yield from SCALING

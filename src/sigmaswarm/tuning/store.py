@@ -28,7 +28,7 @@ MAX_LENGTH = 120  # characters of a value in a message
 
 
 CENTER = "center"
-"""Key of the point, by parameter, around which the first generation is drawn; without it, the generation is uniform."""
+"""Key of the center of the first generation (values by parameter). Without this key, the generation is uniform."""
 
 
 class ConfigRecord(BaseModel, extra="allow"):
@@ -91,7 +91,7 @@ def saved_options(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
 
 
 def saved_history(path: Path) -> dict[int, list[float]]:
-    """Return the lowest cost so far after each generation, by trial; the tuning may be unfinished."""
+    """Return the lowest cost so far after each generation, by trial. The tuning need not be finished."""
     history: dict[int, list[float]] = {}
     for entry in sorted((*path.glob("trial-???"), *path.glob("checkpoint-???.npz"))):
         number = int(entry.stem[-3:])
@@ -146,7 +146,7 @@ def _short(key: str, value: Any) -> str:
 
 
 def _require_same(file: Path, config: dict[str, Any]) -> dict[str, float] | None:
-    """Raise `InputError` unless a saved configuration is the same; return its center of the first generation."""
+    """Raise `InputError` if a saved configuration differs; return the saved center of the first generation."""
     record = load_record(ConfigRecord, file, "not written by a tuning; choose another --out", infinite=True)
     saved, wanted = _with_current_names(record.model_extra), json.loads(json.dumps(config))
     center, _ = saved.pop(CENTER, None), wanted.pop(CENTER, None)
@@ -176,7 +176,8 @@ class ResultFolder:
     another tuning, or if it contains any tuning and ``resume`` is False. The message proposes ``--resume`` only if the
     configuration is the same.
 
-    ``center`` is the `CENTER` of the configuration. A resumed run has the saved one, since version 0.3.0 saves none.
+    ``center`` is the `CENTER` of the configuration. For a resumed run it is the saved center, which is missing in files
+    of version 0.3.0.
     """
 
     def __init__(self, path: Path, config: dict[str, Any], *, resume: bool) -> None:

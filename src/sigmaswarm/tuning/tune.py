@@ -112,14 +112,14 @@ def tune(
     progress : callable, optional
         Called with a `Progress` after every generation. If it returns False, the tuning stops.
     **options
-        ``resume=True`` continues the run in ``out``; the result is the same as without interruption.
-        ``paper=True`` uses the paper's settings, `PAPER_OPTIONS`, and rejects options that contradict them.
-        ``start`` is a filter, or its file: a tuning.toml, or an ekf.yaml of robot_localization. The first
-        generation of the search is drawn around it, by default around the `baseline` of the first drive, and
-        with ``paper`` uniformly. The other options are fields of `TuneConfig`: objective, particles,
-        generations, trials, seed, ... Without ``model`` and ``use`` the filter depends on the drives' sensors;
-        the result's ``config`` states the chosen filter. ``model`` may be a custom `Model`, and ``optimizer`` a
-        custom class: see `tuning.optimizers`.
+        ``resume=True`` continues the run in ``out``; the result is the same as without interruption. ``paper=True``
+        uses the paper's settings, `PAPER_OPTIONS`, and rejects options that contradict them. ``start`` is a filter, or
+        its file: a tuning.toml, or an ekf.yaml of robot_localization. The first generation of the search is drawn
+        around this filter; by default around the `baseline` of the first drive; with ``paper``, the generation is
+        uniform. The other options are fields of `TuneConfig`: objective, particles, generations, trials, seed, ... If
+        ``model`` and ``use`` are not given, the filter depends on the drives' sensors; ``config`` of the result
+        contains the chosen filter. ``model`` may be a custom `Model`, and ``optimizer`` a custom class: see
+        `tuning.optimizers`.
 
     Raises
     ------
@@ -182,7 +182,7 @@ def _problem_of(
     start: FilterParameters | str | Path | None,
     where: "tuple[Executor | None, Client | None]",
 ) -> tuple[Problem[Any], Problem[Any] | None, Array | None]:
-    """Return the problems on the training and the validation data, and the point of the start filter."""
+    """Return the problems on the training data and on the validation data, and the point of the start filter."""
     model: Any = options.get("model")
     executor, cluster = where
     first: Array | None = None
@@ -229,7 +229,7 @@ def start_point(space: SearchSpace, given: FilterParameters) -> Array:
 
 
 def _center(problem: Problem[Any]) -> Array | None:
-    """Return the baseline's point; None for a custom model, and for the paper's settings, whose swarm is uniform."""
+    """Return the point of the baseline; None for a custom model, and for the paper's uniform first swarm."""
     config = problem.config.model_dump()
     papers = all(config.get(name) == value for name, value in PAPER_OPTIONS.items())
     return None if papers else problem.baseline_point()

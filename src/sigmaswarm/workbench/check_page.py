@@ -16,7 +16,7 @@ MIN_PART_LENGTH = 30.0  # s, shortest beginning of a drive that a button offers 
 Step = dict[str, Any]  # ``{"repair": [codes]}`` or ``{"keep": [start, end]}``, s
 Agreements = dict[str, Agreement]
 Repaired = dict[str, tuple[Agreements, str]]
-"""For each code of a finding: agreements after the repair, and the reason if the repair is rejected, else ""."""
+"""For each code of a finding: series to plot after the repair, and the reason why the repair is rejected, or ""."""
 CheckState = tuple[list[Drive], list[Step], Diagnosis, Agreements]
 """The drive before and after each step, the steps, and the diagnosis and agreements after the last step."""
 
@@ -67,7 +67,7 @@ class CheckPage(Page):
         self.start("reading and checking the drive", self._checked, name, None, then=self._set_state)
 
     def _do(self, waiting: str, steps: list[Step]) -> None:
-        """Apply all steps, using the earlier results of the first steps if these are unchanged."""
+        """Apply all steps; the results of unchanged first steps are reused."""
         self.start(waiting, self._checked, self._opened, steps, then=self._set_state)
         self.refresh()
 
@@ -169,7 +169,7 @@ class CheckPage(Page):
 
     @ui.refreshable_method
     def _evidence(self, finding: Finding) -> None:
-        """Show the plot of a finding before and, if known, after its repair; if the repair is rejected, show why."""
+        """Show the plot of a finding before and (if known) after the repair; if it is rejected, show the reason."""
         after, rejected = self.after.get(finding.code, ({}, ""))
         message(rejected, "bad")
         if shown := self.before.get(shown_by(finding.code)):

@@ -36,7 +36,7 @@ class Page:
     def start(
         self, waiting: str, work: Callable[..., T], *arguments: Any, then: Callable[[T | None], Any]
     ) -> None:
-        """Run ``work`` in a thread, even after the tab is closed; only the result of the latest request is used.
+        """Run ``work`` in a thread that continues after the tab is closed; only the latest request's result is used.
 
         ``then`` receives the result, or None after an error; ``wrong`` then contains the error message.
         """

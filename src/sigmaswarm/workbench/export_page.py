@@ -67,7 +67,7 @@ class ExportPage(Page):
             text("h2", target.title)
             write = button(f"Write {target.title}", partial(self._begin, name), "download", main=True)
             write.set_enabled(not self.waiting and not refused)
-        text("p", (refused and f"Not for this filter: {refused}") or target.needs, "soft")
+        text("p", (refused and f"Not available for this filter: {refused}") or target.needs, "soft")
         self._outcome(name)
 
     def _trajectories(self) -> None:

@@ -125,7 +125,7 @@ class ColumnRow:
         field.on("change", lambda: page.express(target, field.value or ""))
 
     def _faults(self, target: str) -> list[str]:
-        """Return the parts of the error that name the column; without any, the reasons why it was not recognized."""
+        """Return the parts of the error that name the column, or the reasons why the column was not recognized."""
         page, column = self.panel.page, self.about.column
         mapped = page.bench.log_choices.get("maps", {})
         faults = [

@@ -62,7 +62,7 @@ MAIN_METHOD = "pso-ukf"  # the paper's method, with which all others are compare
 DEFAULT_METHOD = "default"  # filter, objective and optimizer that `tune` chooses by default
 BAYESIAN_METHOD = "bo-ukf"
 NETWORK_FILTER = "pso-planar8"
-"""Method whose filter the networks support. `noise-gru` does not support tilted12, and planar5 has no biases."""
+"""Method whose filter the networks assist. `noise-gru` does not support tilted12, and planar5 has no bias states."""
 HONEST: tuple[ProtocolName, ...] = ("honest",)
 # In the order of the tables; the paper tunes only the UKF.
 METHODS: dict[str, Method] = {
@@ -122,8 +122,11 @@ PAPER_RESULTS: dict[str, Any] = {
     "figure_2": {"stable_generation": 15, "stable_at_m": 1.5},
     "real_time_limit_ms": 10.0,
 }
-"""The paper's results: Malabo and Gerardo, "Adaptive Tuning of the Unscented Kalman Filter Using Particle Swarm
-Optimization for Inertial-GPS Sensor Fusion Systems", Tables I to III and Figure 2."""
+"""The paper's results:
+
+Malabo and Gerardo, "Adaptive Tuning of the Unscented Kalman Filter Using Particle Swarm Optimization for Inertial-GPS
+Sensor Fusion Systems", Tables I to III and Figure 2.
+"""
 
 
 def _of_paper(name: str) -> tuple[str, ...]:
@@ -143,26 +146,29 @@ class StudyConfig(BaseModel):
     """Number of simulated drives of each maneuver in each environment."""
     imu: str = "icm-20602"
     gps: str = "white-1m"
-    """GPS grade. The paper does not state the noise of its sensors; CARLA's GNSS sensor has white noise."""
+    """Grade of the GPS receiver.
+
+    The paper does not state the noise of its sensors; CARLA's GNSS sensor has white noise.
+    """
     vibration: float = Field(default=0.0, ge=0)
-    """Vibration of the IMU, relative to that of real cars; a network may infer the speed from vibration."""
+    """Vibration of the IMU, relative to real cars; a network can infer the speed from vibration."""
     terrain: str = "flat"
     drives: tuple[str, ...] = ()
-    """Folders or URLs of your own drives with truth, instead of simulated ones."""
+    """Folders or URLs of your own drives with truth, instead of simulated drives."""
     train_fraction: float = Field(default=0.7, gt=0, lt=1)
     """Fraction of the drives of each condition used for training; each trial draws these drives again."""
     trials: int = Field(default=20, ge=2)
-    """Number of repetitions, each with another split of the drives and another seed."""
+    """Number of repetitions, each with a different split of the drives and a different seed."""
     particles: int = Field(default=30, ge=2)
     """Size of the swarm."""
     generations: int = Field(default=50, ge=1)
-    """Generations of the swarm, including the initial one."""
+    """Number of generations of the swarm, including the initial generation."""
     seed: int = Field(default=0, ge=0)
     """Seed of the simulated drives, the splits and the searches."""
     per_condition: bool = False
     """Tune one filter for each condition instead of one filter for all."""
     racing: bool | None = None
-    """Reject worse candidates after few drives, which is faster. --no-racing: each on all drives, as in the paper."""
+    """Reject worse candidates after few drives, to save time. --no-racing uses all drives, as in the paper."""
     rivals: bool = False
     """Also compare a fuzzy filter, Bayesian optimization and networks, and test with other sensors and another car."""
     learn_minutes: float = Field(default=20.0, ge=2)

@@ -278,7 +278,7 @@ def _condition_of(drive: Drive) -> tuple[str, str]:
 
 
 def _require_apart(marks: Sequence[Landmarks]) -> None:
-    """Raise `InputError` if drives have a part in common, since it could be in training and in test drives."""
+    """Raise `InputError` if drives have a common part, which could be in a training drive and in a test drive."""
     for i, one in enumerate(marks):
         if overlap := overlap_of(one, marks[:i]):
             raise InputError(

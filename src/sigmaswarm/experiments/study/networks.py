@@ -1,4 +1,4 @@
-"""Networks of a study, each trained on the training drives of a trial for the filter of this trial.
+"""Networks of a study. Each network is trained on the training drives of a trial, for the filter of this trial.
 
 Each network has a folder in learned/, in the format of `sigmaswarm learn`. Networks are trained one after the other, so
 that the processor time of each training can be measured.
@@ -86,8 +86,8 @@ Networks = Mapping[Task, TrainedNetwork]
 def training_drives(design: Design, trial: int, minutes: float) -> TrainingDrives:
     """Draw ``minutes`` of driving from a trial's training drives: complete drives, and the beginning of one more.
 
-    With more minutes, further drives are added to the same drives. If the drives are too few for training, further
-    drives are added in excess of ``minutes``.
+    A larger number of minutes gives the same drives and additional drives. If the drives are too few for training, more
+    drives are drawn, which last longer than ``minutes``.
     """
     remaining, whole, begun, longest, driven = 60.0 * minutes, list[Drive](), list[Drive](), 0.0, 0.0
     order = design.rng(trial, "lessons").permutation(design.split(trial)[0]).tolist()
@@ -118,7 +118,7 @@ def training_drives(design: Design, trial: int, minutes: float) -> TrainingDrive
 
 
 def trainings(design: Design) -> list[Training]:
-    """List the trainings of every trial, and those for the learning curves of the first trial."""
+    """List the trainings of every trial, and the trainings for the learning curves of the first trial."""
     if not design.config.rivals:
         return []
     trials = range(design.config.trials)

@@ -186,7 +186,8 @@ class CurvePoint(_Part):
 class RivalResults(_Part):
     """Additional results of a study with rivals.
 
-    ``gains`` compares each network with its filter without a network; in these comparisons ``holm_p`` equals ``p``.
+    ``gains`` compares each network with the same filter without a network; in these comparisons ``holm_p`` equals
+    ``p``.
     """
 
     efforts: list[Effort]
@@ -235,7 +236,7 @@ QUANTILES = {"low": 0.05, "first": 0.25, "median": 0.5, "third": 0.75, "high": 0
 
 
 class ScoreQuantiles(_Part):
-    """Quantiles over drives of the means over trials. ``failed``: number of drives on which the filter failed."""
+    """Quantiles, over the drives, of the mean over trials. ``failed``: number of drives on which the filter failed."""
 
     protocol: str
     method: str

@@ -131,7 +131,7 @@ def _compared(scores: ScoreTable) -> list[str]:
 def _against(
     scores: ScoreTable, variant: Variant, measure: str, others: Sequence[Variant], draws: Draws
 ) -> Iterator[PairedComparison]:
-    """Compare a variant with others; ``holm_p`` is corrected over these others."""
+    """Compare a variant with other variants; ``holm_p`` is corrected over these comparisons."""
     design, (protocol, method) = scores.design, variant
     own = scores.values[variant][measure]
     statistics: dict[str, PairedStatistics] = {}
@@ -189,7 +189,8 @@ def rival_results(
 ) -> RivalResults:
     """Return the results of a study with rivals.
 
-    ``less``: networks that were trained on less data; ``curve``: their scores by measure, shape (networks, drives).
+    ``less``: networks that were trained on less data; ``curve``: scores of these networks by measure, shape (networks,
+    drives).
     """
     draws = Draws(scores.design.config.seed)
     return RivalResults(
@@ -248,7 +249,7 @@ def _curve(
     curve: Mapping[str, Array],
     draws: Draws,
 ) -> Iterator[CurvePoint]:
-    """Yield the learning curves of the first trial: without a network, and with networks for more and more data."""
+    """Yield the learning curves of the first trial: without a network, and with networks trained on increasing data."""
     for task, whole in networks.items():
         if task.trial:
             continue

@@ -1,4 +1,4 @@
-"""Scores of all methods in each trial, on the test drives of the trial, and tracks on a few of these drives."""
+"""Scores of all methods in each trial on the trial's test drives, and tracks on a few of these drives."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -123,7 +123,7 @@ class _Pass:
 
 
 def _passes(design: Design) -> list[_Pass]:
-    """Prepare the drives for outages of each length; longer outages are measured only on local drives."""
+    """Prepare the drives for outages of each length. Longer outages are measured only on local drives."""
     all_drives = np.ones(len(design.drives), dtype=np.bool_)
     passes = [_Pass(design.scorer(outages=True), all_drives, SCORE_OF_MEASURE)]
     ready, seed = design.prepared, design.config.seed
@@ -235,8 +235,8 @@ def _followed(
 def tracked_drives(design: Design, trial: int) -> list[int]:
     """Choose test drives of a trial: one of each condition, or of each maneuver if there are many conditions.
 
-    In the list of each maneuver, a drive at another position is chosen, so that environments differ. A drive with turns
-    is first. If all drives have the same condition, the first test drives are chosen.
+    From the list of each maneuver, a drive at a different position is chosen, so that the environments differ. The
+    first drive contains turns. If all drives have the same condition, the first test drives are chosen.
     """
     _, test = design.split(trial)
     named = {i: design.conditions[i] for i in test}

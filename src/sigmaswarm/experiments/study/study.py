@@ -122,9 +122,9 @@ def run_study(
     resume : bool
         Continue the study in ``out``. The result is the same as without interruption.
     executor : concurrent.futures.Executor, optional
-        Runs the tunings; by default forked processes on Linux, else threads.
+        Runs the tunings; by default forked processes on Linux, otherwise threads.
     workers : int, optional
-        Number of processes or threads; by default the number of cores. The result is the same with any number.
+        Number of processes or threads; by default the number of cores. The result does not depend on this number.
     cluster : distributed.Client, optional
         Dask cluster whose workers simulate or read the drives and run the filters. On processors of one type, the
         result is the same as without a cluster. Not available with rivals, since networks are trained locally.
@@ -264,7 +264,7 @@ def _tune_all(
         return trial
 
     def effort(task: Task) -> float:
-        """Estimate the duration of a tuning run relative to others on the same number of drives."""
+        """Estimate the duration of a tuning run, relative to other tuning runs on the same number of drives."""
         config = configs[task.variant]
         step = len(MODELS[config.model].states) ** 1.5 * (0.2 if config.racing else 1.0)  # time per step
         return (1 + outages[task.variant]) * step * config.particles * config.generations

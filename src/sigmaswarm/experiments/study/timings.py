@@ -56,8 +56,9 @@ def stored_time(file: Path) -> Generator[None]:
 def rival_times(out: Path, design: Design, parameters: Filters, networks: Networks) -> Times:
     """Return the processor times of every tuned or trained variant, by names such as ``honest-pso-ukf``.
 
-    ``training_s`` is the mean time of tuning or training in a trial, s; a network's excludes the tuning of its filter.
-    ``sample_us`` is the mean time per IMU sample of a run, us. For a resumed trial, only the last part is counted.
+    ``training_s`` is the mean time of tuning or training in a trial, s; for a network, it excludes the tuning of the
+    filter. ``sample_us`` is the mean time per IMU sample of a run, us. For a resumed trial, only the time since the
+    last interruption is counted.
     """
     ready = design.prepared[design.split(0)[1][0]]
     spent: dict[str, list[float]] = {}

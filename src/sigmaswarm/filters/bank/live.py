@@ -57,10 +57,11 @@ class LiveFilterBank(LiveFilter):
 
     The weight of a filter depends on the prior of its offsets and on its evidence: the log-likelihood of the fixes,
     whose weight decays. Filter 0 has the tuned parameters and equals a `LiveFilter`. Filters 1 to 7 have fixed offsets,
-    for larger biases and for other receivers. Every 10 s of driving, the worst of the other filters are replaced: one
-    by the result of a search over the last minute, and each of the others by a changed copy of a good filter. Thus the
-    bank adapts to other sensors or reception; on the vehicle of the tuning, the bank is not more accurate than the
-    single filter. If the mixture diverges, filters 1 to 15 are reset; most of them keep the biases of the mixture.
+    for larger biases and for other receivers. Every 10 s of driving, the filters with the lowest weights among filters
+    8 to 15 are replaced: one by the result of a search over the last minute, and each of the others by a changed copy
+    of a good filter. Thus the bank adapts to other sensors or reception. On the vehicle of the tuning, the bank is not
+    more accurate than a single filter. If the mixture diverges, filters 1 to 15 are reset; most of them keep the biases
+    of the mixture.
 
     The interface is the same as for a `LiveFilter`, without the smoothed state. A copy by `pickle` continues with
     identical results. After a reset, all filters ignore fixes from before the reset.
@@ -72,9 +73,9 @@ class LiveFilterBank(LiveFilter):
     seed : int
         Seed of the initial offsets and of the searches.
     searches : bool
-        Search for better filters during the drive; False: no filter is replaced.
+        Search for better filters during the drive. If False, no filter is replaced.
     trust_times : bool
-        Accept all time stamps, for a recording with sorted samples.
+        Accept all time stamps; for a recording with sorted samples.
 
     Attributes
     ----------
@@ -85,7 +86,7 @@ class LiveFilterBank(LiveFilter):
     n_searches : int
         Number of searches with a result.
     restarts : list of float
-        Times of the resets of filter 0, s; ``bank_restarts`` has those of the other filters.
+        Times of the resets of filter 0, s; ``bank_restarts`` contains the times for the other filters.
     """
 
     def __init__(
@@ -324,7 +325,7 @@ class LiveFilterBank(LiveFilter):
         return [i for i, state in enumerate(FILTERS[self._kernel].states) if state.bias_of]
 
     def _with_sound_biases(self, lost: bool, mean: Array, covariance: Array) -> tuple[Array, Array]:
-        """Return mean (n,) and covariance (n, n); if ``lost``, with the biases from before the divergence."""
+        """Return mean (n,) and covariance (n, n); if ``lost``, the biases are those from before the divergence."""
         if not lost:
             self._last_sound = mean, covariance
             return mean, covariance
@@ -337,7 +338,8 @@ class LiveFilterBank(LiveFilter):
     def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
         """Set the mixture's biases in the reset filters, except in those whose offsets assume other initial biases.
 
-        The filters keep the alignment's gyro bias if it is more precise than the mixture's or contradicts it.
+        The filters keep the gyro bias of the alignment if it is more precise than that of the mixture, or contradicts
+        it.
         """
         gyro = start.gyro
         if gyro is not None:
@@ -410,7 +412,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def settled(self) -> FilterParameters:
-        """Tuned parameters plus the mean offsets `moved`, to be saved for this car."""
+        """Tuned parameters plus the mean offsets `moved`; a filter that can be saved for this car."""
         return self.prior.parameters(self.moved)
 
     @property

@@ -12,7 +12,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 
 OFFSET_DOF = 4.0  # degrees of freedom of Student's t, the prior of an offset; allows a few large offsets
 Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
-"""Standard deviations, in decades, of offsets of Q, of Q for biases, of R, and of other variances."""
+"""Standard deviations, in decades, of the offsets of Q, of Q for biases, of R, and of other variances."""
 # decades, for a smaller R; less than R_STD, since fixes in a city seem accurate until they jump
 R_DOWN_STD = 0.45
 SCALE_STD = 0.7  # decades, for a factor of all variances, which hardly changes the estimates
@@ -29,12 +29,12 @@ FIXED_OFFSETS = (
     {R: 2.5, START: 3.0},
     {R: 4.5, START: 3.0},
 )
-"""Offsets of the first filters, which never change: the tuned parameters, larger initial biases, other receivers."""
+"""Constant offsets of the first filters: the tuned parameters, larger initial biases, other receivers."""
 
 WARNING_OFFSET, WARNING_AXLE_OFFSET = 0.5, 0.5  # largest offsets without a warning, decades and m
 _MEANS = {
     R: "R is {times}, which indicates a different receiver",
-    SCALE: "all variances together are {times}, which indicates a tuning that ignored the covariance",
+    SCALE: "all variances together are {times}, since the tuning did not determine the scale of the covariances",
     **dict.fromkeys(
         NOISE_OF, "the noise of {name} is {times}, which indicates a different vehicle or mounting"
     ),
@@ -71,7 +71,7 @@ class OffsetPrior:
 
     @cached_property
     def lasting(self) -> Array:
-        """1 for offsets with an effect after the start, else 0, (d,)."""
+        """1 for offsets with an effect after the start, otherwise 0, (d,)."""
         return np.array([0.0 if name == START else 1.0 for name in self.names])
 
     def first(self, rng: np.random.Generator) -> Array:

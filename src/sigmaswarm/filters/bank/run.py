@@ -67,7 +67,7 @@ class BankLog:
 class BankRun:
     """Run of a filter bank over a drive, as an iterator of pieces; the log is complete after the last piece.
 
-    ``failure`` states the first time in the pieces so far at which all filters had failed; None if there is none.
+    ``failure`` states the first time in the pieces so far at which all filters had failed; None if some filter works.
     """
 
     def __init__(
@@ -205,7 +205,7 @@ def run_bank(
     Raises
     ------
     AlignmentError
-        If ``initial`` is not given and the drive has no start.
+        If ``initial`` is not given and cannot be computed from the drive.
     """
     drive_pass = whole_pass(drive, initial, as_recorded=as_recorded)
     run = BankRun(

@@ -1,7 +1,7 @@
 """Search for better offsets of a bank's filters by differential evolution; each candidate replays the last minute.
 
 Source: R. Storn and K. Price, Differential evolution, Journal of Global Optimization 11, 1997 (rand/1/bin). Each search
-begins with the population of the previous one. It runs in a thread, while the filters of the bank continue.
+begins with the population of the previous search. A search runs in a thread, while the filters of the bank continue.
 """
 
 import os
@@ -56,7 +56,7 @@ class FilterEvidence:
     at: float
 
     def then(self, time: Array, losses: Array) -> "FilterEvidence":
-        """Return the evidence after fixes at ``time``, s: each fix subtracts its loss; past evidence decays."""
+        """Return the evidence after fixes at ``time``, s: each fix subtracts its loss, and past evidence decays."""
         if not len(time):
             return self
         decay = np.exp((np.append(self.at, time) - time[-1]) / EVIDENCE_LASTS)
@@ -100,7 +100,7 @@ class LoggedSteps:
         return cursor
 
     def _run(self, lanes: Array, cursor: Array, stop: int, innovations: Array = NO_INNOVATIONS) -> None:
-        """Run the filters from ``cursor`` to step ``stop``, exclusive; ``lanes`` and ``cursor`` change in place."""
+        """Run the filters from ``cursor`` up to the step before ``stop``; ``lanes`` and ``cursor`` change in place."""
         k = len(self.rows)
         flags, steps = self.rows[:, T_FLAGS].astype(np.uint16), self.rows[:, T_STEP]
         drive = (
@@ -239,9 +239,9 @@ if hasattr(os, "register_at_fork"):
 class PendingSearch:
     """A search over the logged steps before step number ``logged``.
 
-    ``led`` is the filter with the largest weight. The search starts from an earlier state of this filter, or of the
-    filter from which it was copied. A forked copy of this object searches in the calling thread, and an unpickled copy
-    starts the search again.
+    ``led`` is the filter with the largest weight. The search starts from an earlier state of this filter or, if it is a
+    copy, of its original. A forked copy of this object searches in the calling thread, and an unpickled copy starts the
+    search again.
     """
 
     logged: int

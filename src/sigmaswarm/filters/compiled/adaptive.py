@@ -15,8 +15,8 @@ def strong_tracking(w, *, n):
 
     FADING < 0: off. Source: D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996 (single fading factor, computed
     from traces), with two changes. The previous mean and the new nu^T nu have the weights rho = FADING and 1 - rho.
-    The paper's weights, rho / (1 + rho) and 1 / (1 + rho), forget too fast. Only the part of P that the fix observes is
-    inflated, P + (factor - 1) C (H P H^T)^-1 C^T, since the unobserved part would grow without limit.
+    With the paper's weights, rho / (1 + rho) and 1 / (1 + rho), the mean forgets too fast. Only the part of P that the
+    fix observes is inflated, P + (factor - 1) C (H P H^T)^-1 C^T, since the unobserved part would grow without limit.
     """
     for l in range(LANES):
         rho = w.FADING
@@ -126,7 +126,8 @@ def adapt(w, since, *, n):
 
     See `textbook.adaptive.SageHusa`. The estimate of R is the diagonal of eps eps^T + H P+ H^T, positive by
     construction, with the residual eps after the update. The estimate of Q is the diagonal of Q + (K nu nu^T K^T + P+ -
-    P-) / since, or 0 where negative. A second fix at the same time (since = 0) contains no information about Q.
+    P-) / since, or 0 where this value is negative. A second fix at the same time (since = 0) contains no information
+    about Q.
     """
     span = since if since > 0.0 else math.inf
     for l in range(LANES):

@@ -18,9 +18,9 @@ from sigmaswarm.filters.student import OUTLIERS, OUTLIERS_SPAN
 _TWO_PI = 2 * math.pi
 
 _kernel = cached(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-"""Decorator of functions that only kernels call: without entry points for Python and C, compilation is faster."""
+"""Decorator of functions that only kernels call; compilation is faster without entry points for Python and C."""
 _inlined = njit(error_model="numpy", inline="always")
-"""Decorator of functions with a single call, which LLVM would otherwise optimize twice, alone and inlined."""
+"""Decorator of functions with a single caller, which LLVM would otherwise optimize twice: alone and inlined."""
 
 _Weights = namedtuple("_Weights", "gamma center_mean center_covariance other")
 
@@ -168,8 +168,8 @@ def _root(a, root):
 def _center(images, points, angles, weights, mean):
     """Write the weighted mean of ``images`` to ``mean``, and subtract the mean from the images.
 
-    For an angle, the difference between an image and the first image is wrapped to within half a turn of the difference
-    between their sigma points in ``points``, or of 0 if ``points`` has no columns.
+    For an angle, the difference between an image and the first image is wrapped. It then differs by at most half a turn
+    from the difference between their sigma points in ``points`` (from 0 if ``points`` has no columns).
     """
     for i in range(images.shape[1]):
         first, shift = images[0, i], 0.0
@@ -198,8 +198,8 @@ def _add_products(a, b, weights, out):
 def _leave_out(z, nu, s, cross):
     """Make the update ignore elements that are NaN; return the number of the other elements.
 
-    For these elements, nu and C become 0, and S becomes the identity. The result then has the same bits as that of a
-    filter without these rows of h and R.
+    For the elements that are NaN, nu and C become 0, and S becomes the identity. The result then has the same bits as
+    that of a filter without these rows of h and R.
     """
     present = 0
     for i in range(z.size):
@@ -249,7 +249,9 @@ def _update(mean, covariance, y, w, share):
 
 @_kernel
 def _limited_share(z, nis, limit, runs):
-    """Return the factor of an update: limit / NIS for an outlier, 1 otherwise and if outliers last: see `Model.robust`.
+    """Return the factor of an update: limit / NIS for an outlier, otherwise 1.
+
+    The factor is also 1 if outliers last: see `Model.robust`.
 
     ``runs``: see `TextbookModel`.
     """

@@ -45,7 +45,7 @@ def age_fix_error(w, z, since):
 def move_fix_error(w, *, n, noted):
     """Propagate the fix error from the last fix to the new fix.
 
-    ``noted``: index of phi among the rows MOVE of `step_log`; 0: phi is not logged.
+    ``noted``: index of phi among the rows MOVE of `step_log`; 0 if phi is not logged.
     """
     for l in range(LANES):
         phi = w.PHI

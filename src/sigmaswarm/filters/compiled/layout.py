@@ -1,7 +1,7 @@
 """Layout of the array of a run, (row, lane): a lane is one filter, a row is one number of each filter.
 
-Kernels contain ``w.XX``, ``P[i, j]`` and ``C1[i]``, which denote elements of lane ``l``; before Numba compiles them,
-`unroll` replaces them by ``w[R.XX, l]``, ``w[at(i, j), l]`` and ``w[C1 + i, l]``.
+Kernels contain ``w.XX``, ``P[i, j]`` and ``C1[i]``, which denote elements of lane ``l``. Before Numba compiles a
+kernel, `unroll` replaces these expressions by ``w[R.XX, l]``, ``w[at(i, j), l]`` and ``w[C1 + i, l]``.
 """
 
 from collections import namedtuple

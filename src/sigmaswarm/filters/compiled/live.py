@@ -104,7 +104,10 @@ S_MEANS = slice(S_CALM + 1, S_CALM + 5)
 N_RECORD = S_MEANS.stop
 
 TAKEN, IGNORED, LEFT_OUT = 1, 0, -1
-"""IGNORED: repeated, before the start, or waiting. LEFT_OUT: too late, no room, not finite, or a speed far ahead."""
+"""Reasons:
+
+IGNORED: repeated, before the start, or waiting; LEFT_OUT: too late, no room, not finite, or a speed far ahead.
+"""
 DUE = 2  # result of a sample: used, and the divergence monitor is due
 
 
@@ -199,7 +202,7 @@ def _process_sample(step, v, counts, fixes, speeds, t, u, calm, means, number):
 
 @_plain
 def _until(rows: np.ndarray, n: int, now: float) -> int:
-    """Return how many of the first n rows have a time (column 0) up to ``now``."""
+    """Return the number of rows, of the first n, whose time (column 0) is at most ``now``."""
     while n > 0 and rows[n - 1, 0] > now:
         n -= 1
     return n
@@ -291,7 +294,7 @@ def _store_reading(v, counts, speeds, history, t, speed):
 
 @_plain
 def _process_in_order(step, v, counts, memory, fixes, speeds, history, checkpoints, sample):
-    """Process an IMU sample with an accepted time; for a gap before it, use the mean of this and the last sample."""
+    """Process an IMU sample with an accepted time; in a gap before it, use the mean of this and the last sample."""
     t, last, gap = sample[0], v[SAMPLE], 0.0
     if last[0] > -math.inf:
         interval = t - last[0]
@@ -338,7 +341,7 @@ def _store_checkpoint(v, checkpoints, number):
 def _first_after(counts, history, t):
     """Return the index of the first stored sample at or after a time, to process the samples again from there.
 
-    The result is -1 if there is none, or if the history does not reach back to the time.
+    The result is -1 if there is no such sample, or if the history does not reach back to the time.
     """
     back = counts[N_HISTORY]
     while back > 0 and _record(counts, history, back - 1)[S_TIME] >= t:

@@ -2,8 +2,8 @@
 
 For each measurement, a kernel computes nu, S and C = Cov(state, z) in every lane. Then `update_pair` or `update_scalar`
 computes x += C S^-1 nu and P -= C S^-1 C^T. In an unscented filter, nu, S and C are moments of sigma points. If z is
-linear in the state, these moments equal those of the Kalman filter. If z contains a vector rotated by the heading, they
-have a closed form, as in planar5.py and planar8.py.
+linear in the state, these moments equal those of the Kalman filter. If z contains a vector rotated by the heading, the
+moments have a closed form, as in planar5.py and planar8.py.
 """
 
 import math

@@ -38,7 +38,7 @@ def _counts(fixes, f):
 
 @_plain
 def rough_heading(samples, newest, n, fixes, end, gyro_bias):
-    """Return the heading at the last sample (rad) as in `Alignments.course`, propagated by the gyro; NaN if unknown.
+    """Return the heading at the last sample (rad): `Alignments.course`, propagated by the gyro; NaN if unknown.
 
     ``newest``: row of the last of the ``n`` samples in the ring buffer. ``end``: number of fixes. ``gyro_bias``: rad/s.
     """

@@ -33,7 +33,7 @@ USES_VY, USES_AY = LATERAL, STANDSTILL
 """Bits of a step: update with vy = 0 of a twist, and with the IMU's ay."""
 R_GZ, R_AX, R_AY, R_VY = R.R_RATE, R.R_VELOCITY, R.R_STANDSTILL, R.R_LATERAL
 GATE_GZ, GATE_AX = R.REAR_AXLE, R.TIRE_SLIP
-"""Rows of the NIS from which gz and ax are rejected; this model has neither rear axle nor tire slip."""
+"""Rows of the NIS limits of gz and ax; the names are those of constants that this model does not have."""
 _TWO_PI = 2 * math.pi
 
 
@@ -87,7 +87,7 @@ RATES = {R.T: R.W, R.U: R.A, R.V: R.B}
 def _correct(w, l, off, r, use, *, state):
     """Update with a measurement of one state: x += K nu, P -= p p^T / S; the state's column of P, p, becomes p R / S.
 
-    ``off``: nu; ``r``: R; ``use``: 0 if the measurement is rejected, else 1.
+    ``off``: nu; ``r``: R; ``use``: 0 if the measurement is rejected, otherwise 1.
     """
     one = use / (P[state, state] + r)
     nu = one * off

@@ -1,7 +1,7 @@
 """One step of one filter as a separate function, which other compiled code calls by its address.
 
-Otherwise, Numba would inline the step into its callers, the functions of a live filter, and compile these for each
-model.
+Otherwise, Numba would inline the step into its callers, the functions of a live filter, and compile these functions for
+each model.
 """
 
 from dataclasses import dataclass

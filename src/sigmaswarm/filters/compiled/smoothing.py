@@ -5,8 +5,9 @@
     P^s = P + G (P^s' - P-) G^T
 
 A is the transition of a step: see `transition`. m and P are the filtered mean and covariance before the step, m- and P-
-the predicted ones after it; m^s and P^s are smoothed before the step, m^s' and P^s' after it. X = G^T solves P- X = A
-P. In a model with roll and pitch, `tilted` defines differences and sums. Sources: see `filters.smoothing.smooth`.
+the predicted mean and covariance after the step. m^s and P^s are the smoothed values before the step, m^s' and P^s'
+those after the step. X = G^T solves P- X = A P. In a model with roll and pitch, `tilted` defines differences and sums.
+Sources: see `filters.smoothing.smooth`.
 """
 
 import math
@@ -104,7 +105,7 @@ def _turned(q, x, y, z, out):
 def _step_back(
     before, noted, behind, work, *, n, n_state, first, tilted, phi, transition_times, unpack_covariance, solve
 ):
-    """Smooth one step: replace the smoothed state after the step, ``behind`` (n_state,), by the one before the step."""
+    """Smooth one step: replace the smoothed state after the step, ``behind`` (n_state,), by that before the step."""
     prior = noted[n_state : 2 * n_state]
     p, change, x, s = work[0], work[1], work[2], work[3]
     error, shift = work[4, 0], work[4, 1]

@@ -32,8 +32,11 @@ from sigmaswarm.filters.compiled.step import step_of
 
 EVIDENCE_LASTS = 60.0  # s, time constant of the decay of evidence
 LARGEST_NIS = 200.0
-"""Upper limit of a fix's NIS in the evidence, so that no single fix determines the weights. Student's t would give too
-much weight to a lane with a small R, since fixes between high buildings are accurate until they jump."""
+"""Upper limit of a fix's NIS in the evidence, so that no single fix determines the weights.
+
+Student's t would give too much weight to a lane with a small R, since fixes between high buildings are accurate until
+they jump.
+"""
 EVIDENCE_COUNTS = 0.1  # weight of the evidence: errors of fixes are correlated, so ten fixes count as one
 
 # Indices from BEHIND on: number of logged steps, and capacity of the log; time of the last fix, and number of fixes; nu
@@ -76,7 +79,7 @@ _rows_of = (
 
 @njit(**OPTIONS)
 def weigh(v):
-    """Compute the weights of the lanes from their evidence; all are 0 if no lane has finite evidence."""
+    """Compute the weights of the lanes from their evidence; all weights are 0 if no lane has finite evidence."""
     best = -math.inf
     for lane in range(LANES):
         for_it = EVIDENCE_COUNTS * v[_AT_EVIDENCE + lane] - v[_AT_PENALTY + lane]

@@ -29,7 +29,7 @@ ROWS = (R.X, R.Y), (R.U, R.V), (R.T, R.I, R.J)  # of (A P) A^T
 
 
 def fp(i, j):
-    """Return the row of (A P)[i, j] for i in MOVED: a scratch row; for j not in MOVED that of P[i, j], the result."""
+    """Return the row of (A P)[i, j], i in MOVED: a scratch row or, if j is not in MOVED, the row of P[i, j]."""
     return at(i, j) if j not in MOVED else FP + len(MOVED) * MOVED.index(i) + MOVED.index(j)
 
 

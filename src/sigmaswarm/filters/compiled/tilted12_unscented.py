@@ -4,11 +4,11 @@ Sigma points are errors added to the mean; a rotation vector e is added as exp([
 valid. Here the states that do not enter linearly come first: see `tilted.STEP_FIRST` and `MEASURED_FIRST`. The later
 columns do not change these first states, and all other states enter linearly. Only the first columns need points:
 
-- In a step: the gyro's biases and the attitude. The columns of the attitude follow those of the biases and do not
-  change the biases. The points of the attitude rotate like the center, so their errors do not change, and the rotation
-  of their acceleration has a closed form.
-- In a fix: the attitude, which rotates the lever arm, also in closed form.
-- In the other measurements: the attitude, which rotates the velocity or the forward axis.
+- In a step, the first columns are the gyro's biases and the attitude. The columns of the attitude follow those of the
+  biases and do not change the biases. The points of the attitude rotate like the center, so their errors do not change,
+  and the rotation of their acceleration has a closed form.
+- In a fix, the first columns are the attitude, which rotates the lever arm; this rotation also has a closed form.
+- In the other measurements, the first columns are the attitude, which rotates the velocity or the forward axis.
 
 A function of the state is a linear part plus r, where r is 0 at the center and at the points of the later columns. Let
 r+ and r- be the values of r at the two points of one of the first columns, L_c, and gamma^2 = alpha^2 (n + kappa). The
@@ -188,7 +188,7 @@ def _rotation_vector_far(scalar, vector, near):
 
 
 def _point(w, l, sign, quarter, per_dt, *, j, sinc_cos, rotation_vector):
-    """Return r at a point of column j: of the acceleration times dt (east, north) and of the error after the step."""
+    """Return r of two outputs at a point of column j: acceleration times dt (east, north), and error after the step."""
     step = 4.0 * sign * w.QUARTER_GAMMA
     b = _scaled(quarter * step, _first_of(w, l, j))
     # Quaternions of half the turn: v, and v0 of the center. The vector part of v0^-1 v is p + c, of v v0^-1 p - c.

@@ -150,8 +150,9 @@ def _with_retries(make: Callable[[], T]) -> T:
 def _hash_of(known: Names) -> str:
     """Return a hash of bound names, which distinguishes functions that are generated from one function.
 
-    Numba names machine code after a function's qualified name and the number of compilations in the process. Kernels of
-    two processes may therefore have the same name, and one could replace the other when it is loaded from the cache.
+    Numba names machine code after a function's qualified name and the number of compilations in the process. Different
+    kernels of two processes may therefore have the same name, and one kernel could replace the other when it is loaded
+    from the cache.
     """
     parts: list[str] = []
     for name, value in sorted(known.items(), key=lambda item: item[0]):

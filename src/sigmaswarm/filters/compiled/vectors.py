@@ -2,8 +2,8 @@
 
 Numba would infer the types of some thousand lines, which takes half a minute or more. Since all numbers in kernels are
 doubles, each loop over lanes is emitted directly, as a separate function of the array of rows and of the few numbers
-that all lanes share. The name of this function contains a hash of its text, so all callers share it and get identical
-results.
+that all lanes share. The name of this function contains a hash of its text, so all callers use the same function and
+get identical results.
 
 The body of a loop over lanes must not contain branches. It may contain assignments to names and to ``w.XX`` or
 ``w[row]`` with a known row, arithmetic, comparisons, ``&``, ``|``, ``a if test else b``, `math.sqrt`, `math.log`,

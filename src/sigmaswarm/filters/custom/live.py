@@ -56,7 +56,8 @@ class LiveModel:
     Attributes
     ----------
     too_late : int
-        Number of ignored measurements that were more than ``history`` seconds late or from before the start.
+        Number of measurements that were ignored, since they were more than ``history`` seconds late or from before the
+        start.
 
     Raises
     ------
@@ -101,7 +102,7 @@ class LiveModel:
         Raises
         ------
         InputError
-            If the number of inputs is wrong, or one is not finite, or t is not a number.
+            If the number of inputs is wrong, an input is not finite, or t is not a number.
         """
         u, t = _numbers("inputs", inputs, self._n_inputs), _seconds(t)
         if not self._time < t < np.inf:
@@ -127,7 +128,7 @@ class LiveModel:
         Raises
         ------
         InputError
-            If the number of elements is wrong, or an element is infinite, or t is not a number.
+            If the number of elements is wrong, an element is infinite, or t is not a number.
         """
         z, t = _numbers("measurement", measurement, self._m, absent=True), _seconds(t)
         if t > self._time or (t == self._time and not self._samples):
@@ -191,7 +192,7 @@ def _seconds(t: float) -> float:
 
 
 def _store(stored: list[Timed], t: float, z: Array) -> bool:
-    """Insert a measurement by time, or fill NaN in that of the same time; return False if no element is new."""
+    """Insert a measurement by time, or fill NaN in one of the same time; return False if no element is new."""
     for k, (time, known) in enumerate(stored):
         if time == t:
             both = np.where(np.isnan(known), z, known)

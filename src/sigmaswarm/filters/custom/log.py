@@ -26,11 +26,12 @@ class Log:
     measurement_time : ndarray, shape (f,)
         s, strictly increasing; these times may differ from ``time``.
     measurements : ndarray, shape (f, m)
-        (f,) stands for (f, 1). NaN: no value; the update uses the other elements. To merge sensors: `from_sensors`.
+        (f,) is read as (f, 1). NaN means that an element has no value; the update then uses the other elements.
+        `from_sensors` merges sensors.
     mean, covariance : ndarray, shapes (n,), (n, n)
         State estimate at ``time[0]``, where the filter starts; it must not come from truth.
     inputs : ndarray, shape (k, u), optional
-        Inputs of the process; (k,) stands for (k, 1). None: the input of f is an empty array.
+        Inputs of the process; (k,) is read as (k, 1). If None, the input of f is an empty array.
     truth : mapping of str to ndarray, shape (j,)
         True values of some or all states, by name. No filter uses them.
     truth_time : ndarray, shape (j,), optional
@@ -168,7 +169,7 @@ def _wrong(log: str, what: str) -> InputError:
 
 
 def _finite(log: str, name: str, values: ArrayLike | None, *, absent: bool = False) -> Array:
-    """Return a copy as finite numbers; NaN is allowed if ``absent``."""
+    """Return a copy as finite numbers; NaN is allowed if ``absent`` is True."""
     try:
         column = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
@@ -253,6 +254,6 @@ def build_steps(log: Log) -> FilterSteps:
 
 
 def _rows(times: Array, ends: Array) -> NDArray[np.int64]:
-    """Return the index of each of ``ends`` in ``times``, or -1."""
+    """Return the index in ``times`` of each element of ``ends``; -1 if ``times`` does not contain the element."""
     known = np.isin(ends, times)
     return np.where(known, np.cumsum(known) - 1, -1).astype(np.int64)

@@ -32,7 +32,8 @@ class Tunable:
     lowest, highest : float
         Bounds of the search.
     logarithmic : bool
-        Search its log10, for values that span powers of ten, such as variances and time constants.
+        Search log10 of the parameter; for ranges that span powers of ten, such as those of variances and time
+        constants.
     unit : str
         Unit in results.
     """
@@ -74,7 +75,8 @@ class Model:
         Probability, such as 0.99, that defines outliers: measurements whose NIS is above this quantile of chi-square.
         In their update, S is multiplied by NIS / quantile (G. Chang, Journal of Geodesy 88, 2014), and innovation-nll
         increases only with the logarithm of the NIS. Three or more consecutive outliers over at least 5 s show that the
-        filter is wrong; from then on, consecutive outliers have full weight. None: all measurements have full weight.
+        filter is wrong; from then on, consecutive outliers have full weight. If None, all measurements have full
+        weight.
     kind : {"ukf", "ekf"}
         Unscented or extended. The extended filter takes derivatives by complex steps, so f and h must accept complex
         states and are not compiled.
@@ -162,7 +164,7 @@ class Model:
         return _record(tuple(t.name for t in self.parameters))
 
     def values(self, parameters: Mapping[str, Any]) -> Any:
-        """Return ``p`` from parameters by name; raise `InputError` if one is missing, unknown or not finite."""
+        """Return ``p`` from parameters by name; raise `InputError` if a parameter is missing, unknown or not finite."""
         known = [t.name for t in self.parameters]
         needed = [*SCALING_NAMES, *known] if self.kind == "ukf" else known
         missing = [name for name in needed if name not in parameters]
@@ -188,7 +190,7 @@ class Model:
     places = indices  # deprecated name
 
     def identity(self) -> dict[str, Any]:
-        """Return names and bounds in plain types, and a hash of them and of the functions."""
+        """Return names and bounds in plain types, and a hash of names, bounds and functions."""
         plain: dict[str, Any] = {
             "name": self.name,
             "kind": self.kind,

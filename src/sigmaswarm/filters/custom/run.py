@@ -80,7 +80,7 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
 
 
 def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelEstimate:
-    """Run the filter of a user's model over a log, and smooth its estimates, so that each uses all measurements.
+    """Run the filter of a user's model over a log, and smooth its estimates: each estimate uses all measurements.
 
     Sources: see `smooth`. Filter and smoother run in NumPy, about a hundred times slower than `run_model`.
 
@@ -165,7 +165,10 @@ def run_kernel(
     covariances: bool,
     runs: Array | None = None,
 ) -> ModelTrajectory:
-    """Run the compiled filter; if ``kernel`` is None, the textbook filter. ``runs`` is updated: see `TextbookModel`."""
+    """Run the compiled filter or, if ``kernel`` is None, the textbook filter.
+
+    ``runs`` is updated: see `TextbookModel`.
+    """
     runs = np.zeros((steps.measurements.shape[1], 2)) if runs is None else runs
     p = model.values(parameters)
     if kernel is None:
@@ -219,7 +222,7 @@ def _empty_trajectory(steps: FilterSteps, *, covariances: bool, failed: int = -1
 
 _KERNELS: "WeakKeyDictionary[Model, Any]" = WeakKeyDictionary()
 _BUILT: "WeakValueDictionary[str, Any]" = WeakValueDictionary()
-"""Kernels by the hash of a model's functions; models that differ only in bounds or R share a kernel."""
+"""Kernels by the hash of a model's functions; models that differ only in bounds or R have the same kernel."""
 
 
 def kernel_of(model: Model, steps: FilterSteps) -> Any:
@@ -253,7 +256,7 @@ def _compiled(model: Model, steps: FilterSteps) -> Any:
             return kernel
         if _BUILT.pop(key, None):  # a global value that the functions read has changed
             return _compiled(model, steps)
-        why = "the compiled functions return other numbers than in Python"
+        why = "the compiled functions return other numbers than the Python functions"
     warnings.warn(
         f"model {model.name}: can't be compiled ({why}); the textbook filter runs instead, about a hundred times "
         "slower",

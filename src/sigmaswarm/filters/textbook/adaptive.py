@@ -24,7 +24,10 @@ class SageHusa:
     forgetting: float  # b
 
     def adapt(self, innovation: Innovation, since: float) -> None:
-        """Adapt to a fix; ``since``: number of nominal steps since the last fix; if it is 0, Q does not change."""
+        """Adapt to a fix; ``since``: number of nominal steps since the last fix.
+
+        If this number is 0, Q does not change.
+        """
         weight = 1 - self.forgetting
         inverse = np.linalg.inv(innovation.variance)
         r = self.measurement_noise
@@ -40,8 +43,8 @@ class SageHusa:
 class FuzzyNoise:
     """Scale Q and R by fuzzy rules (Takagi and Sugeno 1985) on the innovations of the fixes: see `filters.fuzzy`.
 
-    If the mean of NIS / 2 is small, R and Q are divided by their gains. If it is large and rises, R is multiplied by
-    its gain. If it is large and does not rise, both R and Q are multiplied by their gains.
+    If the mean of NIS / 2 is small, R and Q are divided by their gains. If the mean is large and rises, R is multiplied
+    by its gain. If the mean is large and does not rise, R and Q are multiplied by their gains.
     """
 
     tuned_process_noise: Array  # (n,), diagonal of Q per nominal step at a ratio of 1
@@ -113,8 +116,8 @@ class StudentT:
 
     R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear systems using
     the multivariate Student-t distribution, MLSP 2012. A filter with a wrong state would treat all fixes as outliers.
-    Therefore, if at least `OUTLIERS` consecutive fixes over at least `OUTLIERS_SPAN` are outliers, the last of them has
-    weight 1, and P is inflated before the update with it.
+    Therefore, if at least `OUTLIERS` consecutive fixes over at least `OUTLIERS_SPAN` are outliers, the last of these
+    fixes has weight 1, and P is inflated before the update with this fix.
     """
 
     dof: float  # degrees of freedom

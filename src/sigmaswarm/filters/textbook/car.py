@@ -142,7 +142,7 @@ class Car:
     def _age_fix_error(self, stated: Array) -> None:
         """Propagate the correlated error from the previous fix to this fix.
 
-        ``stated``: variances of this fix that the receiver states, (2,) m2; 0 if it states none.
+        ``stated``: variances that the receiver states for this fix, (2,) m2; 0 if there are none.
         """
         raise NotImplementedError
 
@@ -192,7 +192,7 @@ def _filter(
     points: SigmaPoints | None,
     redraw_sigma_points: bool,
 ) -> GaussianFilter:
-    """Return a filter: unscented with ``points``, else extended; on a manifold if the model has ``tilts``."""
+    """Return an unscented (with ``points``) or extended filter; on a manifold if the model has ``tilts``."""
     f, tilts = model.process, model.tilts
     if tilts:
         if points:

@@ -38,7 +38,7 @@ class SigmaPoints:
         Scaling (dimensionless).
     first : sequence of int
         States that come first in the Cholesky factorization of P. Every square root of P is valid, and each gives
-        different sigma points. Empty: order of the states, as in FilterPy.
+        different sigma points. If empty, the order is that of the states, as in FilterPy.
     """
 
     alpha: float
@@ -92,7 +92,7 @@ class UnscentedKalmanFilter(GaussianFilter):
         Mean and covariance at the start.
     points : SigmaPoints
     redraw_sigma_points : bool
-        Draw new sigma points after Q is added (FilterPy 2.0.0). False: apply h to the propagated points (FilterPy
+        Draw new sigma points after Q is added (FilterPy 2.0.0). If False, apply h to the propagated points (FilterPy
         1.4.5, which the paper probably used).
     angles : sequence of int
         States that are angles. The change of an angle's difference from the center point by f is wrapped. A circular

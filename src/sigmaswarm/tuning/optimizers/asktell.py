@@ -10,10 +10,11 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.errors import InputError
 
 FIRST_STEP = 0.3
-"""Standard deviation of the first points around a start, in widths of the bounds.
+"""Standard deviation of the first points around a start point, in widths of the bounds.
 
-With 0.1, parameters that the cost hardly determines stayed near the start: tuned with truth on 30 s of comma2k19, the
-position RMSE on the rest was 10 to 30% larger than after a uniform first generation. With 0.3, it was the same.
+With 0.1, parameters that the cost hardly determines stayed near the start: after tuning with truth on 30 s of
+comma2k19, the position RMSE on the remaining part was 10 to 30% larger than after a uniform first generation. With 0.3,
+the RMSE was the same as after a uniform first generation.
 """
 
 
@@ -26,7 +27,7 @@ class Optimizer(Protocol):
     """
 
     def ask(self) -> Array:
-        """Return the points to try next, shape (n, d); n = 0 if there is nothing left to try."""
+        """Return the points to evaluate next, shape (n, d); n = 0 if the search has ended."""
         ...
 
     def tell(self, costs: Array) -> None:
@@ -75,7 +76,7 @@ class AskTell:
     def begin_near(self, point: Array) -> None:
         """Begin around a point, shape (d,), which is in the first batch; call this before the first `ask`.
 
-        The first points of `bo` and `sobol`, which cover the bounds, stay the same otherwise.
+        The other first points of `bo` and `sobol`, which cover the bounds, do not change.
         """
         self.center = point
         self.positions = np.clip(self._begin(), self.low, self.high)
@@ -101,7 +102,7 @@ class AskTell:
         self.told = True
 
     def _begin(self) -> Array:
-        """Initialize the subclass's state; return the first points, by default random ones."""
+        """Initialize the subclass's state; return the first points, by default random points."""
         return self._drawn_first()
 
     def _drawn_first(self) -> Array:
@@ -120,7 +121,7 @@ class AskTell:
         """Update the state from the costs of `positions`."""
 
     def _redrawn(self, points: Array) -> Array:
-        """Replace coordinates outside the bounds by uniform random ones."""
+        """Replace coordinates outside the bounds by uniform random coordinates."""
         outside = (points < self.low) | (points > self.high)
         return np.where(outside, self.rng.uniform(self.low, self.high, points.shape), points)
 

@@ -2,8 +2,8 @@
 
 Expected improvement: J. Mockus, V. Tiesis and A. Zilinskas, 1978; D. R. Jones, M. Schonlau and W. J. Welch, J. Global
 Optimization 13, 455-492, 1998. Batches: the kriging believer of D. Ginsbourger, R. Le Riche and L. Carraro, Kriging is
-well-suited to parallelize optimization, 2010. The state consists of points, costs and generator, since scikit-learn
-fits the length scales each time.
+well-suited to parallelize optimization, 2010. The state consists of points, costs and generator; it contains no length
+scales, since scikit-learn fits them for each batch.
 """
 
 import threading
@@ -121,7 +121,7 @@ def _fitted(points: Array, costs: Array) -> Array:
 
 
 class Improvement:
-    """Expected improvement over the lowest cost, in standard deviations of costs, in the unit cube."""
+    """Expected improvement over the lowest cost, in standard deviations of the costs, for points in the unit cube."""
 
     def __init__(self, lengths: Array, points: Array, costs: Array) -> None:
         from scipy.linalg import cho_factor, cho_solve  # 0.1 s to import
@@ -172,9 +172,9 @@ def _density(z: Array) -> Array:
 def _highest(
     improvement: Improvement, best: Array, effort: tuple[int, int], rng: np.random.Generator
 ) -> Array:
-    """Return the point with the highest improvement that local searches from the best candidates find.
+    """Return the point with the highest expected improvement that local searches from the best candidates find.
 
-    Half of the candidates are random, half are near the points of ``best``.
+    Half of the candidates are random; the other half are near the points of ``best``.
     """
     from scipy.optimize import minimize
 

@@ -11,7 +11,7 @@ from sigmaswarm.tuning.optimizers.nelder_mead import NelderMead
 
 
 class Budgeted:
-    """An optimizer with a budget of evaluations; ``polish`` of them are reserved for a final Nelder-Mead search.
+    """An optimizer with a budget of evaluations, of which ``polish`` are reserved for a final Nelder-Mead search.
 
     ``rng`` is the generator of ``first``; its state is saved and restored here.
     """

@@ -1,12 +1,12 @@
 """CMA-ES: a normal distribution that adapts to the costs of its samples.
 
 N. Hansen, The CMA evolution strategy: a tutorial, arXiv:1604.00772v2, 2023; numbers in comments are its equations.
-CMA-ES libraries are not used, since they save their state only as pickles.
+CMA-ES libraries are not used, since they can save their state only as pickles.
 
 A sample outside the bounds is drawn once more. If the second sample is also outside, its cost is the cost of its
-projection on the bounds plus a penalty: that of N. Hansen et al., IEEE Trans. Evolutionary Computation 13, 180-197,
-2009, but with a constant weight. Repeated drawing until all samples are inside would keep the search away from an
-optimum on a bound.
+projection on the bounds plus a penalty. The penalty is that of N. Hansen et al., IEEE Trans. Evolutionary Computation
+13, 180-197, 2009, with a constant weight. Repeated drawing until all samples are inside would keep the search away from
+an optimum on a bound.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ INITIAL_STEP = 0.3  # in widths of the bounds, as the tutorial recommends
 MIN_WIDTH, MAX_WIDTH, MAX_CONDITION = 1e-12, 10.0, 1e14
 """Limits of the largest standard deviation, in widths of the bounds, and of the covariance's condition number.
 
-Beyond them the search restarts.
+If a limit is exceeded, the search restarts.
 """
 
 

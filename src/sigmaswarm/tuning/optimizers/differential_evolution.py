@@ -16,7 +16,7 @@ class DifferentialEvolution(AskTell):
     name = "de"
     saved = ("members", "member_costs")
     base: Literal["best", "rand"] = "best"
-    """Base vector: the best member, or a random one."""
+    """Base vector: the best member, or a random member."""
     scale: tuple[float, float] = (0.5, 1.0)
     """Range of the scale factor F."""
     crossover: float = 0.7
@@ -43,7 +43,7 @@ class DifferentialEvolution(AskTell):
         return self._redrawn(np.where(crossed, mutants, x))
 
     def _others(self) -> list[NDArray[np.intp]]:
-        """Return the indices of three distinct other members for each member; with fewer than four, some repeat."""
+        """Return the indices of three other members for each member; they are distinct if there are four members."""
         n = len(self.members)
         order = self.rng.random((n, n))
         np.fill_diagonal(order, 2.0)  # the member itself comes last

@@ -1,7 +1,8 @@
 """A hybrid of genetic algorithm and particle swarm: the better half moves as particles, the worse half is replaced.
 
-HGAPSO: C.-F. Juang, IEEE Trans. Systems, Man, and Cybernetics B 34, 997-1006, 2004. Here crossover and mutation are
-those of `genetic.py`, and the elites have children before they move, so that a generation is one batch.
+HGAPSO: C.-F. Juang, IEEE Trans. Systems, Man, and Cybernetics B 34, 997-1006, 2004. In contrast to HGAPSO, crossover
+and mutation are those of `genetic.py`, and the better half has children before it moves, so that a generation is one
+batch.
 """
 
 import numpy as np
