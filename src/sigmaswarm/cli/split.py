@@ -45,7 +45,7 @@ def split(
         Time of the split on the drive's clock, s. Data between two given times are left out.
     """
     if at is not None and train_fraction is not None:
-        raise sigmaswarm.InputError("specify either --at or --train-fraction")
+        raise sigmaswarm.InputError("specify --at or --train-fraction, not both")
     if at is not None and len(at) > 2:
         raise sigmaswarm.InputError(
             f"--at has {len(at)} times; specify one time, or two times to leave out the part between them"

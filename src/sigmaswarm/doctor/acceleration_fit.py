@@ -84,7 +84,7 @@ def fit_acceleration(
     """Fit the path; return None if no window is usable.
 
     ``rate`` (n,): yaw rate, rad/s; ``tried``: initial values of the delay, s; ``known``: the delay and its standard
-    deviation, s, from other data, since M and the delay are nearly indistinguishable in turns at constant speed.
+    deviation, s, from other data, since turns at constant speed hardly distinguish the delay from M.
     """
     rows = usable_windows(drive.imu.time, course, WINDOW)
     if not len(rows):
@@ -161,7 +161,7 @@ class _Fit:
         return solution, covariance - np.outer(gain, covariance[4])
 
     def learn(self, found: Regression, delay: float) -> None:
-        """Take M, the mean bias, and the bias of each window from a regression."""
+        """Store M, the mean bias, and the bias of each window from a regression."""
         solution, _ = self.solved(found, delay)
         self._matrix = solution[:4].reshape(2, 2)
         self._usual = self._usual + solution[5:]

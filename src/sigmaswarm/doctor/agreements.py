@@ -68,7 +68,7 @@ def agreements(drive: Drive) -> tuple[Agreement, ...]:
     Returns
     -------
     tuple of Agreement
-        Agreements that need a moving vehicle are missing if the fixes have no course.
+        If the fixes have no course, agreements that need a moving vehicle are missing.
     """
     steps = {
         name: (table.time[1:], np.diff(table.time))

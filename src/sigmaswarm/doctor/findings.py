@@ -114,7 +114,7 @@ _HIGHEST_CONFIDENCE = 0.999  # below 1, since a log may have faults that no chec
 
 
 def confidence_of(deviations: float) -> float:
-    """Return the confidence, 0 to 1, in a difference of ``deviations`` standard deviations."""
+    """Return the confidence, 0 to 1, that a difference of ``deviations`` standard deviations is not zero."""
     return round(min(math.erf(abs(deviations) / math.sqrt(2)), _HIGHEST_CONFIDENCE), 3)
 
 

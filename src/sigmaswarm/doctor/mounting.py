@@ -78,8 +78,8 @@ class Mounting:
         """The rotation (3, 3) from the axes of the raw samples to the vehicle's axes.
 
         If the estimate does not differ significantly from a signed permutation of the raw axes, the result is this
-        permutation. The tolerances of `needed` (`MIN_TILT`, `MIN_YAW`) do not apply: with them, a rotation near a
-        tolerance would be 0 in one part of a log but not in another.
+        permutation. The tolerances of `needed` (`MIN_TILT`, `MIN_YAW`) do not apply, since a rotation near a tolerance
+        would be 0 in one part of a log but not in another.
         """
         found = self.rotation @ self.before
         nearest = max(AXIS_PERMUTATIONS, key=lambda axes: float(np.trace(found @ axes.T)))
@@ -143,7 +143,7 @@ def about_z(angle: float) -> Array:
 
 
 def mounting_of(drive: Drive, course: Course) -> Mounting | None:
-    """Estimate the mounting; None if the log lacks an axis, gravity, or a course."""
+    """Estimate the mounting; return None if the drive does not have six axes, gravity and a course."""
     found = _in_si_units(drive, course)
     if found is None:
         return None
@@ -176,7 +176,7 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
 def _leaning(imu: Imu) -> Array:
     """Return how much the body leans outward in turns, and backward when it gains speed: two numbers from -1 to 1.
 
-    Both are positive for a body on springs. If an axis of the IMU is reversed, one is negative.
+    Both numbers are positive for a body on springs. If an axis of the IMU is reversed, one of them is negative.
     """
     time = np.arange(imu.time[0] + 2.0, imu.time[-1] - 2.0, 0.2)
     if len(time) < 50:
@@ -286,7 +286,7 @@ def _misfits(fit: AccelerationFit, side: float) -> Array:
 
 
 def _tilt(drive: Drive, fit: AccelerationFit, yaw: float) -> tuple[Array, Array, float]:
-    """Return the tilt after a rotation by ``yaw``: slopes (2,) of the vertical, standard deviations, and spread.
+    """Return the tilt after a rotation by ``yaw``: slopes (2,) of the vertical, their standard deviations and spread.
 
     The slopes are an inverse-variance weighted mean: of gravity, which is the part of the accelerations that the motion
     does not explain, and of the axis of turning.

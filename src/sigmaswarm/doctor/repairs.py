@@ -112,9 +112,9 @@ def _rotate(drive: Drive, *rotation: float) -> Drive:
 
 
 def _gyro(drive: Drive, column: float, factor: float, alone: float = 0.0) -> Drive:
-    """Use a column (0, 1, 2: gx, gy, gz) times a factor as gz.
+    """Use a column (0, 1, 2: gx, gy, gz), multiplied by a factor, as gz.
 
-    The other columns are multiplied by the factor's magnitude, unless ``alone`` is 1.
+    The other columns are multiplied by the magnitude of the factor, unless ``alone`` is 1.
     """
     name = ("gx", "gy", "gz")[int(column)]
     rates = {n: getattr(drive.imu, n) for n in ("gx", "gy", "gz")}
@@ -164,7 +164,7 @@ def _state_noise(drive: Drive, std: float) -> Drive:
 
 
 def _velocity(drive: Drive, factor: float, convention: float) -> Drive:
-    """Multiply the speed by a factor, and convert the course from one of `CONVENTIONS`: 1, 2, ...; 0 keeps it."""
+    """Multiply the speed by a factor, and convert the course from one of `CONVENTIONS`: 1, 2, ...; 0: no conversion."""
     speed, course = drive.gps.speed, drive.gps.course
     if speed is None or course is None:
         return drive

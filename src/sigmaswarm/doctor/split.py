@@ -18,7 +18,7 @@ from sigmaswarm.errors import InputError, SigmaswarmWarning
 def split_time(
     drive: Drive, train_fraction: float = 0.7, *, at: float | tuple[float, float] | None = None
 ) -> tuple[Drive, Drive]:
-    """Split one long drive in time: ``<name>-train`` is its first part, ``<name>-test`` the rest.
+    """Split one long drive in time: ``<name>-train`` is the first part, ``<name>-test`` the remaining part.
 
     Parameters
     ----------
@@ -39,8 +39,8 @@ def split_time(
     -------
     (Drive, Drive)
         ``cut_from`` in their metadata contains name and fingerprint of the original drive, and start and end of the
-        part, s on its clock. If the doctor proposes to split this drive, its parts have different faults and are
-        repaired separately.
+        part, s on the clock of this drive. If the doctor proposes to split a drive, its parts have different faults and
+        are repaired separately.
     """
     require_fraction(train_fraction)
     if at is None:

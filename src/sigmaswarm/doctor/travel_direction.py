@@ -55,7 +55,7 @@ def direction_of_travel(imu: Imu, course: Course, delay: float) -> tuple[Array, 
     back, zero = np.conj(turned), np.zeros(at.shape)
 
     def stack(across: Complex, up: Array) -> Complex:
-        """Stack the components along the direction of travel, to its left and up, (w, 3n)."""
+        """Stack the forward, left and up components, (w, 3n); forward is the direction of travel."""
         return np.hstack([across.real, across.imag, up]) + 0j
 
     powers = np.linspace(-1, 1, at.shape[1]) ** np.arange(DEGREE + 1)[:, None]

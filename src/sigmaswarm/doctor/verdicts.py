@@ -58,10 +58,11 @@ class Yaw:
 
 
 def yaw_of(fit: YawFit | None, imu: Imu) -> Yaw:
-    """Find column, sign and unit of the gyro by the course; the result is gz in rad/s if the course shows none.
+    """Find column, sign and unit of the gyro by the course.
 
-    A factor other than that of a unit needs a column that clearly follows the course, a gain that hardly depends on the
-    delay, and level axes, since a tilt reduces the rate.
+    If the course does not show them, the result is gz in rad/s. A factor that no unit explains is accepted only if the
+    column clearly follows the course, the gain hardly depends on the delay, and the axes are level, since a tilt
+    reduces the rate.
     """
     size = abs(fit.gain) / max(fit.std, 1e-12) if fit else 0.0
     if fit is None or size < 6 or (fit.share < MIN_EXPLAINED and size < MIN_GAIN_SIGMAS):
@@ -81,7 +82,7 @@ def yaw_of(fit: YawFit | None, imu: Imu) -> Yaw:
 
 
 def _units_of(gain: float) -> list[float]:
-    """Return the unit and sign, as a factor to rad/s, that explain a gain; empty if none does."""
+    """Return the unit and sign, as a factor to rad/s, that explain a gain; empty if no unit does."""
     return [f for f in (1.0, -1.0, DEGREE, -DEGREE) if 1 / FACTOR_TOLERANCE < gain / f < FACTOR_TOLERANCE]
 
 
@@ -117,7 +118,7 @@ def _expected(axes: Array, unit: float, angles: Array) -> tuple[Array, Array]:
 def planar_mounting(fit: AccelerationFit) -> PlanarMounting:
     """Return the assignment of columns, signs and unit to the car's axes with the least chi-square.
 
-    Assignments other than the recorded one have a penalty, and must be better by `MIN_LEAD`.
+    Assignments that differ from the recorded assignment have a penalty, and must be better by `MIN_LEAD`.
     """
     covariance, as_recorded = fit.covariance[:4, :4], np.eye(2)
     spread = np.sqrt(np.diag(covariance)).reshape(2, 2)

@@ -33,7 +33,7 @@ def smoothed(time: Array, values: Values, at: Array, span: float) -> Values:
 def moving_mean(rows: Array, count: int) -> Array:
     """Compute the moving mean of rows (r, n), mirrored at their ends.
 
-    Importing `scipy.ndimage.uniform_filter1d` would take longer than all checks.
+    The import of `scipy.ndimage.uniform_filter1d` would take longer than all checks.
     """
     left = count // 2
     padded = np.pad(rows, ((0, 0), (left, count - left - 1)), mode="symmetric")

@@ -349,7 +349,7 @@ RULES_SINCE = (0, 3)  # first version with the present treatment of stale fixes,
 def incompatibility(kind: str, use: Collection[str]) -> str | None:
     """Return the reason why a filter type and options conflict; None if they do not."""
     if "robust" in use and "gate" in use:
-        return "robust and gate can't be combined, since robust weights the fixes that gate rejects; omit one option"
+        return "robust and gate can't be combined: robust weights the fixes that gate rejects; leave out one option"
     if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"):
         return (
             f"robust can't be combined with {kind}, which adapts its noise to outliers; use ukf or ekf, or "

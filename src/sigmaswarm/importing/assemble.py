@@ -138,7 +138,7 @@ def missing_columns(recipe: Recipe) -> Iterator[str]:
 
 
 def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[PartColumns]]) -> str:
-    """Return a remedy if the times of one table are digits hhmmss that were read as seconds; else "".
+    """Return a remedy if the times of one table are digits hhmmss that were read as seconds; otherwise "".
 
     The tables then overlap in time only after conversion of the digits.
     """
@@ -158,9 +158,9 @@ def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[P
 def _in_same_period(
     times: Mapping[Role, Nanoseconds], gathered: Mapping[Role, Sequence[PartColumns]], say: Say
 ) -> dict[Role, Nanoseconds]:
-    """Shift tables by whole periods of a wrapping clock, so that they overlap the IMU.
+    """Shift tables by whole periods of a wrapping clock, so that they overlap the IMU in time.
 
-    Of several possible shifts, use the one with which the table ends nearest to the end of the IMU.
+    Of several possible shifts, use the shift with which the table ends nearest to the end of the IMU samples.
     """
     moved, imu = dict(times), times["imu"]
     clocks = {role: (parts[0].part.columns["t"], parts[0].period) for role, parts in gathered.items()}
@@ -185,7 +185,7 @@ def _in_same_period(
 
 
 def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, str]]:
-    """Yield offsets of the fixes, s, with which they overlap the IMU in time, with reasons."""
+    """Yield each offset, s, that makes the fixes overlap the IMU in time, and its reason."""
     imu, gps = seconds["imu"] + zero, seconds["gps"] + zero
     leap = float(max(imu[0], gps[0]) - gps_to_unix(np.array([max(imu[0], gps[0])]))[0])
     short, dated = min(imu[0], gps[0]), max(imu[0], gps[0]) * SECOND > MIN_DATE
@@ -206,7 +206,7 @@ def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, st
 
 
 def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[PartColumns]]) -> str:
-    """Return a remedy if the times of IMU and fixes have the same unit but were read in different units; else "".
+    """Return a remedy if times of IMU and fixes have the same unit but were read in different units; otherwise "".
 
     For example, an IMU at 100 Hz has steps of 1 in hundredths of a second, which are read as ms.
     """
@@ -269,7 +269,7 @@ def _metadata(recipe: Recipe, zero: int) -> dict[str, Any]:
 
 
 def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Role, Array], int]:
-    """Return the times in s, with the recipe's offsets, and their origin, a whole second: 0 unless they are dates."""
+    """Return the times in s, with the recipe's offsets, and their origin: a whole second for dates, otherwise 0."""
     moved: dict[Role, Nanoseconds] = {}
     for role in ROLES:
         offset = getattr(recipe, f"{role}_offset_s", 0.0)
@@ -336,7 +336,7 @@ def _first_place(values: Values) -> Origin:
 def _placed_truth(
     values: Values, origin: Origin | None, gps: Values, texts: Mapping[str, str]
 ) -> tuple[Values, Origin | None]:
-    """Return the truth with x and y, m, and the origin; without a given origin, it is the truth's first position.
+    """Return the truth with x and y, m, and the origin, by default the truth's first position.
 
     If the fixes have no altitude, the truth also gets the origin's altitude, since a difference of 1000 m would stretch
     its track by 16 cm per kilometer.

@@ -82,7 +82,7 @@ def units_of(target: str) -> dict[str, str]:
 
 
 def unit_in(target: str, column: str, expression: str) -> str:
-    """Return the unit from which an expression converts; `CUSTOM` if it is not one of `units_of`."""
+    """Return the unit from which an expression converts; `CUSTOM` if the unit is not in `units_of`."""
     plain = expression.replace(" ", "")
     for unit, text in units_of(target).items():
         if plain in (text.format(quoted_column(column)).replace(" ", ""), text.format(column)):
@@ -99,7 +99,8 @@ def expression_of(target: str, column: str, unit: str = "") -> str:
 def assign(choices: dict[str, Any], inspection: Inspection, table: str, column: str, target: str) -> None:
     """Assign a column to a target, and remove it from its previous targets other than times.
 
-    The expression is the one that a note proposes for this column; without a note, the target's first unit is assumed.
+    The expression is that which a note proposes for this column; without such a note, the target's first unit is
+    assumed.
     """
     maps: dict[str, str] = choices.setdefault("maps", {})
     for old, _ in uses_of(inspection).get((table, column), []):

@@ -1,4 +1,4 @@
-"""Import of a log: open it, guess or read a recipe, gather, assemble."""
+"""Import of a log: open the log, guess or read a recipe, gather the columns, assemble the drive."""
 
 import os
 import re
@@ -216,7 +216,7 @@ def opened(request: Request) -> Generator[tuple[dict[Path, Log], dict[Path, Gues
 def _guess(log: Log, request: Request) -> Guess:
     """Return the reader's guess, with the chosen tables of this log's roles.
 
-    The only table of a log named with --truth or --odometer has this role.
+    If a log named with --truth or --odometer has only one table, this table has the role.
     """
     tables = {role: t for role, t in request.choice.tables.items() if request.home(role) == log.path}
     for role, path in (("truth", request.truth), ("odometer", request.odometer)):
@@ -295,7 +295,7 @@ def guessed_counter(request: Request, guesses: Guesses) -> Counter:
 
 
 def faults_left(request: Request, recipe: Recipe, logs: Mapping[Path, Log], guesses: Guesses) -> list[str]:
-    """Return reasons not to read columns as guessed, except for columns that the user mapped or omitted.
+    """Return reasons not to read columns as guessed, except for columns that the user has mapped or omitted.
 
     The remedy for angular rates with an unknown unit is the unit that agrees with the course of the fixes.
     """
@@ -456,7 +456,7 @@ def complete_all(
     recipe: Recipe,
     first: Mapping[Path, Mapping[str, pl.DataFrame]] | None = None,
 ) -> tuple[dict[Path, list[tuple[Role, Part]]], list[str]]:
-    """Complete the parts of each log with `complete_parts`; return them and the first fault of each table.
+    """Complete the parts of each log with `complete_parts`; return the parts and the first fault of each table.
 
     ``first``: first rows of the tables of each log, if they have been read.
     """

@@ -32,7 +32,10 @@ def _number(a: pl.Expr) -> pl.Expr:
 
 
 def _truth(a: pl.Expr) -> pl.Expr:
-    """Return True if not 0, and null for NaN. Unlike ``fill_nan``, this evaluates the column once."""
+    """Return True for numbers other than 0, and null for NaN.
+
+    In contrast to ``fill_nan``, the column is evaluated once.
+    """
     return _number(a).sign().cast(pl.Int8, strict=False) != 0
 
 

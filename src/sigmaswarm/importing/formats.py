@@ -144,7 +144,7 @@ def format_of(path: Path) -> str:
 
 
 def unsupported_format(path: Path) -> str:
-    """Return a description of a file's format if it is known, by suffix or first bytes, but not supported; else ""."""
+    """Return a description of a file's format, by suffix or first bytes, if it is known but not supported, or ""."""
     if not path.is_file():
         return ""
     head = first_bytes(path, 256)

@@ -125,7 +125,7 @@ class PartColumns:
         return times.is_null() if few else None
 
     def _without_placeholders(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Set placeholders such as -999 to null if they are far from the other values, or equal in both coordinates."""
+        """Set placeholders such as -999 to null if they are far from the other values, or are in both coordinates."""
         used = {n: e.numbers for n, e in self.expressions.items() if n not in ("t", "keep")}
         names = [c for c in sorted(set().union(*used.values())) if not frame.schema[c].is_nested()]
         numbers = frame.select(pl.col(names).cast(pl.Float64, strict=False))
@@ -149,7 +149,7 @@ class PartColumns:
 
 
 def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
-    """Mark values far from the median of those not ``marked``, relative to the 1% to 99% range of the latter."""
+    """Mark values far from the median of the values not ``marked``, relative to the 1% to 99% range of these values."""
     rest = numbers.filter(~marked).drop_nulls().drop_nans()
     if not len(rest):
         return pl.zeros(len(numbers), dtype=pl.Boolean, eager=True)
@@ -195,7 +195,10 @@ def _complete(part: Part, log: Log, role: Role, first: Mapping[str, pl.DataFrame
 
 
 def _with_tables(part: Part, log: Log, role: Role) -> list[Part]:
-    """Find the tables of a part; the only table of a log fits any part without a table, or with another file's name."""
+    """Find the tables of a part.
+
+    The only table of a log fits any part that names no table, or that names another file.
+    """
     if part.table in log.tables:
         return [part]
     if len(log.tables) == 1:

@@ -25,7 +25,7 @@ MAX_FORCE, MAX_RATE = 3 * GRAVITY, math.radians(2000.0)
 
 
 def impossible_rates(imu: Imu, parts: Sequence[Part]) -> dict[str, str]:
-    """Return the expressions of the angular rates if no gyro measures such rates, else {}."""
+    """Return the expressions of the angular rates if no gyro measures such rates, otherwise {}."""
     texts = {n: text for part in parts for n, text in part.columns.items() if n in RATES}
     return texts if _largest_rate(imu) > MAX_RATE else {}
 
@@ -54,7 +54,7 @@ def wrong_scale(imu: Imu, parts: Sequence[Part], rates: Mapping[str, str]) -> li
 
 
 def tilted_mount(recipe: Recipe, rows: Mapping[str, pl.DataFrame], *, downward: bool) -> tuple[str, str]:
-    """Return "auto" and a note if the specific force in the first rows is clearly not along +z; otherwise two "".
+    """Return "auto" and a note if the specific force in the first rows is clearly not along +z; otherwise "" and "".
 
     ``downward``: True if another note reports that the z axis points down.
     """

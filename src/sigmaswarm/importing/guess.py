@@ -195,7 +195,10 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
 
 
 def _candidates(found: Mapping[str, Columns]) -> dict[Role, list[str]]:
-    """List the tables that fit each role; if any has latitude and longitude, tables with only x, y are not fixes."""
+    """List the tables that fit each role.
+
+    If a table has latitude and longitude, tables with only x, y are not fixes.
+    """
     forces = {t for t, c in found.items() if c.has("ax", "ay")}
     rates = {t for t, c in found.items() if "gz" in c}
     degrees = {t for t, c in found.items() if c.has("lat", "lon")}
@@ -256,7 +259,7 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
 
 
 def _std_of_messages(names: Sequence[str]) -> Iterator[tuple[str, TimeExpression]]:
-    """Yield the standard deviations of NavSatFix messages in a table; `joining` leaves out those of 0."""
+    """Yield the standard deviations of NavSatFix messages in a table; `joining` leaves out values of 0."""
     for what, element in (("std_x", 0), ("std_y", 4)):
         found = [n for n in names if re.search(rf"position_covariance\W?_?{element}\W?$", n, re.IGNORECASE)]
         if len(found) == 1:
@@ -301,7 +304,7 @@ def _jump(places: pl.DataFrame, kept: pl.Series) -> bool:
 
 
 def _fix_stated(frame: pl.DataFrame) -> str:
-    """Return the condition that a row has a fix, from a column of flags in words or numbers; else ""."""
+    """Return the condition that a row has a fix, from a column of flags in words or numbers; "" without such flags."""
     names = read_names(frame.columns)
     for name in names:
         cells, column = frame[name.column], quoted_column(name.column)

@@ -35,7 +35,7 @@ MAX_SCANNED_ROWS = 25_000
 
 @dataclass(frozen=True)
 class Range:
-    """Smallest, median and largest value of a column in the first rows (None without numbers), and its first value."""
+    """Smallest, median and largest value of a column in the first rows (None if not numeric), and its first value."""
 
     column: str
     low: float | None

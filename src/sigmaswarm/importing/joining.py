@@ -67,7 +67,7 @@ def join(
 
 
 def _with_known_headings(values: Values) -> Values:
-    """Set the standard deviation of missing headings to `NO_HEADING`; their fixes remain."""
+    """Set the standard deviation of missing headings to `NO_HEADING`; the fixes without heading remain."""
     heading = values.get("heading", np.zeros(0))
     std, known = values.get("std_heading", np.full(len(heading), np.nan)), np.isfinite(heading)
     if not known.any() or (known.all() and not np.isfinite(std).any()):
@@ -147,7 +147,7 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
 
 
 def _copies(time: Nanoseconds, values: Values) -> NDArray[np.bool_] | None:
-    """Mark rows that repeat an earlier row; None if there are none, or if rows with equal times have other values."""
+    """Mark rows that repeat an earlier row; return None if there are none, or if rows with equal times differ."""
     times = np.unique(time)
     if len(times) == len(time):
         return None
@@ -226,7 +226,7 @@ def _resolution(values: Array) -> float:
 
 
 def _interpolated(position: Sequence[Array]) -> NDArray[np.int64] | None:
-    """Return the rows of the fixes between which a logger interpolated the others linearly; None if it did not.
+    """Return the rows of the fixes between which a logger interpolated linearly; None if it did not interpolate.
 
     The path has corners only at the fixes, at a constant number of rows, and is straight between them, except for
     rounding.

@@ -49,9 +49,9 @@ def parse_mount(text: str) -> Array:
     Parameters
     ----------
     text : str
-        ``"90"``: the sensor is rotated by 90 degrees about z, counter-clockwise seen from above.
-        ``"0,10.5,90"``: roll, pitch and yaw of the sensor in the vehicle, degrees, about x, then y, then z.
-        ``"x=-y,y=x"``: axes of the vehicle by axes of the sensor; missing axes follow from the others.
+        ``"90"``: the sensor is rotated by 90 degrees about z, counter-clockwise seen from above. ``"0,10.5,90"``: roll,
+        pitch and yaw of the sensor in the vehicle, degrees, about x, then y, then z. ``"x=-y,y=x"``: axes of the
+        vehicle in terms of axes of the sensor; missing axes follow from the given axes.
     """
     parts = text.replace(" ", "").split(",")
     if all("=" in part for part in parts):

@@ -207,7 +207,7 @@ def read_names(columns: Sequence[str]) -> list[Name]:
 
 
 def _one_sensor(names: list[Name]) -> list[Name]:
-    """Keep one family of names for the specific force and one for the rates; interpret `_TOTAL` and `_MPU` names."""
+    """Keep one family of names for the specific force and one for the rates; interpret names of `_TOTAL` and `_MPU`."""
     plains = {n.plain for n in names}
     forces = {n.plain for n in names if n.meaning in _AXES[:3] and not _family(n)}
     if plains >= _TOTAL and forces <= {*_AXES[:3]}:  # ax, ay, az are then without gravity
@@ -240,7 +240,7 @@ def _meaning_in_table(name: Name) -> str | None:
 
 
 def _family(name: Name) -> str:
-    """Return the name without its axis if another family takes precedence, else ""."""
+    """Return the name without its axis if another family takes precedence, otherwise ""."""
     stated = not name.plain.endswith("rate") and _stated(name.plain, name.unit)
     weak = re.match(_SHORT, name.plain) or stated or name.plain.startswith("lin")  # may be without gravity
     return re.sub("^[xyz]|[xyz]$", "", re.sub("^[pqr]$", "pqr", name.plain)) if weak else ""
@@ -304,7 +304,7 @@ def _read(column: str, text: str) -> Name:
 
 
 def _with_unit(column: str, words: list[str], axis: str = "") -> Name:
-    """Return a name whose unit is in the last words, before the axis if there is one; else a name without a unit."""
+    """Return a name whose unit is in the last words, before any axis; without a known unit, a name without unit."""
     for count in (3, 2, 1):
         unit = unit_of(words[-count:]) if len(words) > count else None
         rest = "_".join([*words[:-count], *axis])

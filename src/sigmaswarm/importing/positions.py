@@ -24,7 +24,7 @@ MIN_SPEED = 1.0  # m/s, lowest speed at which the course equals the heading
 
 
 def valid_positions(time: NDArray[np.int64], values: Values, role: str, say: Say) -> NDArray[np.bool_]:
-    """Mark rows (n,) with a usable position: no placeholder, within the range of degrees, and not far from others."""
+    """Mark rows (n,) with a usable position: no placeholder, in the range of degrees, and not far from the others."""
     if "lat" not in values or "lon" not in values:
         return np.ones(len(time), bool)
     lat, lon = values["lat"], values["lon"]

@@ -184,7 +184,7 @@ def _gravity(names: Sequence[str]) -> dict[str, str]:
 
 
 def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Proposal, str, bool]:
-    """Correct a proposal by the doctor's findings; return it, the evidence, and True if it can be imported.
+    """Correct a proposal by the doctor's findings; return the proposal, the evidence, and True if it can be imported.
 
     ``make`` makes the drive. A proposal with unknown units counts as one that cannot be imported.
     """

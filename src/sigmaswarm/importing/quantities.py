@@ -136,7 +136,7 @@ def _web_mercator(columns: Columns, role: Role) -> str:
 def _without_unit(columns: Columns, what: str, role: Role) -> TimeExpression:
     """Read accelerations as g or mg if their magnitude then equals gravity, and rates above 5 as deg/s.
 
-    Other values are in SI units, or raw counts if they are too large for a car or rates are whole numbers.
+    Other values are read in SI units, or as raw counts if they are too large for a car or if rates are whole numbers.
     """
     text, letter = columns.text(what), what[0]
     axes = [a for a in (f"{letter}{i}" for i in "xyz") if a in columns and columns.names[a].unit is None]
@@ -301,7 +301,7 @@ def _hemispheres(columns: Columns) -> dict[str, tuple[str, str]]:
 
 
 def degrees_as_meters(columns: Columns, role: Role) -> str:
-    """Describe x and y that are likely degrees, since they change by less than 0.001 per row; else return ""."""
+    """Describe x and y that are likely degrees, since they change by less than 0.001 per row; otherwise return ""."""
     values = [columns.numbers(what) for what in ("x", "y")]
     changes = [v.diff().abs().replace(0.0, None).drop_nulls() for v in values]
     steps = [median_of(v) for v in changes]

@@ -56,7 +56,7 @@ class RateUnit(NamedTuple):
 def unit_of_rates(
     drive: Drive, roles: Mapping[Role, Sequence[Part]], unitless: Mapping[str, str]
 ) -> RateUnit:
-    """Compare rates without a stated unit with the course of the fixes; find the unit if the assumed one does not fit.
+    """Compare rates without a stated unit with the course of the fixes; find the unit if the assumed unit is wrong.
 
     ``unitless``: columns without a unit, as text in expressions, by column of the drive. If the course does not change,
     a note states that rad/s is assumed.

@@ -49,7 +49,7 @@ def gaps_by_clock(gathered: Mapping[Role, Sequence[PartColumns]]) -> list[str]:
 def _gaps_of(values: Array, time: Array) -> tuple[float, float, int] | None:
     """Return the unit of a clock (n,), s, the total length of its gaps, s, and the row before the largest gap.
 
-    Return None if the column is no clock, which increases by a constant amount. ``time`` (n,): times from row numbers.
+    A clock increases by a constant amount; return None for other columns. ``time`` (n,): times from row numbers.
     """
     new = np.flatnonzero(np.diff(values)) + 1
     if len(new) <= MIN_CLOCK_STEPS or not (np.diff(values) >= 0).all():
@@ -63,7 +63,7 @@ def _gaps_of(values: Array, time: Array) -> tuple[float, float, int] | None:
 
 
 def gaps_by_distance(drive: Drive) -> str:
-    """Report fixes that are missing, since two fixes are much farther apart than those before and after; else ""."""
+    """Report missing fixes, if two fixes are much farther apart than the fixes before and after; else return ""."""
     position = drive.gps.x + 1j * drive.gps.y
     interval = np.diff(drive.gps.time)  # longer where rows without a fix are left out
     moves, noise = np.diff(position) * np.median(interval) / interval, white_noise(position)

@@ -47,7 +47,7 @@ class Limits:
             )
 
     def first_columns(self, names: Iterator[str], path: Path) -> tuple[str, ...]:
-        """Return the names that are not empty; empty names also count toward the limit, since each costs time."""
+        """Return the names that are not empty. Empty names also count toward the limit, since each name takes time."""
         found = list(islice(names, self.columns + 1))
         if len(found) > self.columns:
             raise InputError(
@@ -213,7 +213,7 @@ def log_of_rows(
 def roles_of(
     parts: Iterable[tuple[Role, str, Mapping[str, str | tuple[str, ...]]]], tables: Wanted
 ) -> dict[Role, tuple[Part, ...]]:
-    """Return the parts of existing tables, by role; of several expressions, use the first whose columns exist."""
+    """Return the parts of existing tables, by role; of several expressions, use the first with existing columns."""
     roles: dict[Role, tuple[Part, ...]] = {}
     for role, table, columns in parts:
         if table in tables:

@@ -144,7 +144,7 @@ def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
 
 
 def rising_time(frame: pl.DataFrame, role: Role) -> str:
-    """Return the first column without a known name that increases from row to row, in s; else "COLUMN".
+    """Return the first column without a known name that increases from row to row, in s; otherwise "COLUMN".
 
     A counter of rows, which increases by 1, is no time.
     """
@@ -174,7 +174,7 @@ def median_of(values: pl.Series) -> float:
 
 
 def step_of(values: pl.Series) -> float:
-    """Return the median forward step of a time; rows with the same stamp share a step."""
+    """Return the median forward step of a time; rows with the same stamp count as one."""
     steps = column_numbers(values).diff().drop_nulls()
     if (steps < 0).sum() > MAX_DECREASING_SHARE * len(steps):
         steps = column_numbers(values).sort().diff().drop_nulls()
@@ -192,7 +192,7 @@ def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Tim
 
 
 def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[TimeExpression | None, Sequence[Name]]:
-    """Find a date in six columns (year to second) and fractions in others; return it and the names used."""
+    """Find a date in six columns (year to second) and fractions in others; return the date and the used names."""
     parts = {**PARTS_OF_SECONDS, "milli": 1e-3, "micro": 1e-6, "nano": 1e-9}
     for begin in dict.fromkeys(name.words[:-1] for name in names):
         alike = {n.words[-1]: n for n in names if n.words and n.words[:-1] == begin}
@@ -302,7 +302,7 @@ def _prefixed(names: Sequence[Name], words: str) -> list[tuple[Name, str]]:
 
 
 def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> TimeExpression | None:
-    """Find a column with the name of a time that is not always 0, preferably one that changes; else a running clock."""
+    """Find a column that is named like a time and is not always 0, preferably a changing one; or a running clock."""
     times = [name for name in names if name.meaning == "t"]
     for name in sorted(times, key=lambda name: frame[name.column].n_unique() < 2):
         numbers = column_numbers(frame[name.column])
@@ -463,7 +463,7 @@ def _too_short(numbers: pl.Series, text: str, column: str, step: float, role: Ro
 
 
 def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
-    """Describe the wrong unit of a time ``column`` or ``column*number``, with the remedy; else return "".
+    """Describe the wrong unit of a time ``column`` or ``column*number``, with the remedy; otherwise return "".
 
     The unit is wrong if no sensor has such steps and another unit makes them plausible.
     """

@@ -93,7 +93,7 @@ def _axes(values: dict[str, Array]) -> dict[str, str]:
 
 
 def _median_ratio(values: dict[str, Array], names: Sequence[str]) -> float:
-    """Return the largest ratio of a column's median to its standard deviation; it is small for rates."""
+    """Return the largest ratio of a column's median to its standard deviation; for rates this ratio is small."""
     spread = [float(np.nanstd(values[n])) for n in names]
     return max(
         abs(float(np.nanmedian(values[n]))) / max(s, 1e-12) for n, s in zip(names, spread, strict=True)

@@ -30,7 +30,7 @@ _SPEED = ("speed", "course", "vx", "vy")
 def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterable[Part], say: Say) -> Values:
     """Return the columns (n,); leave out speed and course if the positions x, y contradict one of them.
 
-    The messages contain the expressions of the role's ``parts``.
+    ``parts``: the role's parts, whose expressions the messages quote.
     """
     texts = {name: text for part in parts for name, text in part.columns.items() if name in _SPEED}
     slowest = MIN_SPEED if "speed" not in values and "vx" not in values else MIN_COMPARED_SPEED
@@ -92,7 +92,7 @@ def _stretches(
     """Return the first and the last rows of stretches in which the position moves clearly and steadily.
 
     A stretch is longer than 3 m and ten times the noise between rows, and has at least five positions. No single step
-    makes up most of its length, since a jump of a parked vehicle's fixes is not motion.
+    may make up most of the length, since a jump of a parked vehicle's fixes is not motion.
     """
     # repeated positions count once
     rows = np.flatnonzero(np.append(True, (np.diff(x) != 0) | (np.diff(y) != 0)))

@@ -179,7 +179,7 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _unit_of_up(evidence: Evidence) -> float:
-    """Return the unit of az, m/s2: that of ax and ay, unless az shows gravity in m/s2."""
+    """Return the unit of az, in m/s2: the unit of ax and ay, unless az shows gravity in m/s2."""
     az, unit = evidence.drive.imu.az, evidence.mount.unit if evidence.mount else 1.0
     return 1.0 if az is not None and abs(float(np.median(az))) > GRAVITY / 2 else unit
 

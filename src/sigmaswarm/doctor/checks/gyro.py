@@ -2,8 +2,8 @@
 
 Within half a second, the direction of the specific force in body axes rotates opposite to the body (g' = -w x g). The
 car's acceleration also rotates this direction, but a body on springs leans with the force: in a left turn, the force
-points to the left, and the left side rises. So the signs are visible on flat roads too. The scale is visible for the
-roll rate alone, after the part that the lateral acceleration explains is removed.
+points to the left, and the left side rises. Therefore the signs are also visible on flat roads. The scale is visible
+only for the roll rate, after removal of the part that the lateral acceleration explains.
 """
 
 from collections.abc import Iterator, Sequence
@@ -130,7 +130,7 @@ def _whole_gain(evidence: Evidence) -> float:
 
 
 def _only_yaw_is_wrong(evidence: Evidence) -> bool:
-    """Return True if the roll of gravity shows that gx has the right scale, and not that of gz."""
+    """Return True if the roll of gravity shows that gx has the correct scale, which differs from that of gz."""
     course, unit = evidence.course, abs(evidence.yaw.factor)
     if course is None or unit == 1 or evidence.yaw.column != "gz":
         return False
@@ -225,7 +225,7 @@ def _force_and_rates(evidence: Evidence) -> tuple[Array, Array] | None:
 
 
 def _follows(time: Array, force: Array, rates: Array) -> list[RateMatch | None]:
-    """Find the rate that the force's direction follows in roll, and in pitch; None where it is unclear."""
+    """Find the rates that the force's direction follows in roll and in pitch; None for an unclear rate."""
     fits = _regressions(time, force, rates, LAG)
     roll, pitch = [factors / std for factors, std in fits] or [np.zeros(2), np.zeros(2)]
     return [_clear(roll), _clear(-pitch)]
@@ -239,11 +239,11 @@ def _regressions(
     others: Sequence[Array] = (),
     used: Mask | None = None,
 ) -> list[tuple[Array, Array]]:
-    """Fit the change of the force's direction y and x within ``lag`` s to the turns about x and y; [] if it is short.
+    """Fit the change of the force's direction y and x within ``lag`` s to the turns about x and y; [] for few samples.
 
-    Return the two coefficients and their standard deviations. The turn about z is also a regressor, since this turn
-    changes the direction if the sensor is tilted or the car corners, and so are the changes of ``others`` (k, n).
-    ``used`` (n,): samples between which changes are used, by default all.
+    Return the two coefficients and their standard deviations. Further regressors are the turn about z, which changes
+    the direction if the sensor is tilted or the car corners, and the changes of ``others`` (k, n). ``used`` (n,):
+    samples between which changes are used, by default all.
     """
     interval = float(np.median(np.diff(time)))
     count, step = (max(round(seconds / interval), 1) for seconds in (MEAN_WINDOW, lag))

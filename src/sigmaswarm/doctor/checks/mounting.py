@@ -118,7 +118,8 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
         less = "A part of a drive determines the mounting less accurately than the whole drive"
         what += f"{less}, so no repair is needed" if whole else "This difference needs no repair"
         remedy = (
-            f"keep a measured mounting; otherwise import {'the whole log ' * bool(whole)}with --mount {mount}"
+            "keep the mounting in drive.toml if it was measured; otherwise import "
+            f"{'the whole log ' * bool(whole)}with --mount {mount}"
         )
         yield Finding("mounting", "note", what, WHERE, evidence.span, confidence_of(apart / total), remedy)
 
@@ -126,8 +127,9 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
 def find_turn(evidence: Evidence) -> tuple[float, float] | None:
     """Find the time, s, at which the IMU was turned about the vertical, and the angle, rad; None if it was not turned.
 
-    With measured u = ax + i ay and the vehicle's acceleration a, both without their means, the angle of a part is that
-    of S, the sum of a conj(u). The time is that with the largest sum of the magnitudes of S before and after it.
+    For a part of the drive, S is the sum of a conj(u), where u = ax + i ay is measured and a is the vehicle's
+    acceleration, both minus their means. The angle of S is the angle of the IMU. The time of the turn maximizes the sum
+    of |S| of the parts before and after it.
     """
     course, imu, yaw = evidence.course, evidence.drive.imu, evidence.yaw
     if course is None or not yaw.known:
@@ -153,9 +155,9 @@ def find_turn(evidence: Evidence) -> tuple[float, float] | None:
 def find_movement(drive: Drive) -> tuple[float, float] | None:
     """Find the time, s, at which the IMU was moved, and gravity's change of direction, rad; None if it was not moved.
 
-    The directions of the specific force, averaged over 5 s, scatter least about one median before this time and one
-    after it. Its median size is that of gravity in m/s2 or in g; otherwise az has another unit than ax and ay, and the
-    force shows no direction.
+    The time minimizes the scatter of the directions of the specific force (averages over 5 s) about one median before
+    and one median after the time. The median magnitude of the force must be that of gravity in m/s2 or in g. Otherwise
+    the unit of az differs from that of ax and ay, and the force shows no direction.
     """
     imu = drive.imu
     if imu.az is None:

@@ -69,7 +69,7 @@ def _disturbed(evidence: Evidence) -> Iterator[Finding]:
     turn = np.degrees(np.max(np.abs(np.angle(moved * np.conj(moved - off)))))
     duration = len(fixes) * float(np.median(np.diff(course.time)))
     what = (
-        f"for {duration:.0f} s the fixes scatter by {noise:.2g} m per axis from one to the next, {noise / usual:.0f} "
+        f"for {duration:.0f} s the fixes scatter by {noise:.2g} m per axis from fix to fix, {noise / usual:.0f} "
         f"times as much as in the quiet parts. Their course differs by up to {turn:.0f} deg from that of the IMU. "
         "Multipath at buildings or trees has this effect"
     )
@@ -90,8 +90,8 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         assumed = float(np.mean(receiver_std(evidence.drive)))
         what = (
             f"the receiver states no accuracy. The fixes scatter by {scatter:.2g} m per axis, which is a lower limit "
-            "of their standard deviation, since slow errors do not scatter. A tuning without truth assumes "
-            f"{assumed:.2g} m"
+            "of their standard deviation, since slow errors do not increase the scatter. A tuning without truth "
+            f"assumes {assumed:.2g} m"
         )
         remedy = "if you know a better value, write gps_std_m at the top of drive.toml"
         yield Finding("gps-noise", "note", what, "drive.toml, gps_std_m", span, 0.95, remedy)
@@ -129,12 +129,17 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         f"the stated standard deviation of the fixes ({stated:.2g} m) is {factor:.0f} times {how} than their scatter "
         f"({scatter:.2g} m per axis)"
     )
-    remedy = f"state {scatter:.2g} m; state more if you know of slow errors, which a log without truth does not show"
+    remedy = (
+        f"state {scatter:.2g} m, or more if you know of slow errors, which a log without truth does not show"
+    )
     repair, severity = Repair("state-noise", (scatter,)), "warning"
     if gps.std_x is None:
         what += ". A tuning without truth takes R from this value: with a smaller value the filter follows the fixes "
         what += "more closely, with a larger value it trusts the IMU for longer"
         if how == "larger":  # a user may know of slow errors
             repair, severity = None, "note"
-            remedy = "keep this value if the data sheet of the receiver states it, since slow errors do not scatter"
+            remedy = (
+                "keep this value if the data sheet of the receiver states it, since slow errors do not increase "
+                "the scatter"
+            )
     yield Finding("gps-noise", severity, what, where, span, confidence, remedy, repair)

@@ -45,7 +45,7 @@ def check_observability(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
-    """Return why the course does not determine the gyro's sign and unit, and the remedy."""
+    """Return the reason why the course does not determine the gyro's sign and unit, and the remedy."""
     course, fit = evidence.course, evidence.yaw_fit
     assert course is not None
     moving = course.moving

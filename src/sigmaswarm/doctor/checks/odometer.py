@@ -90,7 +90,7 @@ def _stuck(odometer: Odometer, course: Course, _: Evidence) -> Spans:
 
 
 def _slips(odometer: Odometer, _: Course, evidence: Evidence) -> Spans:
-    """Return spans in which the wheels spin or lock: from a jump of the speed to its reversal, or around a jump."""
+    """Return spans in which the wheels spin or lock: from a jump of the speed to the jump back, or around a jump."""
     imu, time = evidence.drive.imu, odometer.time
     a, b = max(imu.time[0], time[0]) + MAX_JUMP_TIME, min(imu.time[-1], time[-1]) - MAX_JUMP_TIME
     at = np.arange(a, b, max(0.1, (b - a) / 1_000_000)) if b > a else np.zeros(0)
@@ -165,7 +165,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
 
 
 def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
-    """Return for each path the ratio of the odometer's to the fixes' displacement, and the fixes' displacement, m."""
+    """Return, for each path, the odometer's displacement divided by that of the fixes, and the latter, m."""
     imu, yaw, time = evidence.drive.imu, evidence.yaw, odometer.time
     heading = np.interp(time, imu.time, integral(imu.time, yaw.factor * getattr(imu, yaw.column)))
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)

@@ -149,7 +149,7 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
         code, severity, repair = "logger-pause", "note", None
         remedy = "no action is needed; you can split the drive at this time"
         if 0.5 * fix_missed < SIGMAS * std:
-            what = "The logger paused, or its clock jumped; the car's speed does not distinguish the two"
+            what = "The logger paused, or its clock jumped; the car's speed does not distinguish these cases"
         elif passed < fix_usual + 0.5 * fix_missed:
             what = (
                 f"The logger's clock jumped, since the car needs only {passed:.1f} s for the distance between the "
@@ -168,7 +168,7 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
 
 
 def _time_passed(gps: Gps, j: int) -> tuple[float, float]:
-    """Estimate the time from fix j to the next, and its standard deviation, s, by the speeds before and after.
+    """Estimate the time from fix j to the next fix, and its standard deviation, s, from the speeds before and after.
 
     Each speed is the slope of a line through the fixes of `SPEED_WINDOW` s. If the speeds differ, any speed between
     them is possible.

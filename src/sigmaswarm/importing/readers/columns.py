@@ -94,7 +94,8 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 def _joined(scans: Mapping[str, pl.LazyFrame], remarks: list[str]) -> dict[str, pl.LazyFrame]:
     """Join files that continue each other: with the same columns, times in sequence, and names that differ in numbers.
 
-    A file without a header may have any name. It gets the header of the only file that has one and as many columns.
+    A file without a header may have any name. It gets the header of the only file that has a header and the same number
+    of columns.
     """
     if len(scans) < 2:
         return {**scans}
@@ -283,7 +284,7 @@ def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
 
 
 def _grouped(frame: pl.LazyFrame, columns: Sequence[str], shown_as: Path) -> dict[str, str]:
-    """Return the thousands separator of each column with a number, such as 1.234,5, that can't be read without one."""
+    """Return the thousands separator of each column with a number such as 1.234,5, which can't be read without it."""
     forms = {
         **{
             group: rf"^[+-]?\d{{1,3}}(?:\{group}\d{{3}})+\{mark}\d+$"

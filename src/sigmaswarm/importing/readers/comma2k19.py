@@ -1,8 +1,9 @@
 """comma2k19: the folder of a segment, with processed_log and global_pose.
 
-H. Schafer et al., "A Commute in Data: The comma2k19 Dataset", 2018, and the README of the data set: NumPy arrays of
-times (s since the start of the device) and values; IMU forward, right, down; poses of the camera in ECEF, with
-quaternions (Hamilton, w first) that rotate the axes of the device to ECEF.
+H. Schafer et al., "A Commute in Data: The comma2k19 Dataset", 2018, and the README of the data set define the files.
+NumPy arrays contain times (s since the start of the device) and values. The axes of the IMU are forward, right and
+down. The poses of the camera are in ECEF, with quaternions (Hamilton, w first) that rotate the axes of the device to
+ECEF.
 """
 
 from contextlib import ExitStack
@@ -64,7 +65,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _load(path: Path, width: int, rows: int | None = None) -> Array:
-    """Load numbers as an array (rows, width); the file must have one axis without ``rows``, and may if width is 1."""
+    """Load numbers as an array (rows, width); without ``rows``, load an array with one axis."""
     with errors_as_damage(path, "can't be read as a NumPy array", "unpack the segment again"):
         # memory-mapped, so that NumPy refuses a shape larger than the file before it allocates memory
         array = np.load(path, allow_pickle=False, mmap_mode="r")

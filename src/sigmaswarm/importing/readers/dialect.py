@@ -203,7 +203,7 @@ def is_value(cell: str) -> bool:
 def _separator(lines: Sequence[str]) -> str:
     """Return the separator with which the rows of the most common length have the most values.
 
-    If there are no values, return the most frequent separator of the first line.
+    If no separator gives values, return the most frequent separator of the first line.
     """
     best, most = "", 0.0
     for separator in (*SEPARATORS, BLANKS):

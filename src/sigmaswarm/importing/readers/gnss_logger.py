@@ -1,8 +1,8 @@
 """Android's GnssLogger: one text file with several kinds of lines; comments at the top name the columns of each kind.
 
-LOGGING.md of the app: Fix (degrees, m/s, bearing from north; AccuracyMeters is the radius of a 68% circle), Accel or
-UncalAccel with gravity (m/s2), Gyro or UncalGyro (rad/s). All kinds share the clock ``elapsedRealtimeNanos``. In older
-logs, Fix lacks this clock; then all times are UTC in milliseconds.
+LOGGING.md of the app describes the kinds: Fix (degrees, m/s, bearing from north; AccuracyMeters is the radius of a 68%
+circle), Accel or UncalAccel with gravity (m/s2), Gyro or UncalGyro (rad/s). All kinds have the clock
+``elapsedRealtimeNanos``. In older logs Fix does not have this clock; then all times are UTC in milliseconds.
 """
 
 from contextlib import ExitStack
@@ -79,7 +79,7 @@ def _cells(lines: pl.LazyFrame, names: list[str]) -> pl.LazyFrame:
 
 
 def _require_one_clock(columns: Wanted, path: Path) -> None:
-    """Refuse a sensor without the shared clock if another sensor has it: its header comment is damaged."""
+    """Refuse a sensor without the common clock if another sensor has this clock, since a header comment is damaged."""
     clock = {kind: _CLOCK in names for kind, names in columns.items() if kind != "Fix"}
     if any(clock.values()) and not all(clock.values()):
         kind = next(kind for kind, found in clock.items() if not found)

@@ -153,7 +153,7 @@ def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int
 
 
 def _tables(content: Mapping[str, Any], name: str, depth: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the tables of a struct: those of its structs, then vectors of equal length, most common length first."""
+    """Yield the tables of a struct: those of its structs, then vectors of equal length, by frequency of the length."""
     vectors: dict[str, Any] = {}
     for field, value in content.items():
         if hasattr(value, "_fieldnames") and depth < MAX_DEPTH:

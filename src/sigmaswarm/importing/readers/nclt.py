@@ -1,8 +1,8 @@
 """NCLT: the files ms25.csv, gps.csv and groundtruth_*.csv of a session.
 
 N. Carlevaris-Bianco, A. K. Ushani, R. M. Eustice, "University of Michigan North Campus long-term vision and lidar
-dataset", IJRR 2016: times are UTC in us; body x forward, y right, z down; truth x north, y east of a fixed origin;
-latitude and longitude in rad.
+dataset", IJRR 2016, describe the files. Times are UTC in us. The body axes are x forward, y right, z down; the truth is
+x north, y east of a fixed origin. Latitude and longitude are in rad.
 """
 
 from contextlib import ExitStack

@@ -82,7 +82,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 class _Log(io.BufferedReader):
-    """A file that records where pyulog stopped reading, and refuses pyulog's search after a damaged message.
+    """A file that records where pyulog stopped reading, and prevents pyulog's search after a damaged message.
 
     pyulog stops without an error at a message that is too short. After a message of unknown kind and impossible
     size, its search byte by byte takes hours or does not end.

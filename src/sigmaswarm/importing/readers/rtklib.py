@@ -1,8 +1,8 @@
 """RTKLIB's solutions (``.pos``), as fixes or truth.
 
-RTKLIB ver. 2.4.2 Manual, B.1: comments begin with %, and the last comment names the columns; times are dates, or GPS
-week and seconds; latitude and longitude in degrees, height above the ellipsoid, standard deviations north, east, up; Q
-is 1 for fixed and 2 for float solutions.
+The format is defined in the RTKLIB ver. 2.4.2 Manual, B.1. Comments begin with %, and the last comment names the
+columns. Times are dates, or GPS week and seconds. Latitude and longitude are in degrees, heights are above the
+ellipsoid, and standard deviations are north, east and up. Q is 1 for fixed and 2 for float solutions.
 """
 
 import re

@@ -1,8 +1,9 @@
 """Sensor Logger (iOS, Android): a folder or zip with Accelerometer.csv, Gyroscope.csv, Location.csv and others.
 
-Units and axes (UNITS.md and COORDINATES.md in tszheichoi/awesome-sensor-logger): ``time`` in ns since 1970;
-Accelerometer without gravity, and Gravity, both with opposite signs on iOS; TotalAcceleration with gravity on Android;
-bearing in degrees from north. Negative speeds, bearings and accuracies are invalid.
+UNITS.md and COORDINATES.md in tszheichoi/awesome-sensor-logger define units and axes. ``time`` is in ns since 1970.
+Accelerometer does not contain gravity, which is in a separate file, Gravity; on iOS the signs of both are reversed. On
+Android TotalAcceleration contains gravity. Bearings are in degrees from north. Negative speeds, bearings and accuracies
+are invalid.
 """
 
 from contextlib import ExitStack

@@ -37,7 +37,7 @@ def _yaw(at: str) -> str:
 
 
 def prefix(table: Table, paths: Mapping[str, str]) -> str | None:
-    """Return the prefix with which a topic's columns contain all paths, such as "" or "imu."; else None."""
+    """Return the prefix with which a topic's columns contain all paths, such as "" or "imu."; otherwise None."""
     columns = set(table.columns)
     first = next(iter(paths.values()))
     for column in table.columns:
@@ -145,7 +145,7 @@ class Topics:
         return found
 
     def _stated_noise(self, topic: str) -> dict[str, Any]:
-        """Return the variances of gz and ax that the first message states, for drive.toml; else {}."""
+        """Return the variances of gz and ax that the first message states, for drive.toml; {} if it states none."""
         before = self._named(topic, _IMU)["ax"].removesuffix(_IMU["ax"])
         columns = [f"{before}angular_velocity_covariance[8]", f"{before}linear_acceleration_covariance[0]"]
         message = self.first(topic)

@@ -1,10 +1,10 @@
 """UBX streams of u-blox receivers, read with pyubx2: NAV-PVT, or NAV-POSLLH with NAV-SOL and NAV-VELNED of u-blox 6.
 
-u-blox M8 Receiver description, UBX-13003221, 32.17.15 UBX-NAV-PVT: UTC, degrees, mm, mm/s; hAcc is the receiver's
-estimate of the horizontal standard deviation. u-blox 6 Receiver description, GPS.G6-SW-10018, 35: POSLLH in mm, VELNED
-in cm/s; times are ms since the start of the GPS week. SOL or TIMEGPS states the week, or it follows from TIMEUTC.
-NAV-RELPOSNED (F9 HPG interface description, UBX-21019746): heading from one antenna to the other. Other messages, such
-as NMEA, are skipped.
+NAV-PVT (u-blox M8 Receiver description, UBX-13003221, 32.17.15) contains UTC, degrees, mm and mm/s; hAcc is the
+receiver's estimate of the horizontal standard deviation. In the messages of u-blox 6 (Receiver description,
+GPS.G6-SW-10018, 35), POSLLH is in mm and VELNED in cm/s; times are ms since the start of the GPS week. SOL or TIMEGPS
+contains the week; otherwise TIMEUTC determines the week. NAV-RELPOSNED (F9 HPG interface description, UBX-21019746)
+contains the heading from one antenna to the other. Other messages, such as NMEA, are skipped.
 """
 
 import calendar
@@ -126,7 +126,7 @@ def _time(message: Any) -> float:
 
 
 def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
-    """Yield one row per time of week, from all messages with this time; the week is the one that was last stated."""
+    """Yield one row per time of week, from all messages with this time; the week is the last stated week."""
     week = broken = 0
     fix: dict[str, float] = {}
     for raw, done in _messages(path):
