@@ -11,7 +11,7 @@ import numpy as np
 from kalman_py import UnscentedKalmanFilter
 
 from sigmaswarm import Drive, FilterParameters, InitialState, run_filter
-from sigmaswarm.drives.timeline import build_timeline
+from sigmaswarm.drives.prepared import prepare_drive
 
 jax.config.update("jax_enable_x64", True)
 
@@ -24,7 +24,7 @@ class Rival:
     """kalman-py's filter for a drive that has a fix at every IMU sample, and one parameter set."""
 
     def __init__(self, drive: Drive, p: FilterParameters, initial: InitialState) -> None:
-        line = build_timeline(drive, initial.time)
+        line = prepare_drive(drive, initial).timeline()
         assert line.updates.all() and line.sampled.all()
         np.testing.assert_allclose(line.q_scale, 1.0, atol=1e-9)  # its Q is the same at every step
         self.fixes, self.steps = line.fixes[:, :2], np.arange(len(line.dt), dtype=float)

@@ -14,7 +14,7 @@ from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from pyswarms.single import GlobalBestPSO
 
 from sigmaswarm import initial_state, simulate
-from sigmaswarm.drives.timeline import build_timeline
+from sigmaswarm.drives.prepared import prepare_drive
 
 # alpha, beta, kappa, then log10 of the variances: five of Q per IMU step, two of R.
 LOWEST = np.array([1e-3, 0.0, 0.0, *[-5.0] * 7])
@@ -57,7 +57,7 @@ class Course:
 
     def __init__(self, drive, seconds=math.inf):
         self.initial = initial_state(drive)
-        line = build_timeline(drive, self.initial.time)
+        line = prepare_drive(drive, self.initial).timeline()
         end = int(np.searchsorted(np.cumsum(line.dt), seconds + 1e-6))
         self.dt, self.q_scale = line.dt[:end], line.q_scale[:end]
         self.imu = np.column_stack([line.ax, line.ay, line.gz])[:end]

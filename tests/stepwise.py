@@ -22,7 +22,7 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Odometer
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
-from sigmaswarm.drives.timeline import N_STEP, Timeline, build_timeline
+from sigmaswarm.drives.timeline import N_STEP, Timeline
 from sigmaswarm.filters import packing, requirements, starts
 from sigmaswarm.filters.compiled import layout, run
 from sigmaswarm.filters.compiled.layout import R
@@ -32,7 +32,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.simulation.gps import GPS_GRADES
 from sigmaswarm.simulation.scenarios import simulate
-from support import DRIVES, make_drive
+from support import DRIVES, make_drive, timeline_of
 
 EPS = np.finfo(float).eps
 
@@ -365,7 +365,7 @@ def real(name: str) -> Drive:
 
 def on_time_line(drive: Drive) -> tuple[Timeline, InitialState]:
     initial = initial_state(drive)
-    return build_timeline(drive, initial.time), initial
+    return timeline_of(drive, initial.time), initial
 
 
 def urban(first: float = 7.0, last: float = 22.0) -> Drive:

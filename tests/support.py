@@ -13,6 +13,8 @@ import pytest
 
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
 from sigmaswarm.drives.outages import hidden_fixes
+from sigmaswarm.drives.stale_fixes import classify_fixes
+from sigmaswarm.drives.timeline import Timeline, build_timeline
 from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
 
 
@@ -123,6 +125,12 @@ def _heading_and_rate(velocity: np.ndarray, acceleration: np.ndarray):
     vx, vy = velocity.T
     ax, ay = acceleration.T
     return np.unwrap(np.arctan2(vy, vx)), (vx * ay - vy * ax) / (vx**2 + vy**2)
+
+
+def timeline_of(drive: Drive, start: float, *, as_recorded: bool = False) -> Timeline:
+    """Build the time line of all fixes that are not stale, after ``start`` (s)."""
+    kinds = np.zeros(len(drive.gps)) if as_recorded else classify_fixes(drive.gps)
+    return build_timeline(drive, start, kinds, as_recorded=as_recorded)
 
 
 def make_drive(

@@ -8,8 +8,7 @@ import pytest
 import sigmaswarm.drives.prepared as module
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.prepared import PreparedDrive, prepare_drive
-from sigmaswarm.drives.timeline import build_timeline
-from support import make_drive
+from support import make_drive, timeline_of
 
 DRIVE = make_drive(duration=20.0, seed=1)
 HIDDEN = np.arange(len(DRIVE.gps)) % 3 == 1
@@ -19,7 +18,7 @@ def test_start_and_time_line_are_those_of_the_drive():
     ready = prepare_drive(DRIVE)
     start = initial_state(DRIVE)
     np.testing.assert_array_equal(ready.initial.mean, start.mean)
-    line, own = ready.timeline(), build_timeline(DRIVE, start.time)
+    line, own = ready.timeline(), timeline_of(DRIVE, start.time)
     for name in ("end", "steps", "updates", "sampled", "fixes", "sample"):
         np.testing.assert_array_equal(getattr(line, name), getattr(own, name))
 
@@ -37,19 +36,19 @@ def test_everything_is_made_once(monkeypatch: pytest.MonkeyPatch):
         assert ready.timeline() is ready.timeline(np.zeros(len(HIDDEN), dtype=bool))
         assert ready.timeline(HIDDEN) is ready.timeline(HIDDEN.copy())
         assert ready.timeline(HIDDEN, removed=True) is ready.timeline(HIDDEN, removed=True)
-    assert calls == ["initial_state", "build_timeline"], "others are made of the whole one"
+    assert calls == ["initial_state", *2 * ["build_timeline"]], "of all fixes, and of those that are left"
 
 
 def test_fixes_that_are_hidden_leave_the_steps_and_those_removed_do_not():
     ready = prepare_drive(DRIVE)
     whole, hidden, removed = ready.timeline(), ready.timeline(HIDDEN), ready.timeline(HIDDEN, removed=True)
-    for name in ("steps", "driving", "end", "sampled", "sample", "imu_time", "fixes"):
+    for name in ("steps", "driving", "end", "sampled", "sample", "fixes"):
         assert getattr(hidden, name) is getattr(whole, name), name
     usable = (DRIVE.gps.time > whole.start) & (DRIVE.gps.time <= DRIVE.imu.time[-1])
     assert int(hidden.hides.sum()) == int(HIDDEN[usable].sum()) > 0
     np.testing.assert_array_equal(hidden.hides | hidden.updates, whole.updates)
     assert len(hidden.drive.gps) == len(removed.drive.gps) == int((~HIDDEN).sum())
-    gone = build_timeline(replace(DRIVE, gps=DRIVE.gps.select(~HIDDEN)), whole.start)
+    gone = timeline_of(replace(DRIVE, gps=DRIVE.gps.select(~HIDDEN)), whole.start)
     np.testing.assert_array_equal(removed.steps, gone.steps)
     np.testing.assert_array_equal(removed.driving[removed.sample], gone.driving[gone.sample])
     assert removed.driving is whole.driving

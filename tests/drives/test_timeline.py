@@ -1,6 +1,6 @@
 """The merged time line, against a loop that walks through the moments one by one."""
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.drives.stale_fixes import STALE
-from sigmaswarm.drives.timeline import Timeline, build_timeline
-from support import make_drive
+from support import make_drive, timeline_of
 
 TICK = 1 / 64  # s: sums and differences of ticks are exact
 
@@ -75,7 +74,7 @@ def drives_and_starts(draw) -> tuple[Drive, float]:
 @given(drives_and_starts())
 def test_the_steps_are_those_of_a_plain_loop(case: tuple[Drive, float]):
     drive, start = case
-    line, naive = build_timeline(drive, start), walk(drive, start)
+    line, naive = timeline_of(drive, start), walk(drive, start)
     assert line.start == start
     assert line.dt.tolist() == naive.dt
     driving = [k - 0.5 if gap else float(k) for k, gap in zip(naive.sample, naive.gap, strict=True)]
@@ -98,7 +97,7 @@ def test_the_steps_are_those_of_a_plain_loop(case: tuple[Drive, float]):
 @given(drives_and_starts())
 def test_what_holds_for_every_time_line(case: tuple[Drive, float]):
     drive, start = case
-    line = build_timeline(drive, start)
+    line = timeline_of(drive, start)
     end = drive.imu.time[-1]
     again = np.flatnonzero(line.dt == 0)  # only where two fixes have one time
     assert np.all(line.dt >= 0)
@@ -117,7 +116,7 @@ def test_what_holds_for_every_time_line(case: tuple[Drive, float]):
 
 
 def test_a_fix_between_two_samples_splits_the_step():
-    line = build_timeline(drive_of([0, 8, 16], [11]), 0.0)
+    line = timeline_of(drive_of([0, 8, 16], [11]), 0.0)
     assert (line.dt / TICK).tolist() == [8, 3, 5]
     assert line.ax.tolist() == [1, 2, 2]  # both parts are driven by the sample at their end
     assert line.updates.tolist() == [False, True, False]
@@ -126,21 +125,21 @@ def test_a_fix_between_two_samples_splits_the_step():
 
 
 def test_a_fix_at_a_sample_s_time_splits_nothing():
-    line = build_timeline(drive_of([0, 8, 16], [8]), 0.0)
+    line = timeline_of(drive_of([0, 8, 16], [8]), 0.0)
     assert (line.dt / TICK).tolist() == [8, 8]
     assert line.updates.tolist() == [True, False]
     assert line.sampled.tolist() == [True, True]
 
 
 def test_several_fixes_in_one_interval():
-    line = build_timeline(drive_of([0, 8, 16], [9, 10, 15]), 0.0)
+    line = timeline_of(drive_of([0, 8, 16], [9, 10, 15]), 0.0)
     assert (line.dt / TICK).tolist() == [8, 1, 1, 5, 1]
     assert line.ax.tolist() == [1, 2, 2, 2, 2]
     assert line.fixes[:, 0].tolist() == [0.25, 1.25, 2.25]
 
 
 def test_two_fixes_of_one_time():
-    line = build_timeline(drive_of([0, 8, 16], [3, 3, 8, 8, 11]), 0.0)
+    line = timeline_of(drive_of([0, 8, 16], [3, 3, 8, 8, 11]), 0.0)
     line = line.hiding(np.array([0, 1, 1, 0, 0], dtype=bool))
     assert (line.dt / TICK).tolist() == [3, 0, 5, 0, 3, 5]
     assert line.updates.tolist() == [True, False, False, True, True, False]
@@ -149,41 +148,25 @@ def test_two_fixes_of_one_time():
     assert line.fixes[:, 0].tolist() == [0.25, 1.25, 2.25, 3.25, 4.25]
 
 
-@given(drives_and_starts(), st.data())
-def test_steps_without_some_fixes_are_those_of_a_drive_that_never_had_them(
-    case: tuple[Drive, float], data: st.DataObject
-):
-    drive, start = case
-    hidden = np.array(data.draw(st.lists(st.booleans(), min_size=len(drive.gps), max_size=len(drive.gps))))
-    kinds = np.zeros(len(drive.gps))
-    found = build_timeline(drive, start, kinds=kinds).without(hidden)
-    seen = replace(drive, gps=drive.gps.select(~hidden))
-    expected = build_timeline(seen, start, kinds=kinds[~hidden])
-    for each in fields(Timeline):
-        if each.name != "drive":
-            np.testing.assert_array_equal(getattr(found, each.name), getattr(expected, each.name), each.name)
-    np.testing.assert_array_equal(found.drive.gps.time, seen.gps.time)
-
-
 def test_fixes_up_to_the_start_and_after_the_last_sample_are_dropped():
     drive = drive_of([0, 8, 16], [-3, 2, 3, 16, 17])
-    line = build_timeline(drive, 3 * TICK)  # the fix at the start was absorbed by the initial state
+    line = timeline_of(drive, 3 * TICK)  # the fix at the start was absorbed by the initial state
     assert (line.fix_time / TICK).tolist() == [16]
     assert (line.dt / TICK).tolist() == [5, 8]
 
 
 def test_process_noise_grows_with_a_gap():
-    line = build_timeline(drive_of([0, 8, 16, 24, 104, 112], [64]), 0.0)
+    line = timeline_of(drive_of([0, 8, 16, 24, 104, 112], [64]), 0.0)
     assert line.q_scale.tolist() == [1, 1, 1, 5, 5, 1]  # a gap of ten intervals, split by a fix
     assert line.nominal_interval == 8 * TICK
 
 
 def test_a_gap_is_driven_by_the_mean_of_the_samples_around_it():
     drive = drive_of([0, 8, 16, 24, 104, 112], [64])
-    line = build_timeline(drive, 0.0)
+    line = timeline_of(drive, 0.0)
     assert line.ax.tolist() == [1, 2, 3, 3.5, 3.5, 5]
     assert (line.gap / TICK).tolist() == [0, 0, 0, 80, 80, 0]
-    plain = build_timeline(drive, 0.0, as_recorded=True)
+    plain = timeline_of(drive, 0.0, as_recorded=True)
     assert plain.ax.tolist() == [1, 2, 3, 4, 4, 5]
     assert not plain.gap.any()
 
@@ -193,20 +176,20 @@ def test_frozen_fixes_are_left_out():
     gps = drive.gps
     frozen = np.isin(np.arange(len(gps)), [30, 31, 32])
     stuck = replace(gps, x=np.where(frozen, gps.x[29], gps.x), y=np.where(frozen, gps.y[29], gps.y))
-    line, without = (build_timeline(replace(drive, gps=fixes), 2.0) for fixes in (stuck, gps.select(~frozen)))
+    line, without = (timeline_of(replace(drive, gps=fixes), 2.0) for fixes in (stuck, gps.select(~frozen)))
     assert (line.kinds >= STALE).tolist() == frozen.tolist()
     for name in ("steps", "ax", "updates", "fixes", "fix_time", "sampled"):
         np.testing.assert_array_equal(getattr(line, name), getattr(without, name))
     hidden = np.isin(np.arange(len(gps)), [28, 31, 40])
     assert line.hiding(hidden).hides.sum() == 2
-    plain = build_timeline(replace(drive, gps=stuck), 2.0, as_recorded=True)
+    plain = timeline_of(replace(drive, gps=stuck), 2.0, as_recorded=True)
     assert len(plain.fixes) == len(line.fixes) + 3
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_jittery_drive_is_merged_like_the_loop_does(seed: int):
     drive = make_drive(duration=8.0, jitter=0.4, gps_rate=7.0, seed=seed)
-    line, naive = build_timeline(drive, 1.234), walk(drive, 1.234)
+    line, naive = timeline_of(drive, 1.234), walk(drive, 1.234)
     np.testing.assert_array_equal(line.dt, naive.dt)
     np.testing.assert_array_equal(line.ax, drive.imu.ax[naive.sample])
     np.testing.assert_array_equal(line.updates, [j is not None for j in naive.fix])

@@ -17,14 +17,14 @@ from scipy.stats import chi2
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive, Gps, Imu
-from sigmaswarm.drives.timeline import Timeline, build_timeline
+from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters import tilted
 from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass, Targets
 from sigmaswarm.geodesy import wrap_angle
-from support import quickly
+from support import quickly, timeline_of
 
 EARLY = 12  # IMU samples after the start, where the initial covariance still counts
 STATES = {"planar5": 5, "planar8": 8, "tilted12": 12}
@@ -81,7 +81,7 @@ def time_line() -> Timeline:
     fix_time = np.arange(0.47, 12.0, 0.5)
     gps = Gps(time=fix_time, x=0 * fix_time, y=0 * fix_time)
     drive = Drive("own model", imu, gps, None, metadata={"gps_lever_arm_m": [1.0, 0.5, 0.0]})
-    return build_timeline(drive, 0.0)
+    return timeline_of(drive, 0.0)
 
 
 @cache

@@ -12,13 +12,12 @@ from hypothesis import strategies as st
 from oracles.box import box_table
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters import packing
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass, Targets, run_passes
 from sigmaswarm.filters.run import run_filter, run_textbook
 from sigmaswarm.tuning.batch import run_batch
-from support import make_drive
+from support import make_drive, timeline_of
 
 pytestmark = pytest.mark.skipif(
     numba.config.DISABLE_JIT, reason="whole drives take minutes without the compiler"
@@ -90,7 +89,7 @@ def test_textbook_filter_fails_too(field: str, i: int):
 def test_a_covariance_that_is_indefinite_for_most_of_the_drive_is_noticed():
     # Each fix leaves a negative variance of the position negative; so little that S stays positive.
     initial = initial_state(drive())
-    timeline = build_timeline(drive(), initial.time)
+    timeline = timeline_of(drive(), initial.time)
     sets = [replace(SOUND, process_noise=(*q, 1e-5, 1e-5, 1e-5), measurement_noise=(10.0, 10.0))
             for q in ((-1e-3, 1e-5), (1e-5, -1e-3))]  # fmt: skip
     for parameters in sets:
@@ -100,7 +99,7 @@ def test_a_covariance_that_is_indefinite_for_most_of_the_drive_is_noticed():
 
 def test_a_start_from_an_indefinite_covariance_is_noticed_without_any_nan():
     initial = initial_state(drive())
-    timeline = build_timeline(drive(), initial.time)
+    timeline = timeline_of(drive(), initial.time)
     quiet = replace(SOUND, process_noise=(1e-9,) * 5, measurement_noise=(10.0, 10.0))
     for i, j in ((0, 1), (0, 2), (1, 3)):
         covariance = initial.covariance.copy()
@@ -145,7 +144,7 @@ def test_nan_in_the_last_sample_is_noticed():
     # No fix looks at it any more, nothing is compared with truth, and the covariance does not know the yaw rate.
     spoiled, _ = with_nan("imu", "gz", after=float(drive().imu.time[-1]))
     initial = initial_state(spoiled)
-    timeline = build_timeline(spoiled, initial.time)
+    timeline = timeline_of(spoiled, initial.time)
     assert run_filter(spoiled, SOUND).failure is not None
     assert run_passes([FilterPass(timeline, initial, Targets.none(timeline))], [SOUND]).failed.all()
 

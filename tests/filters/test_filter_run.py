@@ -11,13 +11,12 @@ from filter_cases import KINDS, OPTIONS, equipped, parameters, two_receivers
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import prepare_drive
-from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters.filter_run import FilterRun
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass, Targets, run_passes
 from sigmaswarm.filters.run import run_filter, run_innovations
 from sigmaswarm.scoring.targets import forecast_pass, tracking_pass
-from support import make_drive, quickly
+from support import make_drive, quickly, timeline_of
 
 EVERY_FILTER = [
     pytest.param(model, kind, option, id=f"{model}-{kind}-{option}")
@@ -88,7 +87,7 @@ def test_a_failure_in_one_piece_is_one_in_all_that_follow(samples: int):
     ax[2000] = np.nan
     ill = replace(drive, imu=replace(drive.imu, ax=ax))
     start = initial_state(drive)
-    line = build_timeline(ill, start.time)
+    line = timeline_of(ill, start.time)
     recording = FilterRun(FilterPass(line, start, Targets.none(line)), parameters("planar5"), samples=samples)
     whole = recording.whole()
     sound = line.imu_time < drive.imu.time[2000]
@@ -111,7 +110,7 @@ def test_sums_of_an_unfinished_recording_are_refused():
 def peak_of_pieces(drive: Drive) -> int:
     """Bytes that a recording asks for beyond its pass."""
     start = initial_state(drive)
-    line = build_timeline(drive, start.time)
+    line = timeline_of(drive, start.time)
     drive_pass, p = FilterPass(line, start, Targets.none(line)), parameters("planar8")
     drive_pass.arrays(frozenset())
     for _ in FilterRun(drive_pass, p, samples=500):  # compiled, and all that is kept is there

@@ -13,7 +13,6 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
-from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters.models import gps_position, planar5, planar8
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Estimate, run_filter, run_textbook
@@ -22,7 +21,7 @@ from sigmaswarm.filters.textbook.adaptive import FuzzyNoise
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.filters.textbook.ekf import complex_step
 from sigmaswarm.tuning.batch import run_batch
-from support import DRIVES, make_drive, needs_shared, quickly, sparse
+from support import DRIVES, make_drive, needs_shared, quickly, sparse, timeline_of
 
 
 def difference(a: Estimate, b: Estimate) -> float:
@@ -76,7 +75,7 @@ def test_compiled_is_the_textbook_s_on_a_real_drive(kind: str):
 def test_the_extended_filter_is_filterpy_s():
     drive, p = make_drive(duration=20, seed=2), parameters("planar5", kind="ekf")
     initial = initial_state(drive)
-    line = build_timeline(drive, initial.time)
+    line = timeline_of(drive, initial.time)
     theirs = FilterPyEkf(dim_x=5, dim_z=2)
     theirs.x, theirs.P, theirs.R = (
         initial.mean.copy(),
@@ -175,7 +174,7 @@ def test_fuzzy_rules_say_what_their_table_says(ratio: float, trend: float, times
 
 def factors(drive: Drive, p: FilterParameters) -> tuple[np.ndarray, np.ndarray]:
     """By how much a fuzzy filter has multiplied R and Q after each step."""
-    car = TextbookCar(build_timeline(drive, initial_state(drive).time), p, initial_state(drive))
+    car = TextbookCar(timeline_of(drive, initial_state(drive).time), p, initial_state(drive))
     assert car.fuzzy is not None
     found = []
     for i in range(len(car.timeline.dt)):
@@ -192,7 +191,7 @@ def test_fuzzy_rules_doubt_an_outlier_and_then_what_lasts():
     x[100] += 6.0
     p = replace(FUZZY, forgetting=0.9, fuzzy_widths=(0.3, 0.15), fuzzy_gains=(10.0, 10.0))
     r, q = factors(replace(drive, gps=replace(drive.gps, x=x)), p)
-    at = np.searchsorted(build_timeline(drive, initial_state(drive).time).end, after)
+    at = np.searchsorted(timeline_of(drive, initial_state(drive).time).end, after)
     assert r[at] > 1.5 * r[at - 1]
     assert q[at] < 1.5  # rising: a fix is wrong sooner than the car
     biased = replace(drive, imu=replace(drive.imu, ax=drive.imu.ax + 1.0))
@@ -271,10 +270,10 @@ def test_standstill_is_told_from_driving(name: str):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         drive = read_drive(DRIVES / name)
-    stands = build_timeline(drive, drive.imu.time[0]).stands
+    stands = timeline_of(drive, drive.imu.time[0]).stands
     truth = drive.truth
     assert truth is not None
-    line = build_timeline(drive, drive.imu.time[0])
+    line = timeline_of(drive, drive.imu.time[0])
     speed = np.interp(line.end, truth.time, np.hypot(truth.vx, truth.vy))
     assert np.all(speed[stands] < 0.3)
     if name in ("colorado-1", "kingston-1"):

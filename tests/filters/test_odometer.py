@@ -14,13 +14,13 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Odometer
 from sigmaswarm.drives.events import ODOMETER, STANDSTILL, events_of
 from sigmaswarm.drives.odometer import INTERVAL, SLOW
-from sigmaswarm.drives.timeline import Timeline, build_timeline
+from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.run import run_filter, run_textbook
 from stepwise import compiled_against_extended, on_time_line, some_steps, urban, wheeled
-from support import quickly, sparse
+from support import quickly, sparse, timeline_of
 
 WHEELS = {"odometer_noise": 0.01, "odometer_scale": 1.02, "odometer_latency": 0.04}
 ALL = {**OPTIONS["all"], **WHEELS}
@@ -139,7 +139,7 @@ def test_readings_are_put_together_as_said(interval: float, imu_rate: float):
         0, 0.3 * interval, len(np.arange(-0.5, 9.5, interval))
     )
     odometer = Odometer(time, np.where(time > 7, 0.2, 5.0 + rng.standard_normal(len(time))))
-    line = build_timeline(replace(drive, odometer=odometer), 3.0)
+    line = timeline_of(replace(drive, odometer=odometer), 3.0)
     found, wanted = events_of(line, {"odometer"}), naive(odometer, line)
     assert len(wanted) >= 5
     np.testing.assert_array_equal(line.end[found.flags & ODOMETER > 0], [row[0] for row in wanted])
@@ -171,7 +171,7 @@ def test_wheels_that_turn_are_no_standstill():
     odometer = timeline.drive.odometer
     assert odometer is not None
     turning = replace(odometer, speed=np.full(len(odometer), 3.0))
-    moving = build_timeline(replace(timeline.drive, odometer=turning), timeline.start)
+    moving = timeline_of(replace(timeline.drive, odometer=turning), timeline.start)
     assert not (events_of(moving, {"standstill", "odometer"}).flags & STANDSTILL).any()
     assert (events_of(moving, {"standstill"}).flags & STANDSTILL > 0).sum() == rests.sum()
     told = events_of(timeline, {"standstill", "odometer"}).flags & STANDSTILL > 0

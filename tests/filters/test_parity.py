@@ -20,7 +20,7 @@ from oracles.box import LOWER, UPPER, as_parameters, box_sets, box_table, weighe
 from oracles.extended import THETA, covariance_error, mean_error
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.events import FIX, LATERAL, STANDSTILL, VELOCITY, events_of
-from sigmaswarm.drives.timeline import Timeline, build_timeline
+from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.models import gps_position, planar5
 from sigmaswarm.filters.parameters import FilterParameters
@@ -42,7 +42,7 @@ from stepwise import (
     steps_with_fixes,
     textbook_against_filterpy,
 )
-from support import make_drive, needs_shared, quickly
+from support import make_drive, needs_shared, quickly, timeline_of
 
 WHOLE_DRIVES = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="takes minutes without the compiler")
 ALSO_LONG = pytest.mark.parametrize(
@@ -300,7 +300,8 @@ def first_steps(timeline: Timeline, n: int) -> Timeline:
         )
     }
     fixes, samples = (int(getattr(timeline, name)[:n].sum()) for name in ("updates", "sampled"))
-    return replace(timeline, **first, fixes=timeline.fixes[:fixes], imu_time=timeline.imu_time[:samples])
+    imu = timeline.drive.imu.select(timeline.drive.imu.time <= timeline.imu_time[samples - 1])
+    return replace(timeline, **first, fixes=timeline.fixes[:fixes], drive=replace(timeline.drive, imu=imu))
 
 
 # --- Free running ------------------------------------------------------------------------------------------
@@ -366,7 +367,7 @@ def kalman_filter(timeline: Timeline, initial: InitialState, row: np.ndarray) ->
 def test_with_a_known_heading_it_is_the_kalman_filter(alpha: float):
     drive = simulated()
     initial = initial_state(drive)
-    timeline = build_timeline(drive, initial.time, as_recorded=True)  # in a gap no heading is known
+    timeline = timeline_of(drive, initial.time, as_recorded=True)  # in a gap no heading is known
     known = initial.covariance.copy()
     known[THETA], known[:, THETA] = 0.0, 0.0
     known[THETA, THETA] = 1e-28

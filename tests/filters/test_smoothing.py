@@ -26,7 +26,6 @@ from oracles.smoother import smooth_textbook
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.drives.split import clip
-from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.errors import InputError, SigmaswarmError
 from sigmaswarm.filters.divergence import CHECK_INTERVAL
 from sigmaswarm.filters.live import LiveFilter
@@ -36,7 +35,7 @@ from sigmaswarm.filters.passes import FilterPass, Targets
 from sigmaswarm.filters.run import Estimate, estimates_of, run_filter, whole_pass
 from sigmaswarm.filters.smoothing import SmootherRun, smooth
 from sigmaswarm.geodesy import wrap_angle
-from support import quickly, sparse
+from support import quickly, sparse, timeline_of
 
 
 @cache
@@ -131,7 +130,7 @@ def test_an_unscented_one_is_filterpys_step_by_step():
     drive = equipped()
     drive = replace(drive, metadata={})
     p = parameters("planar5")
-    line = build_timeline(drive, began().time)
+    line = timeline_of(drive, began().time)
     ours = smooth(drive, p, initial=began(), recover=False)
     filtered = run_filter(drive, p, initial=began(), recover=False)
     points = MerweScaledSigmaPoints(5, p.alpha, p.beta, p.kappa, sqrt_method=upper_root_theta_first)

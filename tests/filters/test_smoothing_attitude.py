@@ -8,10 +8,10 @@ from filter_cases import equipped, parameters
 from oracles.smoother import smooth_textbook
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.split import clip
-from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters import tilted
 from sigmaswarm.filters.constants import process_noise_per_step
 from sigmaswarm.filters.starts import start_of
+from support import timeline_of
 
 
 def thinned():
@@ -67,7 +67,7 @@ def posterior(line, p, initial, rounds: int = 8) -> tuple[np.ndarray, np.ndarray
 def test_it_is_the_maximum_of_the_posterior():
     drive, start = thinned()
     p = parameters("tilted12")
-    line = build_timeline(drive, start.time)
+    line = timeline_of(drive, start.time)
     assert line.fixes.shape[0] > 20
     assert np.all(line.dt > 0)
     ours = smooth_textbook(drive, p, initial=start)

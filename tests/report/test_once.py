@@ -63,11 +63,8 @@ def test_an_evaluation_with_pictures_computes_each_thing_once(
     command.evaluate(tmp_path / "tuning.toml", [tmp_path / "monday"], options=options)
     assert (tmp_path / "out" / "monday-error.png").exists()
     assert (tmp_path / "out" / "monday-consistency.png").exists()
-    assert (len(aligned), len(lines), len(reckoned)) == (
-        1,
-        1,
-        1,
-    )  # the outages' lines are made of the whole one
+    assert (len(aligned), len(reckoned)) == (1, 1)
+    assert len(lines) == 1 + len(lengths)  # of all fixes, and of each set of outages
     k = len(whole.timeline().dt)
     assert len(lengths) > 8
     # the tuned filter and the data sheet's, each watched for being lost

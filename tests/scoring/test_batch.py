@@ -10,7 +10,6 @@ import pytest
 from scoring.variants import VARIANTS, resampled
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive, Gps
-from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters.models import THETA, gps_position, planar5
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, PAPER
@@ -20,7 +19,7 @@ from sigmaswarm.scoring.batch import BatchScorer
 from sigmaswarm.scoring.score import score_estimate
 from sigmaswarm.scoring.targets import outage_windows
 from sigmaswarm.tuning.space import search_space
-from support import hide_fixes, make_drive
+from support import hide_fixes, make_drive, timeline_of
 
 SPACE = search_space("planar5", "log10")
 SETS = [
@@ -141,7 +140,7 @@ def test_a_drive_too_short_for_an_outage_has_no_drift():
 def at_the_fixes(drive: Drive, p: FilterParameters) -> tuple[list[float], list[float]]:
     """Squared residual after absorbing, and NIS before it, of each fix, by the textbook filter."""
     start = initial_state(drive)
-    line = build_timeline(drive, start.time)
+    line = timeline_of(drive, start.time)
     points = SigmaPoints(p.alpha, p.beta, p.kappa, first=(THETA,))
     ukf = UnscentedKalmanFilter(
         planar5, gps_position(), start.mean, start.covariance, points, angles=(THETA,)
@@ -196,7 +195,7 @@ def test_a_right_covariance_has_a_mean_nis_of_two():
     right = FilterParameters(0.5, 2.0, 0.0, (1e-6, 1e-6, 1e-6, 1e-6, 1e-9), (1.0, 1.0))
     drives = [make_drive(duration=60.0, seed=s) for s in range(6)]
     scores = BatchScorer(drives, outages=False).scores([right, replace(right, measurement_noise=(4.0, 4.0))])
-    n = sum(len(build_timeline(d, initial_state(d).time).fixes) for d in drives)
+    n = sum(len(timeline_of(d, initial_state(d).time).fixes) for d in drives)
     assert scores.mean_nis[0].mean() == pytest.approx(2.0, abs=5 * math.sqrt(4 / n))
     assert scores.mean_nis[1].mean() < 0.8
 

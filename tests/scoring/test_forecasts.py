@@ -15,7 +15,6 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.outages import balanced_windows, hidden_fixes
 from sigmaswarm.drives.prepared import prepare_drive
-from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters import student
 from sigmaswarm.filters.models import gps_position
 from sigmaswarm.filters.parameters import FilterParameters
@@ -24,7 +23,7 @@ from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.scoring.batch import BatchScorer
 from sigmaswarm.scoring.score import negative_log_t
 from sigmaswarm.scoring.targets import forecast_pass
-from support import make_drive, quickly
+from support import make_drive, quickly, timeline_of
 
 PLANAR5 = FilterParameters(0.5, 2.0, 1.0, (1e-4, 1e-4, 1e-3, 1e-3, 1e-5), (1.2, 0.8), latency=0.05)
 PLANAR8 = FilterParameters(
@@ -48,7 +47,7 @@ DRIVE = replace(
 def by_textbook(drive: Drive, parameters: FilterParameters, hidden: np.ndarray):
     """Innovations nu and S at all fixes, and which of them were hidden, from the filter in NumPy."""
     start = initial_state(drive)
-    line = build_timeline(drive, start.time).hiding(hidden)
+    line = timeline_of(drive, start.time).hiding(hidden)
     car = TextbookCar(line, parameters, start)
     h = gps_position(tuple(line.lever[:2]), parameters.latency)
     found, fixes = [], iter(line.fixes)

@@ -1,5 +1,6 @@
 """A drive prepared for filters: the initial state and the time lines, computed once."""
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -54,13 +55,17 @@ class PreparedDrive:
             hidden, removed = np.zeros(len(self.drive.gps), dtype=np.bool_), False
         key = hidden.tobytes(), removed
         if key not in self._timelines:
-            if removed:
-                line = self.timeline().without(hidden)
-            elif hidden.any():
+            if hidden.any() and not removed:
                 line = self.timeline().hiding(hidden)
             else:
-                start, recorded = self.initial.time, self.as_recorded
-                line = build_timeline(self.drive, start, as_recorded=recorded, kinds=self.kinds)
+                seen = replace(self.drive, gps=self.drive.gps.select(~hidden)) if removed else self.drive
+                line = build_timeline(
+                    seen,
+                    self.initial.time,
+                    self.kinds[~hidden],
+                    as_recorded=self.as_recorded,
+                    driving=self.timeline().driving if removed else None,
+                )
             self._timelines[key] = line
         return self._timelines[key]
 

@@ -12,7 +12,6 @@ In a gap of the IMU, the input is the mean of the samples before and after it (`
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,7 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import Alignments
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.gaps import gaps_before
-from sigmaswarm.drives.stale_fixes import STALE, classify_fixes
+from sigmaswarm.drives.stale_fixes import STALE
 from sigmaswarm.drives.standstill import detect_standstills
 from sigmaswarm.drives.tables import Gps, Indices, Mask, headings_of
 
@@ -50,14 +49,8 @@ class Timeline:
     fixes : (f, 8) position, m east, north; velocity, m/s east, north (0 if unknown); stated variance, m2 east, north (0
         if not stated); heading (rad) and its stated variance, rad2 (0 if not stated, infinite if the fix has no
         heading); in the order of the steps, including hidden fixes
-    fix_time : (f,) s
-    has_velocity : bool
-    states_accuracy : bool, True if the receiver states the accuracy of each fix
-    lever : (3,) m forward, left and up from the IMU to the antenna
     drive : Drive without the hidden fixes
     kinds : (g,) kind of each fix of ``drive``: see `drives.stale_fixes`; all `NEW` with ``as_recorded``
-    imu_time : (n,) s, times of the IMU samples after the start
-    nominal_interval : s
     """
 
     start: float
@@ -69,14 +62,38 @@ class Timeline:
     hides: Mask
     sampled: Mask
     fixes: Array
-    fix_time: Array
-    has_velocity: bool
-    states_accuracy: bool
-    lever: Array
     drive: Drive
     kinds: Array
-    imu_time: Array
-    nominal_interval: float
+
+    @cached_property
+    def imu_time(self) -> Array:
+        """Times of the IMU samples after the start, (n,) s."""
+        time = self.drive.imu.time
+        return time[np.searchsorted(time, self.start, side="right") :]
+
+    @cached_property
+    def nominal_interval(self) -> float:
+        """Median time between IMU samples, s."""
+        return self.drive.nominal_interval
+
+    @cached_property
+    def lever(self) -> Array:
+        """Vector from the IMU to the antenna, (3,) m forward, left and up."""
+        return np.array([*self.drive.lever_arm, self.drive.antenna_height])
+
+    @cached_property
+    def fix_time(self) -> Array:
+        """Time of each fix, (f,) s."""
+        return self.end[self.updates | self.hides]
+
+    @property
+    def has_velocity(self) -> bool:
+        return self.drive.gps.velocity is not None
+
+    @property
+    def states_accuracy(self) -> bool:
+        """True if the receiver states the accuracy of each fix."""
+        return self.drive.gps.std is not None and bool((self.fixes[:, FIX_VAR_X : FIX_VAR_Y + 1] > 0.0).all())
 
     @property
     def dt(self) -> Array:
@@ -125,76 +142,44 @@ class Timeline:
         """Return this time line with fixes hidden where ``hidden`` (g,) is True; the two time lines share arrays."""
         hides = np.zeros(len(self.end), dtype=np.bool_)
         hides[self.updates] = hidden[_usable(self.drive, self.start, self.kinds)]
-        return replace(self, updates=self.updates & ~hides, hides=hides, **self._seen(hidden))
-
-    def without(self, hidden: Mask) -> "Timeline":
-        """Return the steps without the fixes ``hidden`` (g,), bit-identical to `build_timeline` of the other fixes."""
-        updates = self.updates.copy()
-        updates[self.updates] = ~hidden[_usable(self.drive, self.start, self.kinds)]
-        moment = np.cumsum(np.diff(self.end, prepend=self.start) > 0.0)  # several fixes may share a time
-        meets = np.bincount(moment[updates], minlength=len(self.end) + 1) > 0
-        keeps = updates | (self.sampled & ~meets[moment])
-        of_imu = np.zeros(len(meets), dtype=np.bool_)
-        of_imu[moment[self.sampled]] = True
-        end, steps, fields = self.end[keeps], self.steps[keeps], self._seen(hidden)
-        steps[:, DT] = np.diff(end, prepend=self.start)
-        steps[:, Q_SCALE] = steps[:, DT] / self.nominal_interval
+        seen = replace(self.drive, gps=self.drive.gps.select(~hidden))
         return replace(
-            self,
-            end=end,
-            steps=steps,
-            sample=self.sample[keeps],
-            updates=updates[keeps],
-            hides=np.zeros(len(end), dtype=np.bool_),
-            sampled=of_imu[moment[keeps]] & _is_last(end),
-            **fields,
-            **_fixes_of(fields["drive"].gps.select(_usable(fields["drive"], self.start, fields["kinds"]))),
+            self, updates=self.updates & ~hides, hides=hides, drive=seen, kinds=self.kinds[~hidden]
         )
-
-    def _seen(self, hidden: Mask) -> dict[str, Any]:
-        gps = self.drive.gps.select(~hidden)
-        return {"drive": replace(self.drive, gps=gps), "kinds": self.kinds[~hidden]}
 
 
 def build_timeline(
-    drive: Drive, start: float, *, as_recorded: bool = False, kinds: Array | None = None
+    drive: Drive, start: float, kinds: Array, *, as_recorded: bool, driving: Array | None = None
 ) -> Timeline:
     """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out.
 
-    ``as_recorded``: True to use stale fixes and to treat IMU gaps as ordinary steps. ``kinds`` (g,): kinds of the
-    fixes, if already known.
+    ``kinds`` (g,): kinds of the fixes. ``as_recorded``: treat IMU gaps as ordinary steps. ``driving``: the array of
+    another time line of the same IMU samples, to save memory.
     """
     imu = drive.imu
-    if kinds is None:
-        kinds = np.zeros(len(drive.gps)) if as_recorded else classify_fixes(drive.gps)
     fixes = drive.gps.select(_usable(drive, start, kinds))
     imu_time = imu.time[np.searchsorted(imu.time, start, side="right") :]
     moments = np.union1d(imu_time, fixes.time)
     fixes_there = np.diff(np.searchsorted(fixes.time, moments, side="right"), prepend=0)
     ends = np.repeat(moments, np.maximum(1, fixes_there))
     sample = np.searchsorted(imu.time, ends, side="left")  # the first sample at or after the step's end
-    nominal = drive.nominal_interval
     gaps = np.zeros(len(imu)) if as_recorded else gaps_before(imu.time)
-    driving = _driving(drive, np.flatnonzero(gaps))
     steps = np.empty((len(ends), FIRST_AXIS))  # filled by column, to save memory
     steps[:, DT] = np.diff(ends, prepend=start)
-    steps[:, Q_SCALE] = steps[:, DT] / nominal
+    steps[:, Q_SCALE] = steps[:, DT] / drive.nominal_interval
     steps[:, GAP] = gaps[sample]
     return Timeline(
         start=start,
         end=ends,
         steps=steps,
         sample=sample.astype(np.int32),
-        driving=driving,
+        driving=_driving(drive, np.flatnonzero(gaps)) if driving is None else driving,
         updates=_among(ends, fixes.time),
         hides=np.zeros(len(ends), dtype=np.bool_),
         sampled=_among(ends, imu_time) & _is_last(ends),
-        lever=np.array([*drive.lever_arm, drive.antenna_height]),
+        fixes=_columns(fixes),
         drive=drive,
         kinds=kinds,
-        imu_time=imu_time,
-        nominal_interval=nominal,
-        **_fixes_of(fixes),
     )
 
 
@@ -212,19 +197,13 @@ def _driving(drive: Drive, gap_ends: Indices) -> Array:
     return driving
 
 
-def _fixes_of(gps: Gps) -> dict[str, Any]:
+def _columns(gps: Gps) -> Array:
     nothing = np.zeros((2, len(gps)))
     motion = nothing if gps.velocity is None else gps.velocity
     variance = nothing if gps.std is None else np.square(gps.std)
-    stated = gps.std is not None and bool(np.isfinite(variance).all())
-    return {
-        "fixes": np.column_stack(
-            [gps.x, gps.y, *motion, *(variance if stated else nothing), *headings_of(gps)]
-        ),
-        "fix_time": gps.time,
-        "has_velocity": gps.velocity is not None,
-        "states_accuracy": stated,
-    }
+    if not np.isfinite(variance).all():
+        variance = nothing
+    return np.column_stack([gps.x, gps.y, *motion, *variance, *headings_of(gps)])
 
 
 def _is_last(ends: Array) -> Mask:

@@ -65,9 +65,7 @@ def _filter(
 def _variances(line: Timeline) -> Array:
     """Return the variance of each fix per axis, m2; a typical variance if not all fixes have stated variances."""
     stated = line.fixes[:, FIX_VAR_X : FIX_VAR_X + 2].mean(axis=1)
-    return (
-        stated if line.states_accuracy and np.all(stated > 0) else np.full(len(stated), UNSTATED_GPS_STD**2)
-    )
+    return stated if line.states_accuracy else np.full(len(stated), UNSTATED_GPS_STD**2)
 
 
 def fit_noise(replay: FilterPass) -> MotionNoise:

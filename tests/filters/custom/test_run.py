@@ -17,12 +17,11 @@ from sigmaswarm import (
     run_model,
     run_textbook,
 )
-from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters.custom import run as module
 from sigmaswarm.filters.custom.run import MAX_DIFFERENCE, Runner, _same, run_kernel
 from sigmaswarm.filters.models import planar5
 from sigmaswarm.filters.parameters import FilterParameters
-from support import make_drive
+from support import make_drive, timeline_of
 
 POINT = point_model()
 POINT_LOG = point_log(n=250)
@@ -88,7 +87,7 @@ def test_a_car_as_a_model_of_one_s_own_is_the_car():
     """planar5 through `Model` on jittered clocks takes the same steps as `run_textbook`: two ways to one filter."""
     drive = make_drive(duration=14.0, jitter=0.4, seed=3)
     initial = initial_state(drive)
-    line = build_timeline(drive, initial.time)
+    line = timeline_of(drive, initial.time)
     model = Model(
         "car",
         states=("x", "y", "vx", "vy", "theta"),
