@@ -1,23 +1,18 @@
 """The public functions that join several parts of the package."""
 
-import tempfile
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.checks import unshared_times
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.mounting import Angles
-from sigmaswarm.drives.overlap import Landmarks
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError, SigmaswarmWarning
-from sigmaswarm.filters.fixes_alone import MotionNoise
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Estimate, run_filter
-from sigmaswarm.tuning.record import TuningRecord, training_data_of
+from sigmaswarm.tuning.record import TunedFilter, TuningRecord, history_of
 from sigmaswarm.tuning.result import Tuning
 
 if TYPE_CHECKING:
@@ -31,36 +26,15 @@ if TYPE_CHECKING:
 Filter = FilterParameters | Tuning[Any] | str | Path
 
 
-@dataclass(frozen=True)
-class TunedFilter:
-    """A filter with the settings of its tuning; ``seen``: landmarks of the training drives."""
-
-    parameters: FilterParameters
-    as_recorded: bool = False
-    seen: Sequence[Landmarks] | None = None
-    fixes_alone: MotionNoise | None = None
-    mounting: Angles | None = None
-    imu_axes: Mapping[str, str] = field(default_factory=dict[str, str])
-
-    def settings(self, *names: str, **given: Any) -> dict[str, Any]:
-        """Return settings by name; those in ``given`` take precedence."""
-        return {name: getattr(self, name) for name in names} | given
-
-
 def tuned_filter(given: Filter) -> TunedFilter:
-    if isinstance(given, FilterParameters):
-        return TunedFilter(given)
     if isinstance(given, str | Path):
-        path = Path(given)
-        parameters, tuning = FilterParameters.load(path), TuningRecord.read(path)
-        landmarks, as_recorded = training_data_of(path), tuning.as_recorded
-    else:
-        parameters = getattr(given, "parameters", given)
-        if not isinstance(parameters, FilterParameters):
-            raise InputError(f"got {type(parameters).__name__}; pass FilterParameters, a Tuning or its path")
-        tuning, landmarks, as_recorded = given, given.seen, given.config.model_dump()["as_recorded"]
-    imu = tuning.mounting, tuning.imu_axes
-    return TunedFilter(parameters, as_recorded, list(landmarks) or None, tuning.fixes_alone, *imu)
+        return TunedFilter.read(Path(given))
+    parameters: Any = given.parameters if isinstance(given, Tuning) else given
+    if not isinstance(parameters, FilterParameters):
+        raise InputError(f"got {type(parameters).__name__}; pass FilterParameters, a Tuning or its path")
+    if isinstance(given, Tuning):
+        return TunedFilter(parameters, given.record, [*given.seen])
+    return TunedFilter(parameters)
 
 
 def import_log(
@@ -169,7 +143,7 @@ def run(
     from sigmaswarm.filters.smoothing import smooth as run_smoother
 
     tuned = tuned_filter(parameters)
-    as_recorded = tuned.as_recorded if as_recorded is None else as_recorded
+    as_recorded = tuned.record.as_recorded if as_recorded is None else as_recorded
     if smooth and bank:
         raise InputError(
             "smooth and bank can't be combined, since a filter bank is not smoothed; leave one option out"
@@ -216,8 +190,9 @@ def evaluate(
         raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")
     tuned = tuned_filter(parameters)
     other = tuned_filter(against).parameters if isinstance(against, Tuning) else against
-    settings = tuned.settings("as_recorded", "seen", "fixes_alone", **options)
-    return evaluation.evaluate(drives, tuned.parameters, against=other, **settings)
+    own: dict[str, Any] = {"as_recorded": tuned.record.as_recorded, "fixes_alone": tuned.record.fixes_alone}
+    own["seen"] = tuned.seen or None
+    return evaluation.evaluate(drives, tuned.parameters, against=other, **own | options)
 
 
 def export(
@@ -251,8 +226,7 @@ def export(
     from sigmaswarm.exports.targets import export_texts, write_texts
 
     tuned, to = tuned_filter(parameters), target_named(to)
-    settings = tuned.settings("as_recorded", "mounting", "imu_axes", **options)
-    texts = export_texts(tuned.parameters, to, **settings)
+    texts = export_texts(tuned.parameters, to, **tuned.record.for_export | options)
     if folder is not None:
         write_texts(texts, folder, to)
     return texts
@@ -278,24 +252,20 @@ def report(results: Any, out: str | Path | None = None) -> str:
         If ``results`` has a type without a page, or a file in the folder is missing or damaged.
     """
     from sigmaswarm.files import write_atomically
+    from sigmaswarm.reports.evaluation_page import evaluation_report
     from sigmaswarm.reports.folders import read_report
     from sigmaswarm.reports.page import page
-    from sigmaswarm.reports.tuning import save_history
+    from sigmaswarm.reports.tuning import tuning_report
     from sigmaswarm.scoring.evaluation import Evaluation
 
     if isinstance(results, str | Path):
         text = page(read_report(Path(results)))
-    elif isinstance(results, Evaluation | Tuning):
-        with tempfile.TemporaryDirectory() as folder:
-            kept = Path(folder)
-            if isinstance(results, Evaluation):
-                results.save(kept)
-                if results.parameters is not None:
-                    results.parameters.save(kept / "tuning.toml")
-            else:
-                results.save(kept / "tuning.toml")
-                save_history(results, kept)
-            text = page(read_report(kept))
+    elif isinstance(results, Evaluation):
+        record = TuningRecord.of(results.parameters)
+        tracks = [result.tracks for result in results.drives.values() if result.tracks]
+        text = page(evaluation_report(results.view, tracks, record))
+    elif isinstance(results, Tuning):
+        text = page(tuning_report(results.record, history_of(results.trials) if results.trials else None))
     else:
         raise InputError(
             f"a {type(results).__name__} has no page; pass an Evaluation, a Tuning or a folder of results"

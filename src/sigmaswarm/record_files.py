@@ -38,7 +38,11 @@ def load_record(
     ``remedy`` is the remedy in a message about a damaged file, ``missing`` that about a missing file. NaN and inf in a
     JSON file become None unless ``infinite`` is True.
     """
-    content = read_content(path, remedy, missing=missing, infinite=infinite)
+    return to_record(kind, read_content(path, remedy, missing=missing, infinite=infinite), path, remedy)
+
+
+def to_record(kind: type[R], content: dict[str, Any], path: Path, remedy: str = DAMAGED) -> R:
+    """Convert the content of the file ``path`` to a record."""
     try:
         return TypeAdapter(kind).validate_python(content)
     except ValidationError as error:

@@ -7,7 +7,6 @@ import shutil
 import tomllib
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import get_args
 
 import numpy as np
@@ -22,6 +21,7 @@ from sigmaswarm.cli.remarks import name_files, name_training_files
 from sigmaswarm.cli.tune import _costs
 from sigmaswarm.doctor.split import split_time
 from sigmaswarm.drives.drive import Imu
+from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.writer import write_drive
@@ -34,6 +34,8 @@ from sigmaswarm.tuning.diagnostics import DriftComparison, drift_table
 from sigmaswarm.tuning.objectives import OBJECTIVES
 from sigmaswarm.tuning.options import Option
 from sigmaswarm.tuning.receiver import STATE_REMEDY
+from sigmaswarm.tuning.record import ResultRecord, TuningRecord
+from sigmaswarm.tuning.view import TuningView
 from support import make_drive, no_pictures
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -118,22 +120,21 @@ def test_the_help_states_what_happens_to_earlier_results(command: str):
 def test_a_drift_larger_than_the_baseline_s_names_a_safe_step(particles: int, inflation: float, remedy: str):
     forecasts = [DriftComparison(5.0, 1.0, 2.0, 9.0), DriftComparison(30.0, 7.13, 6.36, 59.4)]
     config = TuneConfig(particles=particles, objective="innovation-t")
-    tuned = SimpleNamespace(
-        **{"forecasts": forecasts, "inflation_factor": inflation, "config": config, "trial_costs": [1.0]},
-        **{
-            "best_trial": 0,
-            "cost": 1.0,
-            "start_cost": None,
-            "data": [{"duration_s": 60.0}],
-            "validation": None,
-        },
+    record = TuningRecord(
+        filter={},
+        result=ResultRecord(
+            cost=1.0, objective="innovation-t", inflation_factor=inflation, trial_costs=(1.0,)
+        ),
+        config=config.model_dump(),
+        forecasts=forecasts,
+        data=[DriveRecord(name="a", duration_s=60.0)],
     )
-    lines = [*map(str, _costs(tuned))]
+    lines = [*map(str, _costs(TuningView(record)))]
     assert lines[0] == "cost 1.0000 nats per fix (innovation-t) on 1 drive" or inflation != 1.0
     (said,) = (line for line in lines if "drifts MORE than the baseline" in line)
     assert said.endswith(f"; {remedy}")
-    tuned.forecasts = forecasts[:1]
-    assert "; tune" not in " ".join(map(str, _costs(tuned)))
+    record.forecasts = forecasts[:1]
+    assert "; tune" not in " ".join(map(str, _costs(TuningView(record))))
 
 
 def test_an_outage_length_that_is_always_measured_has_one_column(

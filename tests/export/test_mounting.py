@@ -158,7 +158,9 @@ def test_a_tuning_keeps_the_mounting_on_which_its_drives_agree(imported: Drive, 
     assert "rotate\neach sample in the same way" in plain["README.md"]
 
     def of(*mountings: tuple[float, ...] | None) -> sigmaswarm.Tuning:
-        return replace(found, data=[{"imu_mounting_deg": m} if m else {} for m in mountings])
+        return replace(
+            found, data=[{"name": "a", **({"imu_mounting_deg": m} if m else {})} for m in mountings]
+        )
 
     assert of(None, None).mounting is None
     assert of((0.0, 0.0, 88.0), (0.0, 0.0, 92.0)).mounting == (0.0, 0.0, 90.0)
@@ -199,7 +201,7 @@ def test_the_readme_of_the_c_states_the_expressions_of_the_import(tmp_path: Path
         *(f"{axis} = {axis} of gyro.csv" for axis in ("gx", "gy", "gz")),
     ]
     found = sigmaswarm.Tuning.load(tmp_path / "tuned")
-    differing = replace(found, data=[*found.data, {"imu_axes": {"ax": "x"}}])
+    differing = replace(found, data=[*found.data, {"name": "b", "imu_axes": {"ax": "x"}}])
     assert differing.imu_axes == {} and "```text" not in sigmaswarm.export(differing, "c99")["README.md"]
     degrees = replace(
         again, imu=replace(again.imu, **{n: np.degrees(getattr(again.imu, n)) for n in AXES[3:]})

@@ -229,7 +229,7 @@ def test_the_tuning_s_page_has_every_parameter_and_remark(folders: tuple[Path, P
     for name, ends in file["within_1_percent_of_the_cost"].items():
         assert list(rows[name][3:5]) == ["at the bound" if e == "-" else e for e in ends]
     assert report.remarks == tuple(Tuning.load(tuned).remarks)
-    assert f"{file['result']['validation_cost']:.4g}" in report.lead[1]
+    assert f"{file['result']['validation_cost']:.4f}" in report.lead[1]
     chart = next(s for s in report.sections if s.title == "Convergence").charts[0]
     assert len(figure_of(chart, size=(4, 3)).axes[0].get_lines()) == 4
 

@@ -28,9 +28,9 @@ from sigmaswarm.files import free_path
 
 if TYPE_CHECKING:
     from sigmaswarm import Evaluation
-    from sigmaswarm.api import TunedFilter
     from sigmaswarm.exports.names import Target
     from sigmaswarm.learned.folder import LearnedNetwork
+    from sigmaswarm.tuning.record import TunedFilter
 
 WORSE_STEP = (
     "then: tune on more or longer drives and evaluate again: a method without tuning is more accurate"
@@ -107,17 +107,16 @@ def evaluate(
         sigmaswarm evaluate tuned drives/friday --bank
         sigmaswarm evaluate tuned drives/friday --json
     """
-    from sigmaswarm.api import tuned_filter
     from sigmaswarm.learned.folder import load_learned
     from sigmaswarm.reports.evaluation import save_evaluation
     from sigmaswarm.scoring.remarks import other_sensors
-    from sigmaswarm.tuning.record import TuningRecord
+    from sigmaswarm.tuning.record import TunedFilter
 
     _check_input(tuning, options)
-    learned, tuned, out = load_learned(tuning), tuned_filter(tuning), options.out
+    learned, tuned, out = load_learned(tuning), TunedFilter.read(tuning), options.out
+    record = tuned.record
     remedies: list[Remedy] = []
     result = _evaluated(tuning, tuned, drives, options, learned, remedies)
-    record = TuningRecord.read(tuning)
     _warn_of_training_drives(result)
     for message in filter(None, (other_sensors(drive, record.data) for drive in result.setup.data)):
         warnings.warn(message, SigmaswarmWarning, stacklevel=2)
@@ -173,11 +172,10 @@ def _export(tuning: Path, tuned: "TunedFilter", drives: Sequence[str]) -> Iterat
     from sigmaswarm.exports.check import find_compiler
     from sigmaswarm.exports.targets import export_texts
 
-    settings = tuned.settings("as_recorded", "mounting", "imu_axes")
     folders: dict[Target, str] = {"c99": "filter-c", "robot_localization": "filter-ros"}
     for target, folder in folders.items():
         try:
-            export_texts(tuned.parameters, target, **settings)
+            export_texts(tuned.parameters, target, **tuned.record.for_export)
         except InputError:
             continue
         local = [quote(place) for place in drives if not is_url(place)][:1]
@@ -210,12 +208,12 @@ def _evaluated(
             against=options.against,
             outage_length=options.outage_length,
             outage_seed=options.outage_seed,
-            as_recorded=options.as_recorded or tuned.as_recorded,
-            seen=[*(tuned.seen or ()), *training_landmarks(tuning)] or None,
+            as_recorded=options.as_recorded or tuned.record.as_recorded,
+            seen=[*tuned.seen, *training_landmarks(tuning)] or None,
             smooth=options.smooth,
             bank=options.bank,
             more={learned.kind: run} if learned and run else {},
-            fixes_alone=tuned.fixes_alone,
+            fixes_alone=tuned.record.fixes_alone,
         )
 
 

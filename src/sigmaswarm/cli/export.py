@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -80,25 +80,24 @@ def export(
         sigmaswarm export tuned --to robot_localization --out filter-ros
         sigmaswarm export tuned --to robot_localization --out ekf --check drives/friday --against tuned-tilted12
     """
-    from sigmaswarm.api import tuned_filter
     from sigmaswarm.exports.check import check_export
     from sigmaswarm.exports.targets import export_texts, write_texts
     from sigmaswarm.filters.models import MODELS
     from sigmaswarm.scoring.evaluation import evaluate
     from sigmaswarm.scoring.view import accuracy_section
-    from sigmaswarm.tuning.record import TuningRecord
+    from sigmaswarm.tuning.record import TunedFilter
 
     to, out = target_named(options.to), options.out
     following = f"sigmaswarm export tuned --to {options.to} --out {quote(str(out))}"
     require_tuning(tuning, f"tune first: sigmaswarm tune {quote(str(tuning))} --out tuned, then {following}")
-    tuned = tuned_filter(tuning)
-    record, parameters = TuningRecord.read(tuning), tuned.parameters
+    tuned = TunedFilter.read(tuning)
+    record, parameters = tuned.record, tuned.parameters
     ros = to != "c99" and MODELS[parameters.model].measures_imu
     _check_options(options, ros=ros)
     drive = read_silently(options.replay) if options.replay else None
     drives = read_drives(options.check or [])
-    settings = tuned.settings("as_recorded", lanes=options.lanes, seed=options.seed)
-    texts = export_texts(parameters, to, replay=drive, **tuned.settings("mounting", "imu_axes", **settings))
+    bank: dict[str, Any] = {"lanes": options.lanes, "seed": options.seed}
+    texts = export_texts(parameters, to, replay=drive, **bank, **record.for_export)
     require_free(*(out / name for name in texts), overwrite=options.overwrite)
     if drives and ros:
         evaluation = evaluate(drives, parameters, against=options.against, seen=tuned.seen)
@@ -106,7 +105,7 @@ def export(
     written = write_texts(texts, out, to)
     checked: list[ExportCheck] = []
     if drives and not ros:
-        checked = check_export(out, parameters, drives, **settings)
+        checked = check_export(out, parameters, drives, as_recorded=record.as_recorded, **bank)
     if options.json:
         comparison = {"checked": [asdict(check) for check in checked]} if checked else {}
         print_json({"written": [str(path) for path in written], **comparison})

@@ -95,7 +95,6 @@ def run(
 
 
 def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[str, Any], int]":
-    from sigmaswarm.api import tuned_filter
     from sigmaswarm.exports.trajectory import (
         BAG,
         check_fixes_target,
@@ -109,12 +108,13 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     from sigmaswarm.filters.filter_run import FilterRun
     from sigmaswarm.filters.run import estimates_of, whole_pass
     from sigmaswarm.learned.folder import load_learned
+    from sigmaswarm.tuning.record import TunedFilter
 
     out, before, truth = options.out, options.before, options.truth
     _check_options(tuning, drive, options)
     learned = None if options.smooth or options.bank else load_learned(tuning)
     place = _place(options.origin) if options.origin else None
-    tuned, read = tuned_filter(tuning), read_silently(drive)
+    tuned, read = TunedFilter.read(tuning), read_silently(drive)
     if place and read.origin:
         raise InputError(f"{drive}: already has an origin; leave --origin out")
     target: dict[str, Any] = {"origin": place or read.origin, "time_origin": time_origin_of(read)}
@@ -128,7 +128,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
         check_fixes_target(before, target["origin"])
     if options.bank:
         _check_bank_files(out, (truth, before, tuning))
-    as_recorded = options.as_recorded or tuned.as_recorded
+    as_recorded = options.as_recorded or tuned.record.as_recorded
     replay = whole_pass(read, as_recorded=as_recorded)
     run = _start(replay, tuned.parameters, options, learned, as_recorded=as_recorded)
     time = replay.timeline.imu_time

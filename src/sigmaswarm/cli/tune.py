@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import isfinite
 from os.path import relpath
 from pathlib import Path
 from shlex import quote
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
     from sigmaswarm.datasets.dataset import Dataset
     from sigmaswarm.scoring.tracks import FirstTrack
     from sigmaswarm.tuning.record import TuningRecord
+    from sigmaswarm.tuning.view import TuningView
 
 SHORT_HELP = ("objective", "model", "use", "particles", "generations", "trials", "seed")
 
@@ -125,7 +125,7 @@ def tune(
         groups = read_datasets(drives, options.validation or [], cluster=client, remedies=remedies, gaps=True)
         tuning, track, before, after = _tune(groups, drives, out, options, config)
     from sigmaswarm.reports.tuning import save_tuning_figures  # imported late, since matplotlib takes memory
-    from sigmaswarm.tuning.record import TuningRecord
+    from sigmaswarm.tuning.view import TuningView
 
     if remedies:
         command, repaired = remedies[0]
@@ -136,8 +136,8 @@ def tune(
         ]
     pictures = save_tuning_figures(tuning, track.picture, out)
     files = f"filter:   {out / 'tuning.toml'}", f"pictures: {', '.join(map(str, pictures))}"
-    record = TuningRecord.read(out)
-    lines = [*before, *_costs(tuning), *_remarks(tuning, record, track, drives), *files]
+    record = tuning.record
+    lines = [*before, *_costs(TuningView(record)), *_remarks(tuning, record, track, drives), *files]
     print_result(options.json, tuning.to_dict(), *lines)
     if warn_of_unusable(out, record) and not remedies:
         after = [
@@ -169,8 +169,7 @@ def _tune(
         tuning = sigmaswarm.tune(
             read, validation=held_back, executor=pool, progress=progress, **run, **config
         )
-    as_recorded = tuning.config.model_dump()["as_recorded"]
-    follow = partial(first_track, parameters=tuning.parameters, as_recorded=as_recorded)
+    follow = partial(first_track, parameters=tuning.parameters, as_recorded=tuning.record.as_recorded)
     (track,) = read.subset([0]).map(follow)
     (part,) = read.subset([0]).map(_is_part)
     alone = len(read) == 1 and not len(held_back)
@@ -225,36 +224,18 @@ def _with_velocity(given: Places, config: TuneConfig, read: "Dataset") -> list[s
     ]
 
 
-def _costs(tuning: "Tuning[Any]") -> "Iterable[str | RichTable]":
-    from sigmaswarm.tuning.diagnostics import drift_table, larger_drifts
-    from sigmaswarm.tuning.objectives import parse_objective
-
-    before = tuning.trial_costs[tuning.best_trial]
-    inflated = f"; {before:.4f} before process-noise inflation" if tuning.inflation_factor != 1.0 else ""
-    on = count_of(len(tuning.data), "drive")
-    if tuning.start_cost is not None:
-        yield f"cost {tuning.start_cost:.4f} of the filter from which the search started"
-    unit = " nats per fix" if parse_objective(tuning.config.objective).likelihood else ""
-    yield f"cost {tuning.cost:.4f}{unit} ({tuning.config.objective}{inflated}) on {on}"
-    if tuning.config.racing:
-        share = tuning.steps / tuning.full_steps
-        yield f"racing: {tuning.steps} filter steps, {share:.0%} of the number without racing"
-    if tuning.validation:
-        gap = tuning.validation.gap
-        larger = f"{abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}"
-        change = f"errors {larger} than on the training drives" if isfinite(gap) else "failed"
-        on = count_of(len(tuning.validation.drives), "validation drive")
-        yield f"cost {tuning.validation.cost:.4f} on {on} ({change})"
-    if tuning.forecasts:
-        yield drift_table(tuning.forecasts, [one["duration_s"] for one in tuning.data]).to_rich()
-    yield from (f"{sentence}; {_remedy(tuning)}" for sentence in larger_drifts(tuning.forecasts))
-
-
-def _remedy(tuning: "Tuning[Any]") -> str:
-    usual, config = TuneConfig.model_fields, tuning.config
-    if config.particles * config.generations < usual["particles"].default * usual["generations"].default:
-        return "tune with the default --particles and --generations"
-    return "tune on more or longer drives"
+def _costs(view: "TuningView") -> "Iterable[str | RichTable]":
+    yield from filter(None, (view.start, view.training, view.racing, view.validation))
+    if view.drifts:
+        yield view.drifts.to_rich()
+    usual, config = TuneConfig.model_fields, view.record.config
+    remedy = "tune on more or longer drives"
+    if (
+        config["particles"] * config["generations"]
+        < usual["particles"].default * usual["generations"].default
+    ):
+        remedy = "tune with the default --particles and --generations"
+    yield from (f"{sentence}; {remedy}" for sentence in view.larger_drifts)
 
 
 def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:

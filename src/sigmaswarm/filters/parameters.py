@@ -289,21 +289,15 @@ class FilterParameters:
         if path.suffix in YAML:
             usual: dict[str, Any] = {"model": "robot-localization", "kind": "ekf", "nominal_interval": 1.0}
             return cls(1.0, 0.0, 0.0, measurement_noise=(1.0, 1.0), **usual, **read_configuration(path))
-        if path.is_dir():
-            from sigmaswarm.drives.reader import has_table  # slow to import
+        return cls.from_content(*read_filter(path))
 
-            if has_table(path, "imu") and not (path / "tuning.toml").exists():
-                raise InputError(
-                    f"{path}: is a drive; pass a tuning, as written by sigmaswarm tune {path} --out tuned"
-                )
-            path = path / "tuning.toml"
-        table = read_content(
-            path, "name a readable TOML file", missing="name a tuning.toml or the folder that contains it"
-        )
-        if not isinstance(table.get("filter"), dict):
+    @classmethod
+    def from_content(cls, content: dict[str, Any], path: Path) -> "FilterParameters":
+        """Validate the table ``[filter]`` of the content of the file ``path``."""
+        if not isinstance(content.get("filter"), dict):
             raise InputError(f"{path}: has no [filter] table; name a file written by `sigmaswarm tune`")
-        parameters = cls._validated(table["filter"], path)
-        _warn_of_age(table, path)
+        parameters = cls._validated(content["filter"], path)
+        _warn_of_age(content, path)
         return parameters
 
     @classmethod
@@ -335,6 +329,20 @@ class FilterParameters:
 def described(key: str) -> dict[str, Any]:
     """Return a property of parameters by name, for those that have it: a key of the metadata in `_option`."""
     return {f.name: f.metadata[key] for f in fields(FilterParameters) if f.metadata.get(key) is not None}
+
+
+def read_filter(path: Path) -> tuple[dict[str, Any], Path]:
+    """Read a TOML file with a filter, or the tuning.toml of a folder; return its content and its path."""
+    if path.is_dir():
+        from sigmaswarm.drives.reader import has_table  # slow to import
+
+        if has_table(path, "imu") and not (path / "tuning.toml").exists():
+            raise InputError(
+                f"{path}: is a drive; pass a tuning, as written by sigmaswarm tune {path} --out tuned"
+            )
+        path = path / "tuning.toml"
+    remedy, missing = "name a readable TOML file", "name a tuning.toml or the folder that contains it"
+    return read_content(path, remedy, missing=missing), path
 
 
 SEARCHED: dict[str, SearchRange] = described("search")
@@ -416,5 +424,5 @@ def _warn_of_age(table: dict[str, Any], path: Path) -> None:
             f"{path}: was tuned by sigmaswarm {printable(version)}, whose filters used stale fixes, treated gaps in "
             "the IMU as ordinary steps, and detected standstills by another rule, so results differ; tune it again",
             SigmaswarmWarning,
-            stacklevel=3,
+            stacklevel=4,
         )

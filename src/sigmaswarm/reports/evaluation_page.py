@@ -4,6 +4,8 @@ import shlex
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
+import polars as pl
+
 from sigmaswarm.errors import InputError
 from sigmaswarm.record_files import load_record
 from sigmaswarm.reports.evaluation import method_bars, swarm_charts
@@ -12,10 +14,9 @@ from sigmaswarm.reports.style import LABELS, STYLES
 from sigmaswarm.reports.tuning import (
     convergence_section,
     data_section,
-    filter_name,
     parameters_section,
+    read_tuning,
     shown_config,
-    what_was_tuned,
 )
 from sigmaswarm.scoring.methods import (
     AGAINST,
@@ -33,7 +34,7 @@ from sigmaswarm.scoring.records import (
     ScoresRecord,
     verify_checksums,
 )
-from sigmaswarm.scoring.tracks import TRACKS_FILE, load_tracks
+from sigmaswarm.scoring.tracks import TRACKS_FILE, Tracks, load_tracks
 from sigmaswarm.scoring.view import (
     EvaluationView,
     explained_consistency,
@@ -42,6 +43,7 @@ from sigmaswarm.scoring.view import (
     with_training,
 )
 from sigmaswarm.tuning.record import NOT_VALIDATED_TEXTS, TuningRecord
+from sigmaswarm.tuning.view import TuningView
 from sigmaswarm.wording import sort_remarks
 
 # Verdicts on the consistency that the page shows as warnings.
@@ -55,16 +57,22 @@ BANK_TEXT = (
 )
 
 
-def evaluation_report(folder: Path) -> Report:
-    file = TuningRecord.read(folder)
-    view = read_view(folder, file)
-    scores, setup, nees = view.scores, view.setup, not view.without_truth
-    drives = load_tracks(folder / TRACKS_FILE)
-    if not list(scores.drives) == [d.name for d in setup.data] == [t.name for t in drives]:
+def read_evaluation(folder: Path) -> Report:
+    record, history = read_tuning(folder)
+    view, drives = read_view(folder, record), load_tracks(folder / TRACKS_FILE)
+    if not list(view.scores.drives) == [d.name for d in view.setup.data] == [t.name for t in drives]:
         raise InputError(
             f"{folder}: scores.json, evaluation.json and tracks.npz contain different drives; "
             "repeat `sigmaswarm evaluate`"
         )
+    return evaluation_report(view, drives, record, history)
+
+
+def evaluation_report(
+    view: EvaluationView, drives: Sequence[Tracks], record: TuningRecord, history: pl.DataFrame | None = None
+) -> Report:
+    """Return the page of an evaluation of the filter in ``record``, with the convergence of its tuning."""
+    scores, setup, nees, tuned = view.scores, view.setup, not view.without_truth, TuningView(record)
     absent = {AGAINST, FIXES, *OPTIONAL_METHODS} - {*scores.mean}
     labels = LABELS | dict(view.names)
     tracks = TrackView(drives, {m: labels[m] for m in STYLES if m not in absent}, STYLES, "tuned")
@@ -74,10 +82,10 @@ def evaluation_report(folder: Path) -> Report:
     verdicts = view.verdicts()
     remarks = [*view.warnings(), *view.findings()]
     remarks += [verdicts[kind] for kind in WARNING_VERDICTS if kind in verdicts]
-    remarks += [r for r in (file.result.remarks if file.result else ()) if r not in NOT_VALIDATED_TEXTS]
+    remarks += [r for r in (record.result.remarks if record.result else ()) if r not in NOT_VALIDATED_TEXTS]
     return Report(
-        title=f"Evaluation of {filter_name(file)}",
-        lead=(view.result(), *(view.coverage() if view.without_truth else ()), what_was_tuned(file)),
+        title=f"Evaluation of {tuned.filter}",
+        lead=(view.result(), *(view.coverage() if view.without_truth else ()), tuned.purpose),
         figures=_figures(view),
         remarks=tuple(sort_remarks(remarks)),
         sections=(
@@ -90,12 +98,12 @@ def evaluation_report(folder: Path) -> Report:
                 if scores.radius
                 else ()
             ),
-            parameters_section(file),
-            *convergence_section(file, folder),
+            parameters_section(tuned),
+            *convergence_section(record, history),
             data_section("Drives of the evaluation", setup.data),
-            *((data_section("Training drives", file.data),) if file.data else ()),
+            *((data_section("Training drives", record.data),) if record.data else ()),
         ),
-        config=shown_config(file.config)
+        config=shown_config(record.config)
         | {"outage_length_s": setup.outage_length_s, "evaluation_outage_seed": setup.outage_seed},
         versions=setup.versions,
         command=command,

@@ -1,16 +1,21 @@
 """HTML page for a folder of results."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import add_to_result, write_atomically
-from sigmaswarm.reports.evaluation_page import evaluation_report
+from sigmaswarm.reports.evaluation_page import read_evaluation
 from sigmaswarm.reports.figures import check_file
 from sigmaswarm.reports.page import Report, page
 from sigmaswarm.reports.study_page import study_report
-from sigmaswarm.reports.tuning import tuning_report
+from sigmaswarm.reports.tuning import read_tuning, tuning_report
 
-REPORTS = {"scores.json": evaluation_report, "results.json": study_report, "tuning.toml": tuning_report}
+REPORTS: dict[str, Callable[[Path], Report]] = {
+    "scores.json": read_evaluation,
+    "results.json": study_report,
+    "tuning.toml": lambda folder: tuning_report(*read_tuning(folder)),
+}
 
 
 def read_report(folder: Path) -> Report:

@@ -1,7 +1,7 @@
 """Page and pictures of a tuning: cost, parameters with ranges, convergence and drives."""
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,12 +22,9 @@ from sigmaswarm.scoring.methods import method_names
 from sigmaswarm.scoring.tracks import Picture
 from sigmaswarm.tables import Cell, Column, Table
 from sigmaswarm.tuning.config import RENAMED, SWARM, TuneConfig
-from sigmaswarm.tuning.diagnostics import drift_table, larger_drifts
-from sigmaswarm.tuning.record import FILE, HISTORY_FILE, End, TuningRecord, history_of, load_history
+from sigmaswarm.tuning.record import FILE, HISTORY_FILE, TuningRecord, history_of, load_history
 from sigmaswarm.tuning.result import Tuning
-from sigmaswarm.tuning.sensitivity import NOISE_SCALE
-from sigmaswarm.tuning.space import searched_name
-from sigmaswarm.wording import count_of
+from sigmaswarm.tuning.view import RANGES, TuningView
 
 # Options that the command of a page contains even if they have their default values.
 STATED_OPTIONS = (
@@ -35,14 +32,6 @@ STATED_OPTIONS = (
     *("model", "kind", "use", "prior", "inflation"),
 )
 TUNE_DEFAULTS = {name: field.default for name, field in TuneConfig.model_fields.items()}
-PARAMETER_MEANINGS = {
-    "latency": (
-        "delay with which this filter predicts the fixes best; the doctor estimates this delay as a clock offset, "
-        "from turns and accelerations"
-    ),
-    "rear_axle": "distance of the IMU in front of the rear axle; negative: behind the rear axle",
-}
-SIGMA_POINTS = {"alpha", "beta", "kappa"}
 
 
 def save_tuning_figures(tuning: Tuning, track: Picture, folder: Path) -> list[Path]:
@@ -50,14 +39,10 @@ def save_tuning_figures(tuning: Tuning, track: Picture, folder: Path) -> list[Pa
 
     ``track`` is a track on a training drive (`scoring.tracks.first_track`).
     """
-    save_history(tuning, folder)
+    write_atomically(folder / HISTORY_FILE, history_of(tuning.trials).write_csv())
     labels = LABELS | method_names(tuning.parameters.kind, tuning.parameters.model)
     figures = {"convergence": convergence(tuning), "training-track": tracks(track, labels)}
     return [save(figure, folder / f"{name}.png") for name, figure in figures.items()]
-
-
-def save_history(tuning: Tuning, folder: Path) -> None:
-    write_atomically(folder / HISTORY_FILE, history_of(tuning.trials).write_csv())
 
 
 def convergence(tuning: Tuning) -> Figure:
@@ -91,124 +76,60 @@ def _convergence_chart(history: pl.DataFrame, best_trial: int, objective: str) -
     return Chart(f"Convergence, {n} trials (the best one in bold)" if n > 1 else "Convergence", draw)
 
 
-def tuning_report(folder: Path) -> Report:
-    file = TuningRecord.read(folder)
-    result = file.result
+def tuning_report(record: TuningRecord, history: pl.DataFrame | None = None) -> Report:
+    """Return the page of a tuning; ``history``: the table of convergence.csv."""
+    view, result = TuningView(record), record.result
     if result is None:
-        raise InputError(
-            f"{folder / FILE}: has no [result] table; name a folder that `sigmaswarm tune` wrote"
-        )
+        raise InputError("the tuning has no [result] table; name a folder that `sigmaswarm tune` wrote")
     figures = [("cost", f"{result.cost:.4g}", f"{result.objective}, training drives")]
-    held_out = "To measure the errors on other drives, run sigmaswarm evaluate."
-    if (cost := result.validation_cost) is not None and (gap := result.validation_gap) is not None:
-        how = f"{abs(gap):.1%} {'worse' if gap > 0 else 'better'} than on the training drives"
-        figures.append(("cost on held-out drives", f"{cost:.4g}", how))
-        held_out = (
-            f"The cost on {count_of(len(result.validation_drives), 'drive')} that the search did not use is "
-            f"{cost:.4g}, {how}. The cost on the training drives is {result.cost:.4g}."
-        )
+    if result.validation_cost is not None:
+        figures.append(("cost on held-out drives", f"{result.validation_cost:.4g}", view.gap))
     figures.append(("candidates tried", f"{result.evaluations}", f"{result.failures} of them failed"))
-    command, note = tune_command(file.config, [d.name for d in file.data], result.validation_drives)
-    drifts = (drift_table(file.forecasts, [drive.duration_s or 0.0 for drive in file.data]),)
+    held_out = view.validation or "to measure the errors on other drives, run sigmaswarm evaluate"
+    command, note = tune_command(record.config, [d.name for d in record.data], result.validation_drives)
     return Report(
-        title=f"Tuning of {filter_name(file)}",
-        lead=(
-            what_was_tuned(file),
-            held_out,
-            *(f"{sentence[0].upper()}{sentence[1:]}." for sentence in larger_drifts(file.forecasts)),
-        ),
+        title=f"Tuning of {view.filter}",
+        lead=(view.purpose, *(f"{line[0].upper()}{line[1:]}." for line in (held_out, *view.larger_drifts))),
         figures=tuple(figures),
         remarks=tuple(result.remarks),
         sections=(
-            parameters_section(file),
-            *([Section("Drifts without fixes", tables=drifts)] if file.forecasts else []),
-            *convergence_section(file, folder),
-            data_section("Drives", file.data),
+            parameters_section(view),
+            *([Section("Drifts without fixes", tables=(view.drifts,))] if view.drifts else []),
+            *convergence_section(record, history),
+            data_section("Drives", record.data),
         ),
-        config=shown_config(file.config),
-        versions=file.versions,
+        config=shown_config(record.config),
+        versions=record.versions,
         command=command,
         command_note=note,
     )
 
 
-def filter_name(file: TuningRecord) -> str:
-    model = file.config.get("model", file.filter.get("model", "a filter"))
-    if isinstance(model, dict):
-        return str(model.get("name", "a custom model"))
-    return f"{model} ({file.config.get('kind', file.filter.get('kind', 'ukf'))})"
+def parameters_section(view: TuningView) -> Section:
+    ranges = view.record.within_1_percent_of_the_cost
+    return Section("Parameters", (RANGES,) if ranges else (), (view.parameters(),))
 
 
-def what_was_tuned(file: TuningRecord) -> str:
-    if file.result is None:
-        return f"The filter is {filter_name(file)}; its file does not describe a tuning."
-    length = sum(d.duration_s or 0 for d in file.data)
-    on = count_of(len(file.data), "drive") + (f" ({length / 60:.1f} min)" if length else "")
-    meaning = f": {file.result.objective_meaning}" if file.result.objective_meaning else ""
-    return f"{filter_name(file)} was tuned on {on}. The objective is {file.result.objective}{meaning}."
-
-
-def parameters_section(file: TuningRecord) -> Section:
-    ranges = file.within_1_percent_of_the_cost
-    touched = {bound.parameter: bound.place for bound in (file.result.touched_bounds if file.result else ())}
-    rows: list[tuple[Cell, ...]] = []
-    model = str(file.filter.get("model"))
-    for name, value, unit, density in _parameters(file):
-        if file.filter.get("kind") == "ekf" and name in SIGMA_POINTS:
-            continue
-        low, high = ranges.get(searched_name(name, ranges, model), (None, None))
-        place = touched.get(searched_name(name, touched, model), "")
-        if (low, high) == ("-", "-"):
-            place = "no effect within the bounds"
-        remark = "; ".join(filter(None, (PARAMETER_MEANINGS.get(name, ""), place)))
-        rows.append((name, value, unit, _end(low), _end(high), density, remark))
-    if NOISE_SCALE in ranges:
-        ends = map(_end, ranges[NOISE_SCALE])
-        rows.append((NOISE_SCALE, 1.0, "", *ends, "", "one factor on all noise variances"))
-    titles = ("parameter", "value", "unit", "from", "to", "density", "remark")
-    text = (
-        'At the values in the columns "from" and "to", the cost is 1% higher; all other parameters are unchanged. '
-        '"At the bound" means that the cost at the bound of the search is less than 1% higher.'
-    )
-    table = Table("", tuple(map(Column, titles)), tuple(rows))
-    return Section("Parameters", (text,) if ranges else (), (table,))
-
-
-def _end(end: End | None) -> Cell:
-    return "at the bound" if end == "-" else end
-
-
-def _parameters(file: TuningRecord) -> Iterator[tuple[str, Cell, str, str]]:
-    names = {
-        "process_noise": [f"q_{state}" for state in file.units.get("states", [])],
-        "measurement_noise": ["r_x", "r_y"],
-        "bias_std": ["accel_bias_std", "gyro_bias_std"],
-    }
-    for field, value in file.filter.items():
-        unit = file.units.get(field, "")
-        if not isinstance(value, list):
-            yield field, value, unit if isinstance(unit, str) else "", ""
-            continue
-        for i, entry in enumerate(value):
-            name = dict(enumerate(names.get(field, []))).get(i, f"{field}[{i}]")
-            one = unit if isinstance(unit, str) else unit[i] if i < len(unit) else ""
-            noise = name.startswith("q_")
-            yield name, entry, one, file.densities.get(name.removeprefix("q_"), "") if noise else ""
-
-
-def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]:
-    """Show the cost over generations of every trial, if the folder has a history."""
-    path = folder / HISTORY_FILE
-    if not path.exists() or file.result is None:
-        return ()
-    best, costs = file.result.best_trial, file.result.trial_costs
+def read_tuning(folder: Path) -> tuple[TuningRecord, pl.DataFrame | None]:
+    """Read tuning.toml and, if it exists, convergence.csv of a folder; raise `InputError` if they do not match."""
+    record, path = TuningRecord.read(folder), folder / HISTORY_FILE
+    if not path.exists() or record.result is None:
+        return record, None
     history = load_history(path)
     last = history.group_by("trial", maintain_order=True).last()
-    if not np.array_equal(last["best_cost"], costs):
+    if not np.array_equal(last["best_cost"], record.result.trial_costs):
         raise InputError(
             f"{path}: does not belong to the {FILE} in this folder; repeat the command, or restore the original file"
         )
-    chart = _convergence_chart(history, best, file.result.objective)
+    return record, history
+
+
+def convergence_section(record: TuningRecord, history: pl.DataFrame | None) -> tuple[Section, ...]:
+    """Show the cost over generations of every trial, if the history is known."""
+    if history is None or record.result is None:
+        return ()
+    best, costs = record.result.best_trial, record.result.trial_costs
+    chart = _convergence_chart(history, best, record.result.objective)
     charts = (replace(chart, title="Cost over generations"),)
     if len(costs) == 1:
         return (Section("Convergence", charts=charts),)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,8 +15,9 @@ from sigmaswarm.drives.overlap import TRAINING_DATA_FILE, Landmarks, load_landma
 from sigmaswarm.errors import InputError
 from sigmaswarm.file_sizes import require_text
 from sigmaswarm.filters.fixes_alone import MotionNoise
+from sigmaswarm.filters.parameters import FilterParameters, read_filter, units
 from sigmaswarm.filters.robot_yaml import YAML
-from sigmaswarm.record_files import load_record
+from sigmaswarm.record_files import load_record, to_record
 from sigmaswarm.tuning.bounds import TouchedBound
 from sigmaswarm.tuning.diagnostics import DO_NOT_USE, DriftComparison
 from sigmaswarm.tuning.search import Trial
@@ -88,6 +90,15 @@ class TuningRecord(BaseModel):
         """Read a tuning.toml or the folder of a tuning; an ekf.yaml has no record of a tuning."""
         return cls(filter={}) if path.suffix in YAML else load_record(cls, tuning_file(path))
 
+    @classmethod
+    def of(cls, parameters: FilterParameters | None) -> "TuningRecord":
+        """Return the record of a filter without a tuning."""
+        return (
+            cls(filter={})
+            if parameters is None
+            else cls(filter=parameters.to_dict(), units=units(parameters))
+        )
+
     @property
     def as_recorded(self) -> bool:
         """True if the filter was tuned without preprocessing."""
@@ -102,6 +113,11 @@ class TuningRecord(BaseModel):
     def imu_axes(self) -> dict[str, str]:
         """Import expressions of the IMU's axes; empty if they are unknown or differ between the training drives."""
         return common_axes(drive.imu_axes for drive in self.data)
+
+    @property
+    def for_export(self) -> dict[str, Any]:
+        """Arguments of `export_texts`."""
+        return {"as_recorded": self.as_recorded, "mounting": self.mounting, "imu_axes": self.imu_axes}
 
     @property
     def unusable(self) -> list[str]:
@@ -124,16 +140,36 @@ def tuning_file(path: Path) -> Path:
     return path / FILE
 
 
-def training_data_of(path: Path) -> list[Landmarks]:
-    """Return the landmarks of the training drives of a tuning.toml or its folder, from seen.npz next to it.
+@dataclass(frozen=True, eq=False)
+class TunedFilter:
+    """A filter, the record of its tuning, and the landmarks of the training drives, by which they are recognized."""
+
+    parameters: FilterParameters
+    record: TuningRecord = field(default_factory=lambda: TuningRecord(filter={}))
+    seen: Sequence[Landmarks] = ()
+
+    @classmethod
+    def read(cls, path: Path) -> "TunedFilter":
+        """Read a TOML file with a filter, the folder of a tuning, or an ekf.yaml; see `FilterParameters.load`."""
+        if path.suffix in YAML:
+            return cls(FilterParameters.load(path))
+        content, file = read_filter(path)
+        parameters, record = (
+            FilterParameters.from_content(content, file),
+            to_record(TuningRecord, content, file),
+        )
+        return cls(parameters, record, training_data_of(record, file))
+
+
+def training_data_of(record: TuningRecord, file: Path) -> list[Landmarks]:
+    """Return the landmarks of the training drives of a tuning.toml, from seen.npz next to it.
 
     If seen.npz is missing or does not belong to tuning.toml, only whole drives can be recognized.
     """
-    data = TuningRecord.read(path).data
-    kept = load_landmarks(tuning_file(path).parent / TRAINING_DATA_FILE)
-    if kept is not None and [marks.sha256 for marks in kept] == [drive.sha256 for drive in data]:
+    kept = load_landmarks(file.parent / TRAINING_DATA_FILE)
+    if kept is not None and [marks.sha256 for marks in kept] == [drive.sha256 for drive in record.data]:
         return kept
-    return [whole_drive(d.name, d.sha256, d.duration_s or 0.0) for d in data if d.sha256]
+    return [whole_drive(d.name, d.sha256, d.duration_s or 0.0) for d in record.data if d.sha256]
 
 
 def history_of(trials: Sequence[Trial]) -> pl.DataFrame:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic
 
@@ -17,16 +18,17 @@ from sigmaswarm.files import write_atomically
 from sigmaswarm.filters.fixes_alone import MotionNoise
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters, densities, units
-from sigmaswarm.record_files import load_record
+from sigmaswarm.record_files import read_content, to_record
 from sigmaswarm.tuning.bounds import TouchedBound
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
-from sigmaswarm.tuning.diagnostics import DriftComparison, drift_table, larger_drifts
+from sigmaswarm.tuning.diagnostics import DriftComparison
 from sigmaswarm.tuning.objectives import parse_objective
 from sigmaswarm.tuning.record import NOT_VALIDATED, TuningRecord, training_data_of, tuning_file
 from sigmaswarm.tuning.search import Trial, saved_trials
 from sigmaswarm.tuning.sensitivity import MAX_INCREASE, NOISE_SCALE, Sensitivity
 from sigmaswarm.tuning.space import SCALING, search_space
+from sigmaswarm.tuning.view import RANGES, TuningView
 from sigmaswarm.versions import versions
 from sigmaswarm.wording import count_of, sort_remarks, to_do
 
@@ -203,31 +205,24 @@ class Tuning(Generic[P]):
             added += ", and parameters far from typical values"
         return f"{meaning}{added}" if prior else meaning
 
-    @property
-    def _noun(self) -> str:
-        return "log" if isinstance(self.config, ModelTuneConfig) else "drive"
-
-    def _headline(self) -> str:
-        on = count_of(len(self.data), self._noun)
-        return f"Tuned for {self.config.objective}: cost {notebook.number(self.cost)} on {on}"
+    @cached_property
+    def record(self) -> TuningRecord:
+        """The content of tuning.toml."""
+        return TuningRecord.model_validate(self.to_dict())
 
     def __repr__(self) -> str:
-        c, filtered, parameters = self.config, "a model of your own", list[str]()
-        if isinstance(c, TuneConfig):
-            filtered = f"{c.model} ({c.kind}) with {', '.join(c.use) or 'position fixes alone'}"
-        elif isinstance(c, ModelTuneConfig):
-            units = {t["name"]: t["unit"] for t in c.model["parameters"]}
-            given = self._filter()["filter"].items()
-            values = (f"{key} {notebook.number(x)} {units.get(key, '')}" for key, x in given)
-            filtered = f"{c.model['name']} ({c.model['kind']})"
-            parameters = ["parameters: " + ", ".join(value.strip() for value in values)]
-        lines = [self._headline(), f"filter: {filtered}, {len(self.trial_costs)} trial(s)", *parameters]
-        if v := self.validation:
-            on = count_of(len(v.drives), f"validation {self._noun}")
-            lines.append(f"cost {notebook.number(v.cost)} on {on}, errors {v.gap:+.1%} relative to training")
-        if self.forecasts:
-            table = drift_table(self.forecasts, [one["duration_s"] for one in self.data])
-            lines += [f"{table.caption}:", table.to_text(), *larger_drifts(self.forecasts)]
+        view, given = TuningView(self.record), getattr(self.config, "use", None)
+        sources = "" if given is None else f" with {', '.join(given) or 'position fixes alone'}"
+        lines = [view.headline, f"filter: {view.filter}{sources}, {len(self.trial_costs)} trial(s)"]
+        if isinstance(self.config, ModelTuneConfig):
+            units = self.record.units
+            values = (
+                f"{k} {notebook.number(x)} {units.get(k, '')}" for k, x in self._filter()["filter"].items()
+            )
+            lines.append("parameters: " + ", ".join(value.strip() for value in values))
+        lines += filter(None, [view.validation])
+        if drifts := view.drifts:
+            lines += [f"{drifts.caption}:", drifts.to_text(), *view.larger_drifts]
         remarks = self.remarks
         lines += remarks[:SHOWN_REMARKS]
         if (more := len(remarks) - SHOWN_REMARKS) > 0:
@@ -235,12 +230,9 @@ class Tuning(Generic[P]):
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        heads = ("parameter", "value", "within 1% of the cost: from", "to")
-        rows: list[tuple[object, ...]] = []
-        for s in self.sensitivities:
-            ends = ("any" if end is None else notebook.number(end) for end in (s.lowest, s.highest))
-            rows.append((s.name, s.value, *ends))
-        return notebook.table(self._headline(), heads, rows) + notebook.html_list("Warnings:", self.remarks)
+        view = TuningView(self.record)
+        table = view.parameters(f"{view.headline}. {RANGES}")
+        return table.to_html() + notebook.html_list("Warnings:", self.remarks)
 
     def save(self, path: str | Path) -> None:
         """Write a tuning.toml, which `Tuning.load` and `FilterParameters.load` read."""
@@ -256,13 +248,14 @@ class Tuning(Generic[P]):
             If the file can't be read, or is not the result of a tuning run.
         """
         file = tuning_file(Path(path))
-        record = load_record(TuningRecord, file)
+        content = read_content(file)
+        record = to_record(TuningRecord, content, file)
         result = record.result
         if result is None:
             raise InputError(f"{file}: has no [result] table; name a file written by `sigmaswarm tune`")
         own = isinstance(record.config.get("model"), dict)
         config = validated_config(ModelTuneConfig if own else TuneConfig, record.config)
-        parameters: Any = record.filter if own else FilterParameters.load(file)
+        parameters: Any = record.filter if own else FilterParameters.from_content(content, file)
         values: dict[str, Any] = {**record.filter}
         if isinstance(config, TuneConfig):
             kind, use, truth = config.kind, config.use, parse_objective(config.objective).needs_truth
@@ -288,7 +281,7 @@ class Tuning(Generic[P]):
             steps=result.filter_steps,
             full_steps=result.filter_steps_without_racing,
             data=[drive.model_dump(exclude_unset=True) for drive in record.data],
-            seen=tuple(training_data_of(file)),
+            seen=tuple(training_data_of(record, file)),
             sensitivities=sensitivities,
             validation=validation,
             fixes_alone=record.fixes_alone,
