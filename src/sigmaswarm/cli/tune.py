@@ -153,18 +153,11 @@ def _tune(
     """Tune; return the result, the track on the first drive, and the lines to print before and after the result."""
     from concurrent.futures import ThreadPoolExecutor
 
-    from sigmaswarm.drives.sensors import log_properties
-    from sigmaswarm.filters.presets import filter_for
     from sigmaswarm.scoring.jobs import cores
     from sigmaswarm.scoring.tracks import first_track
-    from sigmaswarm.tuning.defaults import default_filter_options
 
     read, held_back = groups
-    everywhere = [*read.map(log_properties), *held_back.map(log_properties)]
-    start = filter_for(options.start, read) if options.start else None
-    config = {"model": start.model, **config} if start else config
-    chosen = "" if options.paper else default_filter_options(config, everywhere)[1]
-    run = {"out": out, "resume": options.resume, "paper": options.paper, "start": start}
+    run = {"out": out, "resume": options.resume, "paper": options.paper, "start": options.start}
     with ThreadPoolExecutor(options.workers or cores()) as pool, tuning_progress("tuning") as progress:
         tuning = sigmaswarm.tune(
             read, validation=held_back, executor=pool, progress=progress, **run, **config
@@ -174,13 +167,13 @@ def _tune(
     (part,) = read.subset([0]).map(_is_part)
     alone = len(read) == 1 and not len(held_back)
     evaluate, splitting = (
-        _next(out, given[0], everywhere[0].name, part=part) if alone else (_evaluate(out), [])
+        _next(out, given[0], tuning.data[0]["name"], part=part) if alone else (_evaluate(out), [])
     )
     compare = _compare(evaluate, out, [one["sha256"] for one in tuning.data])
     if isinstance(tuning.config, TuneConfig) and not options.paper:
         compare += _with_velocity(given, tuning.config, read)
     lines = [f"next:     {evaluate} --out {free_path('evaluation')}", *splitting, *compare]
-    return tuning, track, [f"model:    {chosen}"] if chosen else [], lines
+    return tuning, track, [f"model:    {tuning.choice}"] if tuning.choice else [], lines
 
 
 def _remarks(

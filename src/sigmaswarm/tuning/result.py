@@ -99,6 +99,8 @@ class Tuning(Generic[P]):
         likelihood.
     forecasts : tuple of DriftComparison
         Drifts over outages of 1, 5 and 30 s on the first training drives, compared with fixes alone and the baseline.
+    choice : str
+        Model and measurements that `tune` chose, and the reason; empty if they were given, and not in the file.
     """
 
     parameters: P
@@ -121,6 +123,7 @@ class Tuning(Generic[P]):
     start_cost: float | None = None
     fixes_alone: MotionNoise | None = None
     forecasts: tuple[DriftComparison, ...] = ()
+    choice: str = ""
 
     @property
     def doubts(self) -> tuple[str, ...]:

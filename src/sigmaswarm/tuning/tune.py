@@ -136,7 +136,7 @@ def tune(
     """
     resume, paper, start = (options.pop(name, None) for name in ("resume", "paper", "start"))
     options = _search_options(options, paper=bool(paper))
-    problem, held_back, first = _problem_of(drives, validation, options, start, (executor, cluster))
+    problem, held_back, first, choice = _problem_of(drives, validation, options, start, (executor, cluster))
     with ExitStack() as stack:
         folder = None
         center = _center(problem) if first is None else first
@@ -153,7 +153,7 @@ def tune(
             "start": first,
             "center": center,
         }
-        return replace(tune_problem(problem, pool, **options), seen=marks)
+        return replace(tune_problem(problem, pool, **options), seen=marks, choice=choice)
 
 
 def _search_options(options: dict[str, Any], *, paper: bool) -> dict[str, Any]:
@@ -181,11 +181,12 @@ def _problem_of(
     options: dict[str, Any],
     start: FilterParameters | str | Path | None,
     where: "tuple[Executor | None, Client | None]",
-) -> tuple[Problem[Any], Problem[Any] | None, Array | None]:
-    """Return the problems on the training data and on the validation data, and the point of the start filter."""
+) -> tuple[Problem[Any], Problem[Any] | None, Array | None, str]:
+    """Return the problems on training and on validation data, the point of the start filter, and `Tuning.choice`."""
     model: Any = options.get("model")
     executor, cluster = where
     first: Array | None = None
+    choice = ""
     others: Any
     if isinstance(model, Model):
         if cluster is not None:
@@ -203,7 +204,7 @@ def _problem_of(
         sensors = [*data.map(log_properties), *others.map(log_properties)]
         given = None if start is None else filter_for(start, data)
         options = options if given is None else {"model": given.model, "kind": given.kind, **options}
-        options, _ = default_filter_options(options, sensors)
+        options, choice = default_filter_options(options, sensors)
         config = complete_config(validated_config(TuneConfig, options), sensors)
         problem = car_problem(data, config)
         first = None if given is None else start_point(problem.space, given)
@@ -213,10 +214,10 @@ def _problem_of(
             if warning:
                 warnings.warn(warning, SigmaswarmWarning, stacklevel=3)
     if not len(others):
-        return problem, None, first
+        return problem, None, first, choice
     held_back = problem.on(others)
     check_disjoint(problem, held_back)
-    return problem, held_back, first
+    return problem, held_back, first, choice
 
 
 def start_point(space: SearchSpace, given: FilterParameters) -> Array:
