@@ -198,7 +198,7 @@ def lacking(model: str, use: Sequence[str], drives: Sequence[Drive]) -> bool:
 
 def figures(test: Sequence[Drive], parameters: FilterParameters) -> list[float]:
     """What `COLUMNS` says, over all test drives together; NIS and NEES are means over drives."""
-    scores = BatchScorer(test, outages=False).scores([parameters])
+    scores = BatchScorer.prepare(test).scores([parameters])
     nis, nees = float(scores.mean_nis.mean()), float(scores.mean_nees.mean())
     return [*measured([PreparedDrive(drive) for drive in test], parameters), nis, nees]
 

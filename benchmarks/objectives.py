@@ -29,7 +29,7 @@ from sigmaswarm import (
     split_time,
     tune,
 )
-from sigmaswarm.scoring.batch import BatchScorer
+from sigmaswarm.scoring.batch import BatchScorer, PassOptions
 
 OBJECTIVES = ("truth-rmse", "truth-pose", "innovation-nll", "outage-rmse", "gps-rmse")
 GRADES = {
@@ -92,7 +92,7 @@ def table(name: str, splits: Sequence[Split], objectives: Sequence[str], asked: 
 
 def figures(drives: Sequence[Drive], parameters: FilterParameters, pool: Executor) -> list[float]:
     """Position RMSE, heading error, drift, mean NIS, share of fixes inside the 95% gate, mean NEES."""
-    scores = BatchScorer(drives, outages=True).scores([parameters], pool)
+    scores = BatchScorer.prepare(drives, PassOptions(outages=True)).scores([parameters], pool)
     inside = [c.inside_gate for d in drives if (c := consistency(d, parameters))]
     return [
         float(scores.position_rmse.mean()),
@@ -108,7 +108,7 @@ def best(name: str, splits: Sequence[Split], asked: dict, pool: Executor) -> str
     """How far a tuned filter is from the best one on the test drives."""
     ratios: dict[str, list[float]] = {"truth-rmse": [], "innovation-nll": []}
     for seed, (training, test) in enumerate(splits):
-        replayer = BatchScorer(test, outages=False)
+        replayer = BatchScorer.prepare(test)
         searched = tune(test, objective="truth-rmse", particles=30, generations=100, trials=2, seed=seed,
                         executor=pool, **asked)  # fmt: skip
         tuned = {o: tune(training, objective=o, seed=seed, executor=pool, **asked) for o in ratios}

@@ -29,7 +29,7 @@ from sigmaswarm import (
     tune,
 )
 from sigmaswarm.filters import student
-from sigmaswarm.scoring.batch import BatchScorer
+from sigmaswarm.scoring.batch import BatchScorer, PassOptions
 from sigmaswarm.scoring.score import negative_log_t, score_raw_gps
 from sigmaswarm.simulation import with_outliers
 
@@ -66,7 +66,7 @@ def main() -> None:
 
 def table(title: str, training: Drive, test: Drive, options: argparse.Namespace, pool: Executor) -> None:
     """A row per objective and option."""
-    replayer = BatchScorer([test], outages=True)
+    replayer = BatchScorer.prepare([test], PassOptions(outages=True))
     raw = score_raw_gps(test, replayer.initial[0]).position_rmse
     print(f"\ncolorado-1, last 30%, {title} (raw {raw:.2f} m)\n")
     print("| tuned by | beside lateral and standstill | position RMSE, m | heading, deg | 5 s drift, m |")

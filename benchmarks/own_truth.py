@@ -16,7 +16,7 @@ import numpy as np
 from real_drives import cases
 from sigmaswarm import FilterParameters, SigmaswarmWarning, smooth, tune
 from sigmaswarm.drives.drive import Drive, Truth
-from sigmaswarm.scoring.batch import BatchScorer
+from sigmaswarm.scoring.batch import BatchScorer, PassOptions
 
 HELD_OUT = ("kitti-09-30-0033", "colorado-1, last 30%", "kingston-1, last 30%")
 
@@ -49,7 +49,7 @@ def main() -> None:
     for name, training, test in cases(asked.drives):
         if name not in HELD_OUT:
             continue
-        replayer, rows = BatchScorer(test, outages=True), dict[str, list[list[float]]]()
+        replayer, rows = BatchScorer.prepare(test, PassOptions(outages=True)), dict[str, list[list[float]]]()
         for seed in range(asked.seeds):
             blind = tune(
                 [replace(drive, truth=None) for drive in training],

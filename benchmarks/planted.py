@@ -43,7 +43,7 @@ from sigmaswarm.drives.split import clip
 from sigmaswarm.filters.presets import DEFAULTS, baseline
 from sigmaswarm.filters.run import run_innovations
 from sigmaswarm.geodesy import rotation_of
-from sigmaswarm.scoring.batch import BatchScorer
+from sigmaswarm.scoring.batch import BatchScorer, PassOptions
 from sigmaswarm.simulation import IMU_GRADES
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -246,7 +246,7 @@ def forecasts(drive: Drive, parameters: FilterParameters) -> np.ndarray | None:
     try:
         size = np.sort(np.hypot(*run_innovations(drive, parameters).innovation.T))
         hidden_fixes = (
-            BatchScorer([drive], outages=False, forecasts=True).scores([parameters]).forecast_rmse[0, 0]
+            BatchScorer.prepare([drive], PassOptions(forecasts=True)).scores([parameters]).forecast_rmse[0, 0]
         )
     except SigmaswarmError:
         return None

@@ -23,7 +23,7 @@ from defaults import Parts
 from radius_coverage import measured
 from sigmaswarm import Drive, FilterParameters, SigmaswarmWarning, read_drive, simulate, split_time, tune
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.scoring.batch import BatchScorer
+from sigmaswarm.scoring.batch import BatchScorer, PassOptions
 from sigmaswarm.simulation.gps import GpsGrade, with_outliers
 from sigmaswarm.simulation.imu import gauss_markov
 from sigmaswarm.tuning.defaults import default_filter_options
@@ -114,7 +114,7 @@ def received(drive: Drive, grade: GpsGrade, seed: int) -> Drive:
 
 def figures(test: Sequence[Drive], parameters: FilterParameters) -> list[float]:
     """`COLUMNS`: RMS over the test drives, means for NEES and the following."""
-    scores = BatchScorer(test, outages=bool(test[0].truth)).scores([parameters])
+    scores = BatchScorer.prepare(test, PassOptions(outages=bool(test[0].truth))).scores([parameters])
     lengths = [scores.position_rmse, np.degrees(scores.heading_rmse), scores.outage_drift]
     radii = [
         radius

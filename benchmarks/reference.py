@@ -125,7 +125,7 @@ def main() -> None:
                     model=asked.model,
                     use=("lateral", "standstill"),
                 )
-                scores = BatchScorer(test, outages=False).scores([found.parameters])
+                scores = BatchScorer.prepare(test).scores([found.parameters])
                 rmse[on] = float(scores.position_rmse.mean())
                 ratios.setdefault((gps, on), []).append(rmse[on] / rmse["truth"])
             said = "; ".join(

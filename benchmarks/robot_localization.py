@@ -55,8 +55,8 @@ def speed(drives: Path) -> None:
     drive_pass = whole_pass(sigmaswarm.read_drive(drives / "kitti-09-30-0033"))
     space = search_space(MODEL, "log10", drive_pass.timeline.nominal_interval, kind="ekf", use=USE)
     points = space.low + (space.high - space.low) * 0.5
-    array = KernelArray(space.decode(points[None].repeat(1500, axis=0)))
-    parts = [array.part(range(k, min(k + 32, 1500))) for k in range(0, 1500, 32)]
+    sets = space.decode(points[None].repeat(1500, axis=0))
+    parts = [KernelArray(sets[k : k + 32]) for k in range(0, 1500, 32)]
     with ThreadPoolExecutor(cores()) as pool:
         list(pool.map(lambda part: run_array([drive_pass], part), parts[:2]))
         begin, busy = time.perf_counter(), time.process_time()

@@ -143,7 +143,7 @@ def figures(test: Sequence[PreparedDrive], parameters: FilterParameters) -> list
     """Scores in the order of `COLUMNS`, over all test drives together."""
     off, turned = zip(*(errors(one.drive, run_filter(one, parameters)) for one in test), strict=True)
     after, faced = zip(*(errors(one.drive, smooth(one, parameters)) for one in test), strict=True)
-    found = BatchScorer(test, outages=False).scores([parameters])
+    found = BatchScorer.prepare(test).scores([parameters])
     return [
         *quantities(np.concatenate(off)),
         rms_deg(turned),

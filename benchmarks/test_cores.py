@@ -71,7 +71,7 @@ def drives(drive):
 def test_cores(benchmark, all_cores, drives, n_sets, n_drives):
     space = search_space("planar5", "log10", drives[0].nominal_interval)
     points = np.random.default_rng(0).uniform(space.low, space.high, (n_sets, len(space.names)))
-    sets, replayer = space.decode(points), BatchScorer(drives[:n_drives], outages=False)
+    sets, replayer = space.decode(points), BatchScorer.prepare(drives[:n_drives])
     times = []
     with ThreadPoolExecutor(1) as one, ThreadPoolExecutor(2) as two:
 

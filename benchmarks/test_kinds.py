@@ -32,7 +32,7 @@ FILTERS = {
 
 @pytest.fixture(scope="session")
 def replayer(drive):
-    return BatchScorer([drive], outages=False)
+    return BatchScorer.prepare([drive])
 
 
 @pytest.mark.parametrize("name", FILTERS)

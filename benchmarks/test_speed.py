@@ -46,7 +46,7 @@ def crowded(drive):
 
 @pytest.fixture(scope="session")
 def replayer(drive, parameter_sets):
-    replayer = BatchScorer([drive], outages=False)
+    replayer = BatchScorer.prepare([drive])
     replayer.scores(parameter_sets)  # compiles, where the cache is empty
     return replayer
 
@@ -102,7 +102,7 @@ def test_kalman_py(measure, crowded, parameter_sets):
 
 @pytest.mark.benchmark(group="fix at every sample")
 def test_batch_crowded(measure, crowded, parameter_sets):
-    replayer = BatchScorer([crowded], outages=False)
+    replayer = BatchScorer.prepare([crowded])
     samples = int((crowded.imu.time > replayer.initial[0].time).sum())
     measure(lambda: replayer.scores(parameter_sets), work=len(parameter_sets) * samples, rounds=5)
 

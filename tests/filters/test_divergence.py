@@ -225,7 +225,7 @@ def test_a_restart_does_not_depend_on_the_pieces():
 
 def test_no_tuning_starts_anew():
     drive, start = turned(drive_of("simulated"))
-    scored = BatchScorer([prepare_drive(drive, start)], outages=False).scores([SET])
+    scored = BatchScorer.prepare([prepare_drive(drive, start)]).scores([SET])
     lost = score_estimate(drive, run_filter(drive, SET, initial=start, recover=False))
     found = score_estimate(drive, run_filter(drive, SET, initial=start))
     assert scored.position_rmse[0, 0] == pytest.approx(lost.position_rmse, rel=1e-9)

@@ -29,7 +29,7 @@ from sigmaswarm.filters.compiled.memory import CACHE_LINE, new_rows
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass, KernelSums, run_passes
-from sigmaswarm.scoring.batch import BatchScorer
+from sigmaswarm.scoring.batch import BatchScorer, PassOptions
 from sigmaswarm.scoring.targets import tracking_pass
 from sigmaswarm.tuning.batch import run_batch
 from support import make_drive
@@ -231,7 +231,7 @@ def test_a_sets_result_does_not_depend_on_place_or_company(order: list[int]):
 @pytest.mark.parametrize("threads", [1, 2, 4])
 def test_threads_change_no_bit(threads: int):
     drives = [make_drive(duration=40, jitter=0.3, seed=seed) for seed in (3, 4)]
-    replayer = BatchScorer(drives, outages=True, forecasts=True)
+    replayer = BatchScorer.prepare(drives, PassOptions(outages=True, forecasts=True))
     alone = replayer.scores(many_sets())
     with ThreadPoolExecutor(threads) as pool:
         together = replayer.scores(many_sets(), pool)

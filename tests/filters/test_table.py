@@ -54,7 +54,7 @@ def test_a_table_packs_as_its_sets_do(model: ModelName, kind: FilterKind, use: S
     alone = [KernelArray([p]).start([start], [0.01])[0, :, :1] for p in table]
     side_by_side = np.concatenate(list(ours[::2]), axis=1)  # of each block the first start
     assert side_by_side[:, :n].tobytes() == np.concatenate(alone, axis=1).tobytes()
-    part = arrays[0].part(range(n // 3, n)).start([start], [0.01])
+    part = KernelArray(table[n // 3 : n]).start([start], [0.01])
     assert np.concatenate(list(part), axis=1)[:, : n - n // 3].tobytes() == (
         np.concatenate(alone[n // 3 :], axis=1).tobytes()
     )
@@ -75,10 +75,9 @@ def test_starts_computed_in_advance_are_those_computed_when_used(vary_bias_std: 
     table = table_of("tilted12", "ekf", (), 20)
     sets = list(table) if vary_bias_std else [replace(p, bias_std=(0.3, 0.01)) for p in table]
     array = KernelArray(sets)
-    part = array.part(range(3, 20))
-    later = part.start([other, start], [0.01, 0.01])
+    later = array.start([other, start], [0.01, 0.01])
     array.compute_starts([start, other])
-    assert array.part(range(3, 20)).start([other, start], [0.01, 0.01]).tobytes() == later.tobytes()
+    assert array.start([other, start], [0.01, 0.01]).tobytes() == later.tobytes()
 
 
 def test_few_starts_are_kept_for_the_next_generation():

@@ -15,7 +15,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, PAPER
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.filters.textbook import SigmaPoints, UnscentedKalmanFilter
-from sigmaswarm.scoring.batch import BatchScorer
+from sigmaswarm.scoring.batch import BatchScorer, PassOptions
 from sigmaswarm.scoring.score import score_estimate
 from sigmaswarm.scoring.targets import outage_windows
 from sigmaswarm.tuning.space import search_space
@@ -34,7 +34,7 @@ NUMBERS = ("position_rmse", "heading_rmse", "outage_drift", "fix_rmse", "mean_ni
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_the_compiled_sums_are_the_scores_of_the_trajectories(variant: str):
     drive = VARIANTS[variant]
-    scores = BatchScorer([drive], outages=False).scores(SETS)
+    scores = BatchScorer.prepare([drive]).scores(SETS)
     for i, parameters in enumerate(SETS):
         expected = score_estimate(drive, run_filter(drive, parameters))
         assert scores.position_rmse[i, 0] == pytest.approx(expected.position_rmse, rel=1e-9)
@@ -60,14 +60,16 @@ def drift_by_hand(drive: Drive, parameters: FilterParameters, windows: np.ndarra
 @pytest.mark.parametrize(("length", "seed"), [(5.0, 0), (3.0, 1)])
 def test_outage_drift_is_the_error_where_the_windows_end(length: float, seed: int):
     drive = make_drive(duration=60.0, seed=3, jitter=0.2)
-    scores = BatchScorer([drive], outages=True, outage_length=length, outage_seed=seed).scores(SETS)
+    scores = BatchScorer.prepare(
+        [drive], PassOptions(outages=True, outage_length=length, outage_seed=seed)
+    ).scores(SETS)
     windows = outage_windows(drive, initial_state(drive), length=length, seed=seed)
     assert len(windows) >= 2
     for i, parameters in enumerate(SETS):
         assert scores.outage_drift[i, 0] == pytest.approx(drift_by_hand(drive, parameters, windows), rel=1e-9)
     # the tracking scores are those of the run with all fixes
     np.testing.assert_array_equal(
-        scores.position_rmse, BatchScorer([drive], outages=False).scores(SETS).position_rmse
+        scores.position_rmse, BatchScorer.prepare([drive]).scores(SETS).position_rmse
     )
 
 
@@ -114,7 +116,7 @@ def test_outages_end_where_fixes_are_known_if_truth_is_not():
 
 def test_without_truth_the_drift_is_seen_against_the_hidden_fixes():
     drive = make_drive(duration=60.0, truth=False)
-    score = BatchScorer([drive], outages=True).scores(SETS[2:3])[0, 0]
+    score = BatchScorer.prepare([drive], PassOptions(outages=True)).scores(SETS[2:3])[0, 0]
     start = initial_state(drive)
     windows = outage_windows(drive, start, length=5.0, seed=0)
     estimate = run_filter(hide_fixes(drive, windows), SETS[2], initial=start)
@@ -129,7 +131,7 @@ def test_without_truth_the_drift_is_seen_against_the_hidden_fixes():
 
 
 def test_a_drive_too_short_for_an_outage_has_no_drift():
-    scores = BatchScorer([make_drive(duration=18.0)], outages=True).scores(SETS[:2])
+    scores = BatchScorer.prepare([make_drive(duration=18.0)], PassOptions(outages=True)).scores(SETS[:2])
     assert np.isnan(scores.outage_drift).all()
     assert not scores.failed.any()
 
@@ -169,7 +171,7 @@ CALM = [
 def test_residual_and_nis_are_the_textbook_s(parameters: FilterParameters):
     drive = make_drive(duration=14.0, seed=6, jitter=0.2)
     squares, nis = at_the_fixes(drive, parameters)
-    score = BatchScorer([drive], outages=False).scores([parameters])[0, 0]
+    score = BatchScorer.prepare([drive]).scores([parameters])[0, 0]
     assert len(squares) > 40
     assert score.fix_rmse == pytest.approx(math.sqrt(np.mean(squares)), rel=1e-7)
     assert score.mean_nis == pytest.approx(np.mean(nis), rel=1e-7)
@@ -181,7 +183,7 @@ def test_residuals_can_be_read_off_the_trajectory_where_fixes_fall_on_samples():
     noise = np.random.default_rng(0).standard_normal((2, len(i)))
     t = drive.truth
     drive = replace(drive, gps=Gps(time=t.time[i], x=t.x[i] + noise[0], y=t.y[i] + noise[1]))
-    scores = BatchScorer([drive], outages=False).scores(SETS)
+    scores = BatchScorer.prepare([drive]).scores(SETS)
     for row, parameters in enumerate(SETS):
         estimate = run_filter(drive, parameters)
         fixes = drive.gps.select(drive.gps.time > estimate.initial.time)
@@ -194,7 +196,7 @@ def test_a_right_covariance_has_a_mean_nis_of_two():
     """The synthetic IMU is exact: with nearly no Q and the true R the filter is consistent."""
     right = FilterParameters(0.5, 2.0, 0.0, (1e-6, 1e-6, 1e-6, 1e-6, 1e-9), (1.0, 1.0))
     drives = [make_drive(duration=60.0, seed=s) for s in range(6)]
-    scores = BatchScorer(drives, outages=False).scores([right, replace(right, measurement_noise=(4.0, 4.0))])
+    scores = BatchScorer.prepare(drives).scores([right, replace(right, measurement_noise=(4.0, 4.0))])
     n = sum(len(timeline_of(d, initial_state(d).time).fixes) for d in drives)
     assert scores.mean_nis[0].mean() == pytest.approx(2.0, abs=5 * math.sqrt(4 / n))
     assert scores.mean_nis[1].mean() < 0.8
@@ -205,7 +207,7 @@ def test_a_right_covariance_has_a_mean_nis_of_two():
 
 def test_neither_company_nor_workers_change_a_bit():
     drives = [make_drive(duration=25.0, seed=s, name=f"d{s}") for s in range(3)]
-    replayer = BatchScorer(drives, outages=True)
+    replayer = BatchScorer.prepare(drives, PassOptions(outages=True))
     alone = [replayer.scores([p]) for p in SETS]
     together = replayer.scores(SETS)
     backwards = replayer.scores(SETS[::-1])
@@ -218,7 +220,8 @@ def test_neither_company_nor_workers_change_a_bit():
         np.testing.assert_array_equal(all_at_once, getattr(threaded, name))
         for j, drive in enumerate(drives):
             np.testing.assert_array_equal(
-                all_at_once[:, j : j + 1], getattr(BatchScorer([drive], outages=True).scores(SETS), name)
+                all_at_once[:, j : j + 1],
+                getattr(BatchScorer.prepare([drive], PassOptions(outages=True)).scores(SETS), name),
             )
 
 
@@ -226,7 +229,7 @@ def test_a_failing_set_is_marked_and_leaves_the_others_bits():
     drive = make_drive(duration=25.0)
     bad = replace(DEFAULTS, process_noise=(1.0, 1.0, -10.0, 1.0, 1.0))
     sets = SETS[:4]
-    replayer = BatchScorer([drive], outages=True)
+    replayer = BatchScorer.prepare([drive], PassOptions(outages=True))
     clean, mixed = replayer.scores(sets), replayer.scores([sets[0], bad, *sets[1:], bad])
     assert mixed.failed[:, 0].tolist() == [False, True, False, False, False, True]
     for name in NUMBERS:
@@ -241,16 +244,19 @@ def test_truth_reaches_no_filter():
     for name in ("time", "mean", "covariance"):
         assert getattr(with_truth, name).tobytes() == getattr(without, name).tobytes()
     # the scores at the fixes, which need no truth, stay too
-    scores = [BatchScorer([d], outages=False).scores(SETS) for d in (drive, replace(drive, truth=None))]
+    scores = [BatchScorer.prepare([d]).scores(SETS) for d in (drive, replace(drive, truth=None))]
     np.testing.assert_array_equal(scores[0].fix_rmse, scores[1].fix_rmse)
     np.testing.assert_array_equal(scores[0].mean_nis, scores[1].mean_nis)
 
 
 def test_a_subset_scores_as_its_drives_alone():
     drives = [make_drive(duration=30.0, seed=seed, name=f"d{seed}") for seed in range(4)]
-    whole = BatchScorer(drives, outages=True, forecasts=True)
+    whole = BatchScorer.prepare(drives, PassOptions(outages=True, forecasts=True))
     assert whole.steps.sum() > 0  # so that it has been counted before the subset is taken
-    part, alone = whole.subset([3, 1]), BatchScorer([drives[3], drives[1]], outages=True, forecasts=True)
+    part, alone = (
+        whole.subset([3, 1]),
+        BatchScorer.prepare([drives[3], drives[1]], PassOptions(outages=True, forecasts=True)),
+    )
     assert [drive.name for drive in part.drives] == ["d3", "d1"]
     np.testing.assert_array_equal(part.steps, alone.steps)
     assert len(whole.steps) == 4

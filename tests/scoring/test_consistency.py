@@ -71,7 +71,7 @@ def test_an_evaluation_tells_of_it():
     found = consistency(drive, parameters)
     assert told["mean_nis"] == found.mean_nis
     assert 1.5 < found.mean_nis < 2.5  # 1 m of white noise, stated as such
-    assert told["mean_nees"] == BatchScorer([drive], outages=False).scores([parameters])[0, 0].mean_nees
+    assert told["mean_nees"] == BatchScorer.prepare([drive]).scores([parameters])[0, 0].mean_nees
 
 
 def judged(found: list[tuple[float, tuple[float, float], float | None, float] | None]) -> dict[str, str]:

@@ -15,7 +15,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.run import run_filter, run_imu_only
-from sigmaswarm.scoring.batch import BatchScorer
+from sigmaswarm.scoring.batch import BatchScorer, PassOptions
 from sigmaswarm.scoring.evaluation import DriveResult, Evaluation, evaluate
 from sigmaswarm.scoring.methods import method_names
 from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
@@ -95,7 +95,7 @@ def drifts_of(drive: Drive, sets: list[FilterParameters], length: float, seed: i
     """RMS over all outages of all placements, from one batch each: shape (n_sets,)."""
     seeds = placements(drive, initial_state(drive), length=length, seed=seed)
     each = [
-        BatchScorer([drive], outages=True, outage_length=length, outage_seed=s)
+        BatchScorer.prepare([drive], PassOptions(outages=True, outage_length=length, outage_seed=s))
         .scores(sets)
         .outage_drift[:, 0]
         for s in seeds
@@ -116,7 +116,7 @@ def test_drifts_are_of_many_placements_and_say_how_many_and_what_chance_makes(ev
         assert len(told.each[method]) == 8
         low, high = told.drift_range(method) or (np.nan, np.nan)
         assert low < evaluation.value(name, method, "outage_drift_m") < high
-    first = BatchScorer([drive], outages=True).scores([GOOD]).outage_drift[0, 0]
+    first = BatchScorer.prepare([drive], PassOptions(outages=True)).scores([GOOD]).outage_drift[0, 0]
     assert told.each["tuned"][0] == pytest.approx(first, rel=1e-12)
     said = evaluate(drive, GOOD).record.describe_drift("outage_drift_m")
     low, high = told.drift_range("tuned") or (np.nan, np.nan)
@@ -175,7 +175,7 @@ def test_each_method_is_scored_by_its_definition(evaluation: Evaluation):
     for drive in DRIVES:
         start = initial_state(drive)
         sets = [GOOD, baseline(drive, like=GOOD)]
-        batch = BatchScorer([drive], outages=False).scores(sets)
+        batch = BatchScorer.prepare([drive]).scores(sets)
         drifts = {measure: drifts_of(drive, sets, length) for measure, length in DRIFTS.items()}
         for i, method in enumerate(METHODS[:2]):
             plain = score_estimate(drive, run_filter(drive, sets[i]))

@@ -20,7 +20,7 @@ from sigmaswarm.filters.models import gps_position
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter, run_innovations
 from sigmaswarm.filters.textbook.car import TextbookCar
-from sigmaswarm.scoring.batch import BatchScorer
+from sigmaswarm.scoring.batch import BatchScorer, PassOptions
 from sigmaswarm.scoring.score import negative_log_t
 from sigmaswarm.scoring.targets import forecast_pass
 from support import make_drive, quickly, timeline_of
@@ -110,9 +110,9 @@ def test_fixes_however_far_off_have_a_finite_cost():
     place = np.arange(len(gps))
     for size, off in ((1e100, place % 30 == 29), (1e5, place > 100)):
         x = gps.x + size * off
-        score = BatchScorer([replace(DRIVE, gps=replace(gps, x=x))], outages=False, forecasts=True).scores(
-            [ROBUST]
-        )
+        score = BatchScorer.prepare(
+            [replace(DRIVE, gps=replace(gps, x=x))], PassOptions(forecasts=True)
+        ).scores([ROBUST])
         assert not score.failed.any()
         assert np.isfinite([score.innovation_t, score.forecast_t]).all()
 
@@ -128,7 +128,7 @@ def test_innovations_and_their_likelihood_are_the_textbooks(kind: str):
         found.time, DRIVE.gps.time[DRIVE.gps.time > initial_state(DRIVE).time][: len(nu)]
     )
     likelihood = [multivariate_normal(cov=c).logpdf(v) for v, c in zip(nu, s, strict=True)]
-    score = BatchScorer([DRIVE], outages=False).scores([parameters])[0, 0]
+    score = BatchScorer.prepare([DRIVE]).scores([parameters])[0, 0]
     assert score.innovation_nll == pytest.approx(-np.mean(likelihood), rel=1e-6)
     nis = [v @ np.linalg.solve(c, v) for v, c in zip(nu, s, strict=True)]
     assert score.mean_nis == pytest.approx(np.mean(nis), rel=1e-6)
@@ -147,14 +147,14 @@ def test_forecasts_are_the_textbooks_without_the_hidden_fixes(kind: str):
     assert 20 < hidden.sum() < len(DRIVE.gps) / 2
     nu, s, hides = by_textbook(DRIVE, parameters, hidden)
     expected = math.sqrt(np.square(nu[hides]).sum(axis=1).mean())
-    score = BatchScorer([DRIVE], outages=False, forecasts=True, outage_seed=5).scores([parameters])[0, 0]
+    score = BatchScorer.prepare([DRIVE], PassOptions(forecasts=True, outage_seed=5)).scores([parameters])[
+        0, 0
+    ]
     assert score.forecast_rmse == pytest.approx(expected, rel=1e-6)
     by_hand = negative_log_t(nu[hides], s[hides], 8.0, scale_of(8)).mean()
     assert score.forecast_t == pytest.approx(by_hand, rel=1e-6)
     # hiding fixes changes nothing of the scores with all of them
-    assert (
-        score.innovation_nll == BatchScorer([DRIVE], outages=False).scores([parameters])[0, 0].innovation_nll
-    )
+    assert score.innovation_nll == BatchScorer.prepare([DRIVE]).scores([parameters])[0, 0].innovation_nll
 
 
 def test_a_hidden_fix_is_not_seen():
@@ -163,7 +163,7 @@ def test_a_hidden_fix_is_not_seen():
     hidden = np.isin(gps.time, drive_pass.timeline.end[drive_pass.timeline.hides])
     moved = replace(DRIVE, gps=replace(gps, x=gps.x + 1000.0 * hidden))
     far, near = (
-        BatchScorer([d], outages=False, forecasts=True, outage_seed=1).scores([PLANAR5])[0, 0]
+        BatchScorer.prepare([d], PassOptions(forecasts=True, outage_seed=1)).scores([PLANAR5])[0, 0]
         for d in (moved, DRIVE)
     )
     assert near.forecast_rmse < 10.0
@@ -177,7 +177,7 @@ def test_nees_is_that_of_the_trajectory():
     error = estimate.mean[:, :2] - np.stack([x, y], axis=1)
     p = estimate.covariance[:, :2, :2]
     nees = np.einsum("ti,tij,tj->t", error, np.linalg.inv(p), error)
-    score = BatchScorer([DRIVE], outages=False).scores([PLANAR5])[0, 0]
+    score = BatchScorer.prepare([DRIVE]).scores([PLANAR5])[0, 0]
     assert score.mean_nees == pytest.approx(nees.mean(), rel=0.01)  # truth at the start counts too
 
 

@@ -70,10 +70,10 @@ def test_moments_count_by_what_truth_states_plainly_and_compiled():
     expected = by_loop(DOUBTED.truth, estimate)
     score = score_estimate(DOUBTED, estimate)
     assert (score.position_rmse, score.heading_rmse) == pytest.approx(expected[:2], rel=1e-9)
-    scores = BatchScorer([DOUBTED], outages=False).scores([SET])
+    scores = BatchScorer.prepare([DOUBTED]).scores([SET])
     found = (scores.position_rmse[0, 0], scores.heading_rmse[0, 0], scores.mean_nees[0, 0])
     assert found == pytest.approx(expected, rel=1e-9)
-    exact = BatchScorer([replace(DOUBTED, truth=DRIVE.truth)], outages=False).scores([SET])
+    exact = BatchScorer.prepare([replace(DOUBTED, truth=DRIVE.truth)]).scores([SET])
     assert abs(exact.position_rmse[0, 0] / found[0] - 1) > 1e-3  # so it does matter here
 
 
@@ -84,7 +84,7 @@ def test_deviations_that_are_all_the_same_change_no_error():
             DRIVE.truth, std_x=np.full(len(DRIVE.truth), 0.4), std_y=np.full(len(DRIVE.truth), 0.4)
         ),
     )
-    one, other = (BatchScorer([drive], outages=False).scores([SET]) for drive in (DRIVE, same))
+    one, other = (BatchScorer.prepare([drive]).scores([SET]) for drive in (DRIVE, same))
     assert one.position_rmse[0, 0] == pytest.approx(other.position_rmse[0, 0], rel=1e-12)
     assert one.heading_rmse[0, 0] == pytest.approx(other.heading_rmse[0, 0], rel=1e-12)
     assert other.mean_nees[0, 0] < one.mean_nees[0, 0]

@@ -296,7 +296,7 @@ def test_scaled_multiplies_every_variance():
 
 def test_the_factor_that_is_offered_makes_nis_right_and_leaves_the_position():
     drive = stating(PLAIN, 1.0, 1.0)
-    replayer = BatchScorer([drive], outages=False)
+    replayer = BatchScorer.prepare([drive])
     before = replayer.scores([CAREFUL.scaled(2.0)])
     (said,) = scale_warnings(parse_objective("truth-pose"), CAREFUL.scaled(2.0), replayer)
     assert "truth-pose does not determine the scale of the covariances (the mean NIS is" in said
@@ -309,7 +309,7 @@ def test_the_factor_that_is_offered_makes_nis_right_and_leaves_the_position():
 
 
 def test_it_is_never_offered_for_planar5_nor_where_the_objective_looks_at_it():
-    replayer = BatchScorer([PLAIN], outages=False)
+    replayer = BatchScorer.prepare([PLAIN])
     five = FilterParameters(1.0, 2.0, 0.0, (1e-5, 1e-5, 1e-3, 1e-3, 1e-8), (1.2, 1.2))
     before = replayer.scores([five])
     after = replayer.scores([five.scaled(before.mean_nis[0, 0] / 2)])

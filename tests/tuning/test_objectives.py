@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.scoring.batch import Scores
+from sigmaswarm.scoring.batch import NAMES, Scores
 from sigmaswarm.tuning.config import SearchConfig
 from sigmaswarm.tuning.objectives import OBJECTIVES, conditional_value_at_risk, parse_objective
 
@@ -29,8 +29,10 @@ def scores(**given) -> Scores:
         "mean_nis": [[2.0, 4.0], [1.0, 2.0]],
         "mean_nees": [[20.0, 2.0], [2.0, 2.0]],
     }
-    failed = np.array(given.pop("failed", np.zeros((2, 2), bool)))
-    return Scores(**{k: np.array(v) for k, v in (table | given).items()}, failed=failed)
+    shape = np.shape(next(iter(given.values()), np.zeros((2, 2))))
+    known = {name: values for name, values in (table | given).items() if np.shape(values) == shape}
+    numbers = [known.get(name, np.full(shape, name != "failed" and np.nan)) for name in NAMES]
+    return Scores(np.array(numbers, dtype=float))
 
 
 def test_the_three_objectives_are_there():

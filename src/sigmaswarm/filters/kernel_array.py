@@ -5,7 +5,6 @@ so all sets and drives are processed together.
 """
 
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -78,23 +77,22 @@ class KernelSums:
 class KernelArray:
     """Parameter sets with the same kernel and measurements.
 
-    Each block has ``width`` columns, at most `most_lanes`; surplus columns contain other sets or copies of the last
-    set. ``like`` has the model and measurements of all ``size`` sets. ``reads`` states what the sets require of a
-    drive: axes of the model, stated accuracy of fixes, and measurements (`measured_by`). The constructor raises
-    `InputError` if the model is not compiled as this filter type.
+    Each block has ``width`` columns, at most `most_lanes`; surplus columns are copies of the last set. ``like`` has the
+    model and measurements of all ``size`` sets. ``reads`` states what the sets require of a drive: axes of the model,
+    stated accuracy of fixes, and measurements (`measured_by`). The constructor raises `InputError` if the model is not
+    compiled as this filter type.
     """
 
     def __init__(self, parameter_sets: Sequence[FilterParameters]) -> None:
         table = ParameterTable.of(parameter_sets)
-        self.like, self._first, self.size = table.like, 0, len(table)
+        self.like, self.size = table.like, len(table)
         filter_types = FILTERS[self.kernel].filter_types
         if self.like.kind not in filter_types:
             raise InputError(
                 f"{self.like.model} is not compiled as {self.like.kind}; use kind {' or '.join(filter_types)}, "
                 "or run_textbook"
             )
-        # A full block may begin at any set.
-        columns = np.minimum(np.arange(len(table) + most_lanes(self.kernel) - 1), len(table) - 1)
+        columns = np.minimum(np.arange(self.blocks * self.width), self.size - 1)
         self._constants = _constants(table)[:, columns]
         self._interval = table.column("nominal_interval")[columns]
         self._start_std = start_std(self.like)[np.newaxis]
@@ -104,12 +102,6 @@ class KernelArray:
         accuracy = bool(self._constants[R.ACCURACY - CONSTANT_ROWS.start].any())
         self.reads = self.like.model, accuracy, measured_by(self.like)
         self._starts: Starts = {}
-
-    def part(self, sets: range) -> "KernelArray":
-        """Return an array of only these sets; it shares the values computed for all sets."""
-        part = copy(self)
-        part._first, part.size = self._first + sets.start, len(sets)
-        return part
 
     @property
     def kernel(self) -> str:
@@ -124,20 +116,15 @@ class KernelArray:
         return -(-self.size // most_lanes(self.kernel))
 
     @property
-    def _columns(self) -> slice:
-        """Columns of all blocks; surplus columns contain sets from outside the array."""
-        return slice(self._first, self._first + self.blocks * self.width)
-
-    @property
     def plausible(self) -> Mask:
         """True for sets with Q >= 0 and R > 0, (size,); for other sets, P may become indefinite long before a check."""
-        own = self._constants[:, self._first : self._first + self.size]
+        own = self._constants[:, : self.size]
         r = own[[R.RX - CONSTANT_ROWS.start, R.RY - CONSTANT_ROWS.start]]
         return (own[_Q].min(axis=0) >= 0) & (r.min(axis=0) > 0)
 
     def constants(self, nominal_interval: float) -> Array:
         """Return the kernel's constants, (N_CONSTANTS, columns), for a drive with this nominal IMU interval, s."""
-        constants, own = self._constants[:, self._columns].copy(), self._interval[self._columns]
+        constants, own = self._constants.copy(), self._interval
         constants[_Q] *= nominal_interval / np.where(own > 0.0, own, nominal_interval)
         # In nominal steps, minus a margin for the rounding of Unix time.
         constants[R.PATIENCE - CONSTANT_ROWS.start] = (OUTLIERS_SPAN - 1e-6) / nominal_interval
@@ -145,26 +132,23 @@ class KernelArray:
         return constants
 
     def compute_starts(self, initial: Sequence[InitialState]) -> None:
-        """Compute the starts of all sets for each `part`; this takes no longer than for a few sets."""
+        """Compute the starts in advance, unless they would need much memory."""
         unknown = tuple(dict.fromkeys(initial))
         if len(unknown) * len(self._start_std) <= MAX_STARTS:
             self._starts = self._starts_at(unknown, self._start_std)
 
     def start(self, initial: Sequence[InitialState], nominal_intervals: Sequence[float]) -> Array:
         """Return the rows of the filters at m starts, (blocks * m, N_KEPT, width); intervals of the IMU in s."""
-        columns, blocks, m = self._columns, self.blocks, len(initial)
-        shared = len(self._start_std) == 1
-        starts, chosen = self._starts, slice(None) if shared else columns
+        blocks, m, starts = self.blocks, len(initial), self._starts
         if not all(start in starts for start in initial):
-            starts = self._starts_at(tuple(dict.fromkeys(initial)), self._start_std[chosen])
-            chosen = slice(None)
+            starts = self._starts_at(tuple(dict.fromkeys(initial)), self._start_std)
         rows = np.empty((blocks, m, N_KEPT, self.width))
         rows[:] = _INITIAL_ROWS
         for k, (start, interval) in enumerate(zip(initial, nominal_intervals, strict=True)):
             state, heading = starts[start]
             rows[:, k, CONSTANT_ROWS] = _in_blocks(self.constants(interval), blocks)
-            rows[:, k, :N_STATE] = _in_blocks(state[:, chosen], blocks)
-            rows[:, k, R.HEADING] = _in_blocks(heading[np.newaxis, chosen], blocks)[:, 0]
+            rows[:, k, :N_STATE] = _in_blocks(state, blocks)
+            rows[:, k, R.HEADING] = _in_blocks(heading[np.newaxis], blocks)[:, 0]
         return rows.reshape(-1, N_KEPT, self.width)
 
     def _starts_at(self, initial: tuple[InitialState, ...], std: Array) -> Starts:

@@ -30,98 +30,91 @@ T = TypeVar("T")
 LOG_2PI = math.log(2 * math.pi)
 
 
+NAMES = tuple(each.name for each in fields(Score))  # the last one is "failed"
+
+
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Scores of every parameter set on every drive; each array has shape (n_sets, n_drives).
+    """Scores of every parameter set on every drive.
 
-    `Score` describes the names and units. Undefined values are NaN.
+    ``numbers``: (n_scores, n_sets, n_drives), in the order of the fields of `Score`; undefined scores are NaN. Each
+    score is also an attribute, (n_sets, n_drives): ``scores.position_rmse``.
     """
 
-    position_rmse: Array
-    heading_rmse: Array
-    outage_drift: Array
-    fix_rmse: Array
-    forecast_rmse: Array
-    innovation_nll: Array
-    innovation_t: Array
-    forecast_t: Array
-    mean_nis: Array
-    mean_nees: Array
-    failed: Mask
+    numbers: Array
+
+    def __getattr__(self, name: str) -> Array:
+        if name not in NAMES:
+            raise AttributeError(name)
+        return self.numbers[NAMES.index(name)]
 
     def __getitem__(self, at: tuple[int, int]) -> Score:
-        return Score(**{name: values[at].item() for name, values in vars(self).items()})
+        *numbers, failed = self.numbers[(slice(None), *at)].tolist()
+        return Score(*numbers, failed=bool(failed))
 
-    def stacked(self) -> Array:
-        """Return one array, shape (n_scores, n_sets, n_drives), for transport."""
-        return np.array([*vars(self).values()], dtype=np.float64)
-
-    @classmethod
-    def unstacked(cls, stacked: Array) -> "Scores":
-        *numbers, failed = (np.asfortranarray(one) for one in stacked)
-        return cls(*numbers, failed=failed.astype(np.bool_))
-
-
-_NUMBERS = tuple(field.name for field in fields(Scores) if field.name != "failed")
+    @property
+    def failed(self) -> Mask:
+        return self.numbers[-1] != 0.0
 
 
 @dataclass(frozen=True)
-class PassOptions:  # arguments of BatchScorer
+class PassOptions:
+    """The passes of a scorer in addition to the pass with all fixes.
+
+    - ``outages``: a pass with outages of ``outage_length`` s.
+    - ``forecasts``: a pass in which fixes are hidden in windows of 3 to 5 s.
+    - ``as_recorded``: for drives that are not prepared, see `PreparedDrive`.
+    """
+
     outages: bool = False
     forecasts: bool = False
+    outage_length: float = OUTAGE_LENGTH
     outage_seed: int = 0
     as_recorded: bool = False
 
 
+ALL_FIXES = PassOptions()
+
+
+@dataclass(frozen=True, eq=False)
 class BatchScorer:
-    """Scorer that prepares drives once and runs any number of parameter sets over them.
+    """Prepared drives and passes over them, for any number of parameter sets."""
 
-    ``as_recorded`` applies only to drives that are not yet prepared. ``outages`` adds a pass over every drive with
-    outages of ``outage_length`` s. ``forecasts`` adds a pass in which fixes are hidden in windows of 3 to 5 s.
-    """
+    ready: tuple[PreparedDrive, ...]
+    passes: dict[str, tuple[FilterPass, ...]]
 
-    def __init__(
-        self,
-        drives: Sequence[Drive | PreparedDrive],
-        *,
-        outages: bool,
-        forecasts: bool = False,
-        outage_length: float = OUTAGE_LENGTH,
-        outage_seed: int = 0,
-        as_recorded: bool = False,
-    ) -> None:
-        self._ready = tuple(prepare_drive(drive, as_recorded=as_recorded) for drive in drives)
-        self._passes = {"tracking": tuple(map(tracking_pass, self._ready))}
-        if outages:
-            length, seed = outage_length, outage_seed
-            self._passes["outages"] = tuple(outage_pass(r, length=length, seed=seed) for r in self._ready)
-        if forecasts:
-            self._passes["forecasts"] = tuple(forecast_pass(r, seed=outage_seed) for r in self._ready)
+    @classmethod
+    def prepare(
+        cls, drives: Sequence[Drive | PreparedDrive], options: PassOptions = ALL_FIXES
+    ) -> "BatchScorer":
+        ready = tuple(prepare_drive(drive, as_recorded=options.as_recorded) for drive in drives)
+        passes, seed = {"tracking": tuple(map(tracking_pass, ready))}, options.outage_seed
+        if options.outages:
+            length = options.outage_length
+            passes["outages"] = tuple(outage_pass(one, length=length, seed=seed) for one in ready)
+        if options.forecasts:
+            passes["forecasts"] = tuple(forecast_pass(one, seed=seed) for one in ready)
+        return cls(ready, passes)
 
-    @staticmethod
-    def joined(parts: Sequence["BatchScorer"]) -> "BatchScorer":
+    @classmethod
+    def joined(cls, parts: Sequence["BatchScorer"]) -> "BatchScorer":
         """Join scorers with the same passes, without preparing drives again."""
-        whole = BatchScorer.__new__(BatchScorer)
-        whole._ready = tuple(one for part in parts for one in part._ready)
-        passes = {name: [part._passes[name] for part in parts] for name in parts[0]._passes}
-        whole._passes = {name: tuple(chain(*replays)) for name, replays in passes.items()}
-        return whole
+        passes = {name: tuple(chain(*(part.passes[name] for part in parts))) for name in parts[0].passes}
+        return cls(tuple(chain(*(part.ready for part in parts))), passes)
 
     def subset(self, drives: Sequence[int]) -> "BatchScorer":
-        if list(drives) == list(range(len(self._ready))):
+        if list(drives) == list(range(len(self.ready))):
             return self
-        part = BatchScorer.__new__(BatchScorer)
-        part._ready = tuple(self._ready[i] for i in drives)
-        part._passes = {name: tuple(replays[i] for i in drives) for name, replays in self._passes.items()}
-        return part
+        passes = {name: tuple(replays[i] for i in drives) for name, replays in self.passes.items()}
+        return BatchScorer(tuple(self.ready[i] for i in drives), passes)
 
     @cached_property
     def drives(self) -> tuple[Drive, ...]:
-        return tuple(ready.drive for ready in self._ready)
+        return tuple(ready.drive for ready in self.ready)
 
     @cached_property
     def initial(self) -> tuple[InitialState, ...]:
-        return tuple(ready.initial for ready in self._ready)
+        return tuple(ready.initial for ready in self.ready)
 
     @property
     def dataset(self) -> LocalDataset:
@@ -129,12 +122,12 @@ class BatchScorer:
 
     @property
     def truth_moments(self) -> list[int]:
-        return [replay.targets.n_positions for replay in self._passes["tracking"]]
+        return [replay.targets.n_positions for replay in self.passes["tracking"]]
 
     @property
     def hidden_fixes(self) -> list[int]:
         """Number of hidden fixes of each drive."""
-        return [replay.n_hidden for replay in self._passes.get("forecasts", ())]
+        return [replay.n_hidden for replay in self.passes.get("forecasts", ())]
 
     @property
     def steps(self) -> NDArray[np.int64]:
@@ -143,11 +136,11 @@ class BatchScorer:
 
     @cached_property
     def _steps(self) -> dict[str, list[int]]:
-        return {name: [len(r.timeline.dt) for r in replays] for name, replays in self._passes.items()}
+        return {name: [len(r.timeline.dt) for r in replays] for name, replays in self.passes.items()}
 
     @cached_property
     def _divisors(self) -> dict[str, Array]:
-        return {name: _divisors_of(replays) for name, replays in self._passes.items()}
+        return {name: _divisors_of(replays) for name, replays in self.passes.items()}
 
     @cached_property
     def _jobs(self) -> dict[tuple[int, str, int], list[Job]]:
@@ -157,8 +150,7 @@ class BatchScorer:
     def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
         """Return the scores of the parameter sets; the scores do not depend on the executor."""
         if not parameter_sets or not self.drives:
-            empty = np.full((len(parameter_sets), len(self.drives)), np.nan)
-            return Scores(*[empty] * len(_NUMBERS), failed=np.zeros(empty.shape, dtype=np.bool_))
+            return Scores(_no_numbers(len(self.drives), len(parameter_sets)))
         return _scores_by(self._divisors, self._run(parameter_sets, executor))
 
     def measured(
@@ -171,7 +163,7 @@ class BatchScorer:
         return np.asfortranarray(take(self.scores(parameter_sets, executor)))
 
     def map_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
-        return [function(one) for one in self._ready]
+        return [function(one) for one in self.ready]
 
     def _run(
         self, parameter_sets: Sequence[FilterParameters], executor: Executor | None
@@ -179,20 +171,18 @@ class BatchScorer:
         workers = cores() if executor else 1
         work: list[tuple[Job, Indices, KernelArray]] = []
         for places, table in group_tables(parameter_sets):
-            array = KernelArray(table)
-            array.compute_starts(self.initial)
-            key = len(table), array.kernel, workers
+            key = len(table), table.like.kernel, workers
             if key not in self._jobs:
                 self._jobs[key] = jobs_for(self._steps, *key)
-            work += [
-                (job, places[job.sets.start : job.sets.stop], array.part(job.sets)) for job in self._jobs[key]
-            ]
+            sets = {job.sets: slice(job.sets.start, job.sets.stop) for job in self._jobs[key]}
+            arrays = {of: KernelArray(table[at]) for of, at in sets.items()}
+            for array in arrays.values():
+                array.compute_starts(self.initial)
+            work += [(job, places[sets[job.sets]], arrays[job.sets]) for job in self._jobs[key]]
         # The longest jobs start first, so that all workers end at about the same time.
         work.sort(key=lambda item: item[0].work, reverse=True)
-        tasks = [
-            (self._passes[job.name][job.drives.start : job.drives.stop], array) for job, _, array in work
-        ]
-        sums = {name: KernelSums.empty(len(self.drives), len(parameter_sets)) for name in self._passes}
+        tasks = [(self.passes[job.name][job.drives.start : job.drives.stop], array) for job, _, array in work]
+        sums = {name: KernelSums.empty(len(self.drives), len(parameter_sets)) for name in self.passes}
         for (job, places, _), part in zip(work, run_jobs(run_array, tasks, executor), strict=True):
             sums[job.name].put(slice(job.drives.start, job.drives.stop), places, part)
         return sums
@@ -220,14 +210,19 @@ def _divisors_of(replays: Sequence[FilterPass]) -> Array:
 
 
 def _scores_by(divisors: Mapping[str, Array], sums: Mapping[str, KernelSums]) -> Scores:
-    shape = next(iter(sums.values())).failed.T.shape
-    columns = dict.fromkeys(_NUMBERS, np.full(shape, np.nan))
-    failed = np.zeros(shape, dtype=np.bool_)
+    numbers = _no_numbers(*next(iter(sums.values())).failed.shape)
     for name, added in sums.items():
         for score, values in _pass_scores(name, divisors[name], added).items():
-            columns[score] = values.T
-        failed |= added.failed.T
-    return Scores(**columns, failed=failed)
+            numbers[NAMES.index(score)] = values.T
+        numbers[-1] += added.failed.T
+    return Scores(numbers)
+
+
+def _no_numbers(n_drives: int, n_sets: int) -> Array:
+    """Return undefined scores. The sets of a drive are adjacent in memory, since the rounding of sums depends on it."""
+    numbers = np.full((len(NAMES), n_drives, n_sets), np.nan).swapaxes(1, 2)
+    numbers[-1] = 0.0
+    return numbers
 
 
 def _pass_scores(name: str, divisors: Array, sums: KernelSums) -> dict[str, Array]:

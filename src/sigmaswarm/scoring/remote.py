@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cached_property, partial
+from operator import attrgetter
 from typing import Any, TypeVar
 
 import numpy as np
@@ -34,7 +35,7 @@ def make_scorer(dataset: Dataset, passes: PassOptions, check: DriveCheck) -> "An
 
 
 def _scorer(drives: Sequence[PreparedDrive], passes: PassOptions, check: DriveCheck) -> BatchScorer:
-    scorer = BatchScorer(drives, **vars(passes))
+    scorer = BatchScorer.prepare(drives, passes)
     check(scorer)
     return scorer
 
@@ -58,7 +59,7 @@ class RemoteBatchScorer:
         return part
 
     def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
-        return Scores.unstacked(self.measured(Scores.stacked, parameter_sets))
+        return Scores(self.measured(attrgetter("numbers"), parameter_sets))
 
     def measured(
         self,
@@ -69,9 +70,9 @@ class RemoteBatchScorer:
         """Score the sets and apply ``take`` on the workers; return an array of shape (..., n_sets, n_drives)."""
         sets = parameter_sets if isinstance(parameter_sets, ParameterTable) else tuple(parameter_sets)
         answers = self.dataset.call(_taken, self.passes, self.check, take, sets)
-        shape = len(self.dataset), *answers[0][1].shape[-2::-1]
+        *more, n_sets, _ = answers[0][1].shape
         # the memory order of `BatchScorer`, since the rounding of sums depends on it
-        whole = np.empty(shape).T
+        whole = np.empty((*more, len(self.dataset), n_sets)).swapaxes(-1, -2)
         for indices, part in answers:
             whole[..., indices] = part
         return whole

@@ -15,7 +15,7 @@ from sigmaswarm.errors import SigmaswarmError, SigmaswarmWarning
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline_of
 from sigmaswarm.filters.run import run_innovations
-from sigmaswarm.scoring.batch import BatchScorer
+from sigmaswarm.scoring.batch import BatchScorer, PassOptions
 
 CLOCKS = {"shift-clock", "shift-fixes", "stretch-imu"}
 VERIFIED = CLOCKS | {"rotate", "gyro", "accelerometer", "turn", "level"}
@@ -134,7 +134,7 @@ def _forecasts(drive: Drive, filters: list[FilterParameters]) -> Array:
     for row, parameters in zip(errors, filters, strict=True):
         try:
             size = np.sort(np.hypot(*run_innovations(drive, parameters).innovation.T))
-            scorer = BatchScorer([drive], outages=False, forecasts=True)
+            scorer = BatchScorer.prepare([drive], PassOptions(forecasts=True))
             row[1] = scorer.scores([parameters]).forecast_rmse[0, 0]
         except SigmaswarmError:
             continue

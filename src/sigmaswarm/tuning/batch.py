@@ -115,7 +115,9 @@ def check_drives(drives: Sequence[Drive | LogProperties], objective: Objective) 
 
 
 def scorer_for(objective: Objective, dataset: Dataset, seed: int, *, as_recorded: bool) -> AnyBatchScorer:
-    passes = PassOptions(objective.needs_outages, objective.needs_forecasts, seed, as_recorded)
+    passes = PassOptions(
+        objective.needs_outages, objective.needs_forecasts, outage_seed=seed, as_recorded=as_recorded
+    )
     return make_scorer(dataset, passes, partial(require_fit, objective=objective.name, seed=seed))
 
 

@@ -116,7 +116,7 @@ class Design:
     def scorer(self, *, outages: bool) -> AnyBatchScorer:
         passes = PassOptions(outages=outages, outage_seed=self.config.seed, as_recorded=True)
         if self.remote is None:
-            return BatchScorer(self.prepared, **vars(passes))
+            return BatchScorer.prepare(self.prepared, passes)
         return RemoteBatchScorer(self.remote, passes, _accept)
 
     @cached_property

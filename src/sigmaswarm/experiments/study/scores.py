@@ -21,7 +21,7 @@ from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, fitted_noise
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, PAPER, baseline
 from sigmaswarm.filters.run import estimate_of, run_imu_only
-from sigmaswarm.scoring.batch import BatchScorer, Scores
+from sigmaswarm.scoring.batch import BatchScorer, PassOptions, Scores
 from sigmaswarm.scoring.drifts import rms_drift
 from sigmaswarm.scoring.remote import AnyBatchScorer
 from sigmaswarm.scoring.score import score_estimate, score_raw_gps
@@ -128,7 +128,7 @@ def _passes(design: Design) -> list[_Pass]:
     passes = [_Pass(design.scorer(outages=True), all_drives, SCORE_OF_MEASURE)]
     ready, seed = design.prepared, design.config.seed
     for measure, length in design.config.long_outages.items():
-        scorer = BatchScorer(ready, outages=True, outage_length=length, outage_seed=seed)
+        scorer = BatchScorer.prepare(ready, PassOptions(outages=True, outage_length=length, outage_seed=seed))
         fits = [len(outage_windows(r.drive, r.initial, length=length, seed=seed)) > 0 for r in ready]
         passes.append(_Pass(scorer, np.array(fits), {measure: SCORE_OF_MEASURE["outage_drift_m"]}))
     return passes
