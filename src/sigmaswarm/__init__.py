@@ -99,7 +99,7 @@ if TYPE_CHECKING:
     from sigmaswarm.importing.inspection import TablePreview as TablePreview
     from sigmaswarm.importing.mounting import find_mount as find_mount
     from sigmaswarm.importing.mounting import parse_mount as parse_mount
-    from sigmaswarm.references.reference import reference
+    from sigmaswarm.references import reference
     from sigmaswarm.reports.compare import comparison_table as comparison_table
     from sigmaswarm.reports.evaluation import save_evaluation as save_evaluation
     from sigmaswarm.reports.study_charts import save_study as save_study

@@ -253,8 +253,8 @@ def report(results: Any, out: str | Path | None = None) -> str:
     """
     from sigmaswarm.files import write_atomically
     from sigmaswarm.reports.evaluation_page import evaluation_report
-    from sigmaswarm.reports.folders import read_report
     from sigmaswarm.reports.page import page
+    from sigmaswarm.reports.read import read_report
     from sigmaswarm.reports.tuning import tuning_report
     from sigmaswarm.scoring.evaluation import Evaluation
 

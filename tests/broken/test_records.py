@@ -24,7 +24,7 @@ from sigmaswarm.learned.folder import load_learned
 from sigmaswarm.record_files import content_if_readable, load_record
 from sigmaswarm.reports.compare import save_comparison
 from sigmaswarm.reports.evaluation import save_evaluation
-from sigmaswarm.reports.folders import read_report
+from sigmaswarm.reports.read import read_report
 from sigmaswarm.scoring.records import EvaluationRecord, ScoresRecord
 from sigmaswarm.scoring.tracks import load_tracks
 from sigmaswarm.tuning.record import TuningRecord, history_of, load_history

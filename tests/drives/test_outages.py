@@ -29,6 +29,7 @@ placements = {
 
 
 def draw(start: float, duration: float, seed: int, **options) -> np.ndarray:
+    options = {"length": (3.0, 5.0), "first_after": 10.0} | options
     return random_windows(start, start + duration, np.random.default_rng(seed), **options)
 
 
@@ -88,7 +89,7 @@ def test_rounding_never_takes_a_window_past_the_end():
     rng = np.random.default_rng(0)
     for start, length in zip(rng.uniform(0, 30, 500), rng.uniform(0.5, 8, 500), strict=True):
         end = start + 10 + length  # room for one window without any slack, give or take rounding
-        assert np.all(random_windows(start, end, rng, length=length, count=1)[:, 1] <= end)
+        assert np.all(random_windows(start, end, rng, length=length, first_after=10.0, count=1)[:, 1] <= end)
 
 
 def test_about_one_per_fifteen_seconds_by_default():
@@ -105,9 +106,11 @@ def test_the_same_seed_gives_the_same_windows():
 def test_every_admissible_placement_is_equally_likely():
     """With one window its place is uniform; with two, the slack before the first is Beta(1, 2)."""
     rng = np.random.default_rng(0)
-    one = [random_windows(0, 65.0, rng, length=5.0, count=1)[0, 0] for _ in range(2000)]
+    one = [random_windows(0, 65.0, rng, length=5.0, first_after=10.0, count=1)[0, 0] for _ in range(2000)]
     assert stats.kstest(one, stats.uniform(10, 50).cdf).pvalue > 1e-3
-    two = np.array([random_windows(0, 65.0, rng, length=5.0, count=2)[:, 0] for _ in range(2000)])
+    two = np.array(
+        [random_windows(0, 65.0, rng, length=5.0, first_after=10.0, count=2)[:, 0] for _ in range(2000)]
+    )
     assert stats.kstest((two[:, 0] - 10) / 40, stats.beta(1, 2).cdf).pvalue > 1e-3
     assert stats.kstest((two[:, 1] - 20) / 40, stats.beta(2, 1).cdf).pvalue > 1e-3
 
@@ -130,7 +133,9 @@ def irregular_clock(duration: float, seed: int) -> np.ndarray:
 def test_snapped_windows_end_on_samples_and_keep_every_distance(seed: int, apart: float, count: int, length):
     clock = irregular_clock(100.0, seed)
     rng = np.random.default_rng(seed)
-    windows = random_windows(clock[0], clock[-1], rng, length=length, apart=apart, count=count)
+    windows = random_windows(
+        clock[0], clock[-1], rng, length=length, first_after=10.0, apart=apart, count=count
+    )
     snapped = snap_ends(windows, clock, apart=apart)
     assert np.isin(snapped[:, 1], clock).all()
     assert np.all(snapped[1:, 0] - snapped[:-1, 1] >= apart - EPS)
@@ -185,7 +190,9 @@ def test_windows_on_a_real_clock():
 
     drive = read_drive(DRIVES / "dresden")
     t = drive.imu.time
-    windows = snap_ends(random_windows(t[0], t[-1], np.random.default_rng(1), length=5.0), t)
+    windows = snap_ends(
+        random_windows(t[0], t[-1], np.random.default_rng(1), length=5.0, first_after=10.0), t
+    )
     assert len(windows) == 14
     assert np.isin(windows[:, 1], t).all()
     hidden = hide_fixes(drive, windows)

@@ -31,7 +31,7 @@ from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.learned.folder import load_learned
 from sigmaswarm.learned.learn import LEARNERS
 from sigmaswarm.reports import study_charts as reports
-from sigmaswarm.reports.folders import read_report
+from sigmaswarm.reports.read import read_report
 from sigmaswarm.reports.study_charts import save_study, study_figures
 from sigmaswarm.reports.study_tables import study_tables
 from sigmaswarm.scoring.targets import outage_windows, tracking_pass

@@ -95,6 +95,10 @@ def everything(of: LiveFilterBank) -> bytes:
     return of._numbers[: swarm.N_CHECKPOINT].tobytes() + of.offsets.tobytes() + of._population.tobytes()
 
 
+def test_fixes_older_than_the_history_are_left_out_and_counted():
+    assert fed(LiveFilterBank, parameters("planar5"), late=0.5, history=0.2).too_late > 50
+
+
 @pytest.mark.parametrize(
     ("model", "option", "late"),
     quickly(

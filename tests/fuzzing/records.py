@@ -45,8 +45,8 @@ from sigmaswarm.learned.folder import LearnedNetwork, LearnedRecord, load_learne
 from sigmaswarm.learned.outage_lstm import new_network
 from sigmaswarm.reports.compare import save_comparison
 from sigmaswarm.reports.evaluation import save_evaluation
-from sigmaswarm.reports.folders import read_report
 from sigmaswarm.reports.page import page
+from sigmaswarm.reports.read import read_report
 from sigmaswarm.reports.study_charts import save_study
 from support import make_drive
 

@@ -11,7 +11,7 @@ from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic, wrap_angle
 from sigmaswarm.importing.fixes import read_fixes
-from sigmaswarm.references.reference import reference
+from sigmaswarm.references import reference
 from sigmaswarm.simulation.gps import GPS_GRADES
 from sigmaswarm.simulation.scenarios import simulate
 

@@ -28,9 +28,9 @@ from sigmaswarm.record_files import load_record
 from sigmaswarm.reports.evaluation import copy_tuning
 from sigmaswarm.reports.evaluation_page import read_view
 from sigmaswarm.reports.figures import Chart, figure_of, hover_id
-from sigmaswarm.reports.folders import read_report
 from sigmaswarm.reports.page import Report, Section
 from sigmaswarm.reports.page import page as html_page
+from sigmaswarm.reports.read import read_report
 from sigmaswarm.reports.tuning import STATED_OPTIONS, TUNE_DEFAULTS, save_tuning_figures, tune_command
 from sigmaswarm.scoring.evaluation import Evaluation, evaluate
 from sigmaswarm.scoring.measures import MEASURES

@@ -7,8 +7,8 @@ import pytest
 from browsing import Opened
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.reports.evaluation import copy_tuning
-from sigmaswarm.reports.folders import read_report
 from sigmaswarm.reports.page import page as html_page
+from sigmaswarm.reports.read import read_report
 from sigmaswarm.scoring.evaluation import evaluate
 from support import make_drive, quickly
 

@@ -22,9 +22,9 @@ from sigmaswarm.experiments.study.study import Study, run_study, shown_trial
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.reports.figures import Chart, figure_of
-from sigmaswarm.reports.folders import read_report
 from sigmaswarm.reports.page import Section
 from sigmaswarm.reports.page import page as html_page
+from sigmaswarm.reports.read import read_report
 from sigmaswarm.scoring.tracks import load_tracks
 from support import make_drive
 

@@ -18,6 +18,7 @@ from sigmaswarm.filters.run import run_filter, run_imu_only
 from sigmaswarm.scoring.batch import BatchScorer, PassOptions
 from sigmaswarm.scoring.evaluation import DriveResult, Evaluation, evaluate
 from sigmaswarm.scoring.methods import method_names
+from sigmaswarm.scoring.remarks import restarted, worse_than_raw, worse_than_untuned
 from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
 from sigmaswarm.scoring.targets import outage_windows, placements
 from support import make_drive
@@ -220,7 +221,7 @@ def test_a_drive_too_short_for_30_s_without_fixes_has_no_such_drift():
 
 
 def test_where_the_filter_is_worse_than_the_raw_fixes_is_said_in_a_sentence(evaluation: Evaluation):
-    assert evaluation.worse_than_raw == ()
+    assert worse_than_raw(evaluation.record) == ()
     tuned = Score(position_rmse=3.0, position_median=0.5, position_95=7.25)
     raw = Score(position_rmse=2.0, position_median=1.0, position_95=4.0)
     others = dict.fromkeys(METHODS, Score())
@@ -229,7 +230,7 @@ def test_where_the_filter_is_worse_than_the_raw_fixes_is_said_in_a_sentence(eval
         "field": DriveResult(others | {"tuned": raw, "raw_gps": tuned}),
         "blind": DriveResult(others),
     }
-    assert Evaluation(drives).worse_than_raw == (
+    assert worse_than_raw(Evaluation(drives).record) == (
         "on town the tuned filter is WORSE than the raw fixes: RMSE 3 m instead of 2 m, 95% 7.25 m instead of 4 m",
         "on field the tuned filter is WORSE than the raw fixes: 50% 1 m instead of 0.5 m",
     )
@@ -264,16 +265,18 @@ def test_the_row_of_another_filter_shows_its_path(tmp_path: Path, name: str, mon
     assert f"the other UKF, planar8 ({name})" in found.view.result()
 
 
+def worse(evaluation: Evaluation) -> tuple[str, ...]:
+    return worse_than_untuned(evaluation.record, evaluation.measures)
+
+
 def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evaluation: Evaluation):
-    (here,) = (
-        evaluation.worse_than_untuned
-    )  # `GOOD` is none that was tuned, and the data sheet's suits these drives
+    (here,) = worse(evaluation)  # `GOOD` is none that was tuned, and the data sheet's suits these drives
     assert "the baseline: position RMSE 0.8" in here
     others = dict.fromkeys(METHODS, Score())
 
     def said(tuned: float, manual: float) -> tuple[str, ...]:
         both = {"untuned": Score(outage_drift=manual), "tuned": Score(outage_drift=tuned)}
-        return Evaluation({"town": DriveResult(others | both)}).worse_than_untuned
+        return worse(Evaluation({"town": DriveResult(others | both)}))
 
     assert said(47.8, 18.5) == (
         "the tuned filter is WORSE than the baseline: 5 s outage drift 47.8 m instead of 18.5 m",
@@ -281,15 +284,11 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
     assert said(18.5, 47.8) == said(18.6, 18.5) == ()
     good = Score(position_rmse=0.5, heading_rmse=np.radians(0.4), outage_drift=2.0, long_outage_drift=7.0)
     sheet = replace(good, position_rmse=1.1, heading_rmse=np.radians(0.3), outage_drift=4.0)
-    assert Evaluation(
-        {"town": DriveResult(others | {"untuned": sheet, "tuned": good})}
-    ).worse_than_untuned == (
+    assert worse(Evaluation({"town": DriveResult(others | {"untuned": sheet, "tuned": good})})) == (
         "the tuned filter is worse than the baseline in 1 of 4 measures: heading error "
         "0.4 deg instead of 0.3 deg",
     )
-    assert Evaluation(
-        {"town": DriveResult(others | {"fixes_alone": sheet, "tuned": good})}
-    ).worse_than_untuned == (
+    assert worse(Evaluation({"town": DriveResult(others | {"fixes_alone": sheet, "tuned": good})})) == (
         "the tuned filter is worse than the filter of the fixes alone in 1 of 4 measures: heading error "
         "0.4 deg instead of 0.3 deg",
     )
@@ -311,9 +310,7 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
         in whole.view.result()
     )
     farther = replace(sheet, position_rmse=0.4)
-    (here,) = Evaluation(
-        {"town": DriveResult(others | {"untuned": farther, "tuned": good})}
-    ).worse_than_untuned
+    (here,) = worse(Evaluation({"town": DriveResult(others | {"untuned": farther, "tuned": good})}))
     assert "is WORSE than" in here
 
 
@@ -344,7 +341,7 @@ def test_the_mean_is_over_drives_and_equation_5_over_the_means(evaluation: Evalu
 
 
 def test_a_filter_that_lost_its_way_is_named(evaluation: Evaluation):
-    assert evaluation.restarted == ()
+    assert restarted(evaluation.record) == ()
     assert evaluation.to_dict()["restarts"] == {d.name: {"tuned": [], "untuned": []} for d in DRIVES}
     drive = sigmaswarm.simulate("urban", run=1, gps="white-1m", duration=65, imu_rate=50)
     off = (drive.gps.time > 30) & (drive.gps.time < 55)
@@ -355,7 +352,7 @@ def test_a_filter_that_lost_its_way_is_named(evaluation: Evaluation):
     assert times
     assert found.drives[aside.name].restarts["tuned"] == times
     assert found.to_dict()["restarts"][aside.name]["tuned"] == list(times)
-    (said,) = found.restarted
+    (said,) = restarted(found.record)
     assert said.startswith(f"the tuned filter diverged on {aside.name} and was reset")
     assert f"t = {times[0]:.1f}" in said
     plain = score_estimate(aside, run_filter(aside, gated))  # what is scored is the filter that starts anew

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from filter_cases import parameters, rough
-from sigmaswarm import evaluate, run_filter
+from sigmaswarm import evaluate, run_filter, run_innovations
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.experiments.study.config import StudyConfig
 from sigmaswarm.experiments.study.design import make_design
@@ -22,6 +22,8 @@ def test_it_reaches_tune_batch_evaluate_and_run():
         evaluated = evaluate(drive, p, as_recorded=as_recorded)
         mean = run_filter(drive, p, as_recorded=as_recorded).mean
         assert mean.tobytes() == run_filter(ready, p).mean.tobytes()
+        nis = run_innovations(drive, p, as_recorded=as_recorded).nis
+        assert nis.tobytes() == run_innovations(ready, p).nis.tobytes()
         assert batch.scores[0][0].position_rmse == evaluated.mean("tuned", "position_rmse_m")
         assert problem.scorer.scores([p])[0, 0].position_rmse == batch.scores[0][0].position_rmse
         (drive_found,) = evaluated.drives.values()

@@ -44,6 +44,11 @@ def test_outages_run_only_where_the_objective_has_them():
     assert moved.scores[0][0].outage_drift != pose.scores[0][0].outage_drift
 
 
+def test_worst_averages_the_drives_with_the_highest_costs():
+    each = [[score.position_rmse for score in row] for row in run_batch(DRIVES, SETS).scores]
+    assert run_batch(DRIVES, SETS, worst=0.5).costs.tolist() == pytest.approx([*map(max, each)])
+
+
 def test_a_failing_set_costs_infinity_and_changes_no_other_bit():
     bad = replace(DEFAULTS, process_noise=(1.0, 1.0, 1.0, 1.0, -1e3))
     clean, mixed = run_batch(DRIVES, SETS), run_batch(DRIVES, [SETS[0], bad, *SETS[1:]])

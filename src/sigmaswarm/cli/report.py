@@ -33,7 +33,7 @@ def report(
     out
         File to write, NAME.html; by default page.html in FOLDER, which each report replaces.
     """
-    from sigmaswarm.reports.folders import save_page
+    from sigmaswarm.reports.read import save_page
 
     require_free(out, overwrite=overwrite)
     file = save_page(folder, out)

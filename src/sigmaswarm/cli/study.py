@@ -81,7 +81,7 @@ def study(*, out: Path, options: Annotated[StudyOptions, FIELDS] = StudyOptions(
         --resume.
     """
     from sigmaswarm.experiments.study.study import run_study
-    from sigmaswarm.reports.folders import save_page
+    from sigmaswarm.reports.read import save_page
     from sigmaswarm.reports.study_charts import save_study
 
     require_result_folder(out, [], "study", "study.toml")

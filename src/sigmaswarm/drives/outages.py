@@ -26,8 +26,8 @@ def random_windows(
     end: float,
     rng: np.random.Generator,
     *,
-    length: float | tuple[float, float] = (3.0, 5.0),
-    first_after: float = 10.0,
+    length: float | tuple[float, float],
+    first_after: float,
     apart: float = 5.0,
     count: int | None = None,
 ) -> Array:

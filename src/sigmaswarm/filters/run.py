@@ -212,7 +212,6 @@ def run_textbook(
     *,
     initial: InitialState | None = None,
     heading_first: bool = True,
-    redraw_sigma_points: bool = True,
 ) -> Estimate:
     """Run the textbook filter over a drive, about 100 times slower than `run_filter`.
 
@@ -223,8 +222,6 @@ def run_textbook(
     heading_first : bool
         Compute the Cholesky factor of P with theta as the first state, like the compiled filter. If False, keep the
         order of the states, like FilterPy.
-    redraw_sigma_points : bool
-        See `UnscentedKalmanFilter`.
 
     Returns
     -------
@@ -233,13 +230,7 @@ def run_textbook(
     """
     drive_pass = whole_pass(drive, initial)
     line = drive_pass.timeline
-    car = TextbookCar(
-        line,
-        parameters,
-        drive_pass.initial,
-        heading_first=heading_first,
-        redraw_sigma_points=redraw_sigma_points,
-    )
+    car = TextbookCar(line, parameters, drive_pass.initial, heading_first=heading_first)
     rows = np.where(line.sampled, np.cumsum(line.sampled) - 1, -1)
     run = run_steps(car, rows.tolist(), n_rows=len(line.imu_time))
     run.mean[:, THETA] = wrap_angle(run.mean[:, THETA])

@@ -21,6 +21,13 @@ MAX_DISTANCE = 100_000.0
 MAX_SPEED = 150.0  # m/s
 MAX_MISFIT = 0.35  # rad, largest median difference between a heading and the course in the same convention
 MIN_SPEED = 1.0  # m/s, lowest speed at which the course equals the heading
+# Radius of a circle that contains 68.27% of normal errors, in standard deviations per axis: sqrt(-2 ln 0.3173)
+RADIUS_68 = 1.515
+# A phone's x points right and y to its top edge (Android's SensorEvent), so forward is y and left is -x
+FLAT_NOTE = (
+    "the phone is assumed to lie flat with the screen up and the top edge forward; otherwise add --mount, or "
+    "--mount auto"
+)
 
 
 def valid_positions(time: NDArray[np.int64], values: Values, role: str, say: Say) -> NDArray[np.bool_]:

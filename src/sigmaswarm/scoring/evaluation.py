@@ -51,7 +51,7 @@ from sigmaswarm.scoring.records import (
     EvaluationRecord,
     ScoresRecord,
 )
-from sigmaswarm.scoring.remarks import is_worse_than_untuned, restarted, worse_than_raw, worse_than_untuned
+from sigmaswarm.scoring.remarks import is_worse_than_untuned
 from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH, tracking_pass
 from sigmaswarm.scoring.tracks import (
@@ -220,21 +220,6 @@ class Evaluation:
     def measures(self) -> Mapping[str, Measure]:
         """The `measures`, with the outage length of this evaluation in the titles."""
         return measures(self.outage_length)
-
-    @property
-    def restarted(self) -> tuple[str, ...]:
-        """Sentences on drives on which the tuned filter diverged."""
-        return restarted(self.record)
-
-    @property
-    def worse_than_raw(self) -> tuple[str, ...]:
-        """Sentences on drives on which the tuned filter's position errors exceed those of the raw fixes."""
-        return worse_than_raw(self.record)
-
-    @property
-    def worse_than_untuned(self) -> tuple[str, ...]:
-        """Sentences on measures whose mean is more than 10% lower for the baseline or for the fixes alone."""
-        return worse_than_untuned(self.record, self.measures)
 
     @property
     def is_worse_than_untuned(self) -> bool:

@@ -148,7 +148,7 @@ class Car:
 
 
 class TextbookCar(Car):
-    """Textbook filter on a drive's time line. For ``heading_first`` and ``redraw_sigma_points`` see `run_textbook`."""
+    """Textbook filter on a drive's time line. ``heading_first``: see `run_textbook`."""
 
     def __init__(
         self,

@@ -11,8 +11,8 @@ from pathlib import Path
 import polars as pl
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.positions import FLAT_NOTE, RADIUS_68
 from sigmaswarm.importing.readers.columns import collect, log_of_files, text_lines
-from sigmaswarm.importing.readers.phones import FLAT_NOTE, RADIUS_68
 from sigmaswarm.importing.source import (
     Guess,
     Limits,

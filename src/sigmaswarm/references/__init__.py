@@ -1,1 +1,0 @@
-"""Compute truth for drives from a good receiver in the same vehicle."""
