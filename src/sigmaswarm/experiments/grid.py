@@ -1,12 +1,10 @@
 """Parallel execution of the tasks of an experiment, in the threads of an executor or in forked processes.
 
-Each task saves its results in a folder, so an interrupted experiment can continue. Forked processes need 75%
-of the time of threads, since a tuning run spends 25% of its time in the Python interpreter. Forked processes inherit
-drives and prepared time lines without copying.
+Each task saves its results in a folder, so an interrupted experiment can continue. Forked processes need 75% of the
+time of threads, since a tuning run spends 25% of its time in the Python interpreter. They inherit drives and prepared
+time lines without copying.
 """
 
-import ctypes
-import gc
 import os
 import signal
 import threading
@@ -15,7 +13,6 @@ import warnings
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from functools import partial
 from multiprocessing import get_context
 from multiprocessing.sharedctypes import RawArray
 from typing import Any, TypeVar
@@ -26,8 +23,7 @@ T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
 # Function that receives the number of finished rounds, and raises `InterruptedError` after an interrupt.
 Report = Callable[[int], None]
-PR_SET_PDEATHSIG = 1  # option of prctl(2): signal that Linux sends to a process when its parent dies
-POLL_INTERVAL = 0.05  # s, interval at which the progress of the tasks is read
+POLL_INTERVAL = 0.05  # s, at which progress is read, and at which a fork checks that its parent lives
 KILLED_MESSAGE = "a process of this experiment was killed, perhaps for lack of memory; continue with --resume"
 _run: Callable[[int], Any] | None = None  # runs a task by its index in a forked process
 
@@ -50,7 +46,18 @@ def run_grid(
     thread with the number of finished rounds of all tasks, the total number of rounds, and a task that advanced.
     """
     done, stop = RawArray("q", len(tasks)), RawArray("b", 1)  # shared with forked processes
-    one = partial(_one, tasks, run, rounds, done, stop)
+
+    def one(k: int) -> R:
+        def report(finished: int) -> None:
+            if stop[0]:
+                raise InterruptedError("the experiment was interrupted")
+            done[k] = finished
+
+        report(0)
+        result = run(tasks[k], report)
+        report(rounds)
+        return result
+
     order = sorted(range(len(tasks)), key=lambda k: -effort(tasks[k]))
     pool, shown, futures = executor, [0] * len(tasks), dict[int, Future[R]]()
     if processes:
@@ -82,20 +89,6 @@ def run_grid(
             pool.shutdown(cancel_futures=True)
 
 
-def _one(tasks: Sequence[T], run: Callable[[T, Report], R], rounds: int, done: Any, stop: Any, k: int) -> R:
-    """Run a task by its index, and write the number of finished rounds to shared memory."""
-
-    def report(finished: int) -> None:
-        if stop[0]:
-            raise InterruptedError("the experiment was interrupted")
-        done[k] = finished
-
-    report(0)
-    result = run(tasks[k], report)
-    report(rounds)
-    return result
-
-
 def _submitted(pool: Executor, run: Callable[[int], R], order: Sequence[int]) -> dict[int, Future[R]]:
     try:
         with warnings.catch_warnings():  # the threads hold no lock that a child needs
@@ -109,10 +102,7 @@ def _begin(run: Callable[[int], Any], stop: Any, parent: int) -> None:
     """Prepare a forked process, which ends at once if its parent dies or the experiment is interrupted."""
     global _run
     _run = run
-    # A resumed run removes unfinished files, so no process of the earlier run may still write.
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
-    gc.freeze()  # garbage collection would copy all inherited objects
 
     def watch() -> None:
         while not stop[0] and os.getppid() == parent:
