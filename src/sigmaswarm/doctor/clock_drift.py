@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.evidence import Evidence
-from sigmaswarm.doctor.verdicts import MIN_TURN
+from sigmaswarm.doctor.verdicts import MIN_GAIN_TURN
 from sigmaswarm.doctor.windows import integral, smoothed
 from sigmaswarm.doctor.yaw_fit import yaw_windows
-from sigmaswarm.drives.drive import Array
 
 ROUNDS, MAX_CHANGE = 8, 0.7  # iterations; s, largest change of a delay in one
 OUTLIER_SIGMAS = 1.5  # residuals above have less weight
@@ -33,7 +33,7 @@ def clock_drift(evidence: Evidence) -> ClockDrift | None:
     the units of the standard deviation.
     """
     course, fit, yaw, imu = evidence.course, evidence.yaw_fit, evidence.yaw, evidence.drive.imu
-    if course is None or fit is None or not yaw.known or fit.course_change < MIN_TURN:
+    if course is None or fit is None or not yaw.known or fit.course_change < MIN_GAIN_TURN:
         return None
     rows = yaw_windows(course)
     if len(rows) < 4:

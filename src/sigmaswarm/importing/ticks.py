@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.arrays import Array
 from sigmaswarm.importing.dates import SECOND
 from sigmaswarm.importing.expressions import time_expression
 from sigmaswarm.importing.names import CLOCK, read_names

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
-from sigmaswarm.drives.drive import Array
 
 Positions = NDArray[np.complexfloating]
 STEP, FINE_STEP = 0.5, 0.01  # s, of the tried delays, and of those near the best one
