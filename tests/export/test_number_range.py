@@ -95,6 +95,11 @@ def test_yaml_holds_numbers(tmp_path: Path, change: dict[str, Any]):
     [
         ("c99", {"alpha": 1e160}, r"spread of the sigma points \(alpha = 1e.160, .* not a finite number"),
         ("c99", {"alpha": 1e-200}, r"spread of the sigma points \(alpha = 1e-200"),
+        (
+            "c99",
+            {"odometer_noise": 0.1, "odometer_scale": 1e-310},
+            "1 / odometer_scale is not a finite number",
+        ),
         ("c99", {"nominal_interval": 1e-300}, "nominal_interval = 1e-300 s: the C library supports at most"),
         (
             "c99",

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from operator import itemgetter
+from typing import Any
 
 import numpy as np
 
@@ -67,6 +68,24 @@ def c99(
             f"{parameters.model} is not available as {parameters.kind} in C; use kind {' or '.join(kinds)}"
         )
     lanes = lanes or Lanes()
+    context = _context(parameters, interval, as_recorded, mounting, lanes, imu_axes)
+    texts = {name: fill(f"{name}.in", context) for name in FILES}
+    texts["ins_gps_align.c"] = with_constants(texts["ins_gps_align.c"], c_alignment.MODULES)
+    text = with_definitions(texts["ins_gps.c"], _numbers(parameters, interval) | lanes.numbers(parameters))
+    texts["ins_gps.c"] = with_constants(text, (*c_rules.MODULES, *c_kernels.MODULES))
+    return texts
+
+
+def _context(
+    parameters: FilterParameters,
+    interval: float,
+    as_recorded: bool,
+    mounting: Angles | None,
+    lanes: Lanes,
+    imu_axes: Mapping[str, str] | None,
+) -> dict[str, Any]:
+    """Return what the templates use; for the arguments see `c99`."""
+    model = MODELS[parameters.model]
     width = max(map(len, imu_axes or ()), default=0)
     axes = ("ax", "ay", "az", "gx", "gy", "yaw_rate") if model.tilts else ("ax", "ay", "yaw_rate")
     context = context_of(parameters, interval) | lanes.context(parameters)
@@ -90,12 +109,7 @@ def c99(
     }
     context |= c_kernels.kernels_of(parameters, context)
     context |= c_rules.rules_of(context, events.bits_of(requirements.measured_by(parameters)))
-    context |= c_alignment.alignment_of(biases=context["biases"], tilted=context["tilted"])
-    texts = {name: fill(f"{name}.in", context) for name in FILES}
-    texts["ins_gps_align.c"] = with_constants(texts["ins_gps_align.c"], c_alignment.MODULES)
-    text = with_definitions(texts["ins_gps.c"], _numbers(parameters, interval) | lanes.numbers(parameters))
-    texts["ins_gps.c"] = with_constants(text, (*c_rules.MODULES, *c_kernels.MODULES))
-    return texts
+    return context | c_alignment.alignment_of(biases=context["biases"], tilted=context["tilted"])
 
 
 def replay_rows(

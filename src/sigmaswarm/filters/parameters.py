@@ -52,24 +52,17 @@ def _option(
     bounds: tuple[float, float] = (math.nan, math.nan),
     *,
     spread: bool = True,
-    absent: float = 0.0,
-    typical: float | None = None,
-    scaled: bool = False,
+    **properties: Any,
 ) -> Any:
     """Describe an optional parameter.
 
-    ``use``, ``bounds`` and ``spread`` are those of `SearchRange`. ``absent`` represents None in a `ParameterTable`,
-    ``typical`` is the value without tuning if no data sheet states one, ``scaled`` marks noise variances and factors
-    of them.
+    ``use``, ``bounds`` and ``spread`` are those of `SearchRange`. Properties: ``absent`` represents None in a
+    `ParameterTable` (default 0), ``typical`` is the value without tuning if no data sheet states one, ``scaled`` marks
+    noise variances and factors of them.
     """
-    about = {
-        "unit": unit,
-        "search": SearchRange(use, *bounds, spread) if use else None,
-        "absent": absent if default is None else None,
-        "typical": typical,
-        "scaled": scaled or None,
-    }
-    return field(default=default, kw_only=True, metadata=about)
+    about = {"unit": unit, "search": SearchRange(use, *bounds, spread) if use else None}
+    about |= {"absent": 0.0} if default is None else {}
+    return field(default=default, kw_only=True, metadata=about | properties)
 
 
 def _noise(name: str, bounds: tuple[float, float], typical: float) -> Any:
