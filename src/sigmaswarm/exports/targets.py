@@ -42,10 +42,8 @@ def export_texts(
         c99, robot_localization: roll, pitch and yaw of the IMU in the vehicle (deg) for raw samples.
     imu_axes : dict of str to str, optional
         c99: expressions from which the import computed the IMU's axes, for the README.
-    lanes : int
-        c99: number of filters in a bank, like a `LiveFilterBank` without searches.
-    seed : int
-        c99: seed of the parameters of the filters.
+    lanes, seed : int
+        c99: number of filters in a bank, like a `LiveFilterBank` without searches, and seed of their parameters.
 
     Raises
     ------

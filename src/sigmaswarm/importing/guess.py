@@ -111,15 +111,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
             raise InputError(f"there is no table {chosen[role]!r}; choose from {list_names(samples)}")
         if not tables and role not in chosen:
             continue
-        # the first table with a fitting name, else the first; positions next to accelerations are likely an estimate
-        best = chosen.get(role) or max(
-            tables,
-            key=lambda t: (
-                not _ESTIMATE.search(t),
-                bool(re.search(_HINTS[role], t, re.IGNORECASE)),
-                role == "gps" and "ax" not in found[t],
-            ),
-        )
+        best = chosen.get(role) or _best_table(role, tables, found)
         others = [t for t in tables if t not in (best, *chosen.values())]
         if alike := [t for t in others if samples[t].columns == samples[best].columns]:
             notes.append(
@@ -158,6 +150,18 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
         ticks=ticks,
         rates=rates_by_clock(samples) if ticks else {},
         about=about,
+    )
+
+
+def _best_table(role: Role, tables: Sequence[str], found: Mapping[str, Columns]) -> str:
+    """Return the first table with a fitting name, or the first; positions next to accelerations may be estimates."""
+    return max(
+        tables,
+        key=lambda t: (
+            not _ESTIMATE.search(t),
+            bool(re.search(_HINTS[role], t, re.IGNORECASE)),
+            role == "gps" and "ax" not in found[t],
+        ),
     )
 
 
