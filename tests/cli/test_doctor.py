@@ -40,7 +40,7 @@ def test_a_good_drive_ends_with_0(sigmaswarm, good, here: Path):
     Path("one").mkdir()
     shutil.copytree("fine", "one/fine")  # the folder of a drive's folder
     assert "\nnext: sigmaswarm plot one/fine\n" in sigmaswarm("doctor", "one").out
-    assert "evaluation, do not split; instead: sigmaswarm tune fine --out tuned)\n" in ended.out
+    assert "evaluation, run this command instead of split: sigmaswarm tune fine --out tuned)\n" in ended.out
     for used in ("parts", "tuned", "tuned-2"):
         Path(used).mkdir()
     said = sigmaswarm("doctor", "fine").out

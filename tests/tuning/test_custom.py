@@ -231,7 +231,7 @@ def test_what_can_not_be_tuned_is_refused(tmp_path: Path):
         ),
         (
             lambda: tune(blind, out=out, objective="truth-rmse", **SMALL),
-            "log a: has no truth for truth-rmse; add it, or tune with innovation",
+            "log a: has no truth for truth-rmse; add the truth, or tune with innovation",
         ),
         (
             lambda: tune(LOGS, out=out, use=("gate",), **SMALL),

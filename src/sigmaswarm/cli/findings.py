@@ -273,5 +273,5 @@ def next_steps(diagnosis: "Diagnosis", out: Path, drive: "Drive") -> Iterator[st
         return
     yield f"then: sigmaswarm split {shlex.quote(str(ready))} --out {free_path('parts')}"
     tune = f"sigmaswarm tune {shlex.quote(str(ready))} --out {free_path('tuned')}"
-    yield f"      (if you have another drive for the evaluation, run instead of the split: {tune})"
+    yield f"      (if you have another drive for the evaluation, run this command instead of split: {tune})"
     yield from with_velocity(diagnosis)
