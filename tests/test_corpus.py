@@ -22,7 +22,7 @@ from llvmlite import binding as llvm
 
 import sigmaswarm
 from sigmaswarm.cli import main
-from sigmaswarm.filters import tilted
+from sigmaswarm.filters import starts
 from support import quickly
 
 CORPUS = Path(__file__).parent / "corpus"
@@ -71,7 +71,7 @@ same_libraries = pytest.mark.skipif(
 @pytest.fixture(autouse=True)
 def level_starts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Later versions start tilted12 with evidence about tilts; all else is as before."""
-    monkeypatch.setattr(tilted, "add_tilt_evidence", lambda *_: None)
+    monkeypatch.setattr(starts, "add_tilt_evidence", lambda *_: None)
 
 
 @pytest.fixture(scope="session")

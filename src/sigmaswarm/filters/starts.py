@@ -6,11 +6,11 @@ import numpy as np
 
 from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.filters import tilted
 from sigmaswarm.filters.fix_error import add_start
 from sigmaswarm.filters.kernels import FILTERS
 from sigmaswarm.filters.models import SENSORS, CarModel
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.tilted import add_tilt_evidence
 
 
 def start_of(initial: InitialState, p: FilterParameters) -> tuple[Array, Array]:
@@ -50,7 +50,7 @@ def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> t
         if start.gyro is not None and model.gyro_axes:
             start.gyro.update(*state, model.gyro_indices, gyro[j])
         if start.tilt is not None and model.tilts:
-            tilted.add_tilt_evidence(*state, start.tilt.numbers)
+            add_tilt_evidence(*state, start.tilt.numbers)
     if model.fix_error and known < n:
         add_start(mean, covariance, std[:, 2] ** 2)
     return mean, covariance
