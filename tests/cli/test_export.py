@@ -65,7 +65,7 @@ def test_robot_localization_from_its_yaml_and_back(sigmaswarm: Command, drives: 
     ended = sigmaswarm("export", "t", *out, "--check", drive, "--against", "ekf.yaml")
     assert ended.code == 0, ended.err
     page = Path("ekf/README.md").read_text()
-    assert "## Accuracy on urban-clear-00" in page and "| other EKF, robot-localization |" in page
+    assert "## Accuracy on urban-clear-00" in page and "| other EKF, robot-localization (ekf.yaml) |" in page
     assert "TRAINING DATA: the tuning used all of the 30 s of urban-clear-00" in page
     for wrong, said in (
         (("--to", "robot-localization", "--out", "ekf", "--against", "t"), "--against needs --check"),

@@ -145,4 +145,4 @@ def test_a_drive_without_fixes_after_the_start_is_called_too_short(interval: flo
     begin = initial_state(drive).time
     short = clip(drive, end=begin + 0.5 * interval)
     with pytest.raises(InputError, match=r"no fix follows the start .* longer drive"):
-        run_batch(short, SETS[:1])
+        run_batch(short, SETS[:1], objective="innovation-nll")

@@ -23,7 +23,6 @@ from sigmaswarm.cli.remarks import local_folders, name_files, warn_of_unusable
 from sigmaswarm.cli.terminal import tuning_progress
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import free_path
-from sigmaswarm.filters.models import MODELS
 from sigmaswarm.tuning.config import DEFERRED_OPTIONS, RENAMED, TuneConfig
 from sigmaswarm.wording import TO_DO, count_of
 
@@ -205,6 +204,8 @@ def _has_velocity(drive: "Drive") -> bool:
 
 def _with_velocity(given: Places, config: TuneConfig, read: "Dataset") -> list[str]:
     """Suggest a second tuning with the receiver's velocity, if model and logs permit it and the first one lacks it."""
+    from sigmaswarm.filters.models import MODELS  # imports NumPy, which would slow down the help
+
     model = MODELS.get(config.model)
     allowed = model and "velocity" in (model.options or ("velocity",)) and "velocity" not in config.use
     if not allowed or not all(read.map(_has_velocity)):

@@ -299,8 +299,9 @@ def _run(ready: PreparedDrive, p: FilterParameters, at: Values, values: Values) 
     mean[:2] -= c * x - s * y, s * x + c * y
     driving = line.driving.copy()
     driving[:, : len(SCALES)] *= 1.0 + np.array([values[name] for name in SCALES])
-    lever = np.array([*(values[name] for name in ARM), line.lever[2]])
-    moved = replace(line, lever=lever, driving=driving)
+    arm = [*(values[name] for name in ARM), line.drive.antenna_height]
+    drive = replace(line.drive, metadata={**line.drive.metadata, "gps_lever_arm_m": arm})
+    moved = replace(line, drive=drive, driving=driving)
     p = replace(p, **{name: value for name, value in values.items() if hasattr(p, name)})
     drive_pass = FilterPass(moved, replace(start, mean=mean), Targets.none(moved))
     return FilterRun(drive_pass, p).finished().innovations

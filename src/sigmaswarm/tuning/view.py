@@ -46,7 +46,7 @@ class TuningView:
         config, values = self.record.config, self.record.filter
         model = config.get("model", values.get("model", "a filter"))
         if isinstance(model, dict):
-            return str(model.get("name", "a custom model"))
+            return f"{model.get('name', 'a custom model')} ({model.get('kind', 'ukf')})"
         return f"{model} ({config.get('kind', values.get('kind', 'ukf'))})"
 
     @property
