@@ -86,4 +86,5 @@ def test_degrees_under_a_name_with_another_unit_are_refused(tmp_path: Path, unit
     with pytest.raises(InputError, match=r"is a unit of|is not known") as caught:
         imported(folder)
     remedy = re.findall(r'"(gps\.(?:lat|lon)=[^"]+)"', str(caught.value))[:2]
+    assert remedy == [f"gps.{n}=`{n} [{unit}]`" for n in ("lat", "lon")]
     assert scale_error(imported(folder, maps=remedy).drive) < 0.01

@@ -155,11 +155,11 @@ def possible_units(lat: float, lon: float) -> list[str]:
 
 def other_units(role: str, texts: Sequence[str], possible: Sequence[str]) -> str:
     """Return options for latitude and longitude, written as ``texts``, in the largest of the possible units."""
-    options = [
-        " ".join(["--map", *(f'"{role}.{n}={t}/{k}"' for n, t in zip(("lat", "lon"), texts, strict=True))])
-        + PER_DEGREE[k]
-        for k in possible[:3] or ["1e7"]
-    ]
+    options: list[str] = []
+    for k in possible[:3] or ["1e7"]:
+        per = "" if k == "1" else f"/{k}"
+        maps = (f'"{role}.{n}={t}{per}"' for n, t in zip(("lat", "lon"), texts, strict=True))
+        options.append(" ".join(["--map", *maps]) + PER_DEGREE[k])
     return f"{' or '.join(options)} (or another factor)"
 
 
