@@ -348,6 +348,17 @@ def test_degrees_with_few_decimals_are_reported(tmp_path: Path, decimals: int, s
     assert f"at most {decimals} decimals, so their resolution is {said}" in heard
 
 
+def test_whole_degrees_next_to_unknown_minutes_are_not_called_coarse(tmp_path: Path):
+    write(tmp_path / "log" / "imu.csv", {"t": TIME, **IMU})
+    places = {"lat": np.floor(LAT), "lat2": LAT % 1 * 60, "lon": np.floor(LON), "lon2": LON % 1 * 60}
+    write(tmp_path / "log" / "gps.csv", {"t": FIXED, **places})
+    try:
+        heard = " ".join(imported(tmp_path / "log").notes)
+    except InputError as error:
+        heard = str(error)
+    assert "decimals" not in heard
+
+
 @pytest.mark.parametrize(("scale", "rate"), [(1e6, 50), (1e4, 50), (1e6, 10)])
 def test_the_fine_time_of_xsens_and_movella(tmp_path: Path, scale: float, rate: int):
     every = slice(None, None, 50 // rate)

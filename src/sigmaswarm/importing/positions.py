@@ -61,10 +61,15 @@ def valid_positions(time: NDArray[np.int64], values: Values, role: str, say: Say
 
 
 def coarse_degrees(values: Values) -> str:
-    """Describe latitudes and longitudes with too few decimals, with the remedy; else ""."""
+    """Describe latitudes and longitudes with too few decimals, with the remedy; else "".
+
+    Whole degrees are presumably next to columns of minutes.
+    """
+    places = [values[name] for name in ("lat", "lon") if name in values]
     for decimals in (0, 1, 2, 3, 4):
-        places = [values[name] for name in ("lat", "lon") if name in values]
         if len(places) == 2 and all(np.allclose(v, np.round(v, decimals), rtol=0, atol=1e-9) for v in places):
+            if not decimals:
+                break
             meters = f"{111_200 / 10**decimals:.0f} m"
             return (
                 f"latitudes and longitudes have at most {decimals} decimals, so their resolution is {meters}; the "
