@@ -242,6 +242,19 @@ def test_degrees_minutes_and_seconds_in_columns_are_added(tmp_path: Path, form: 
     np.testing.assert_allclose(apart, right, atol=0.05)
 
 
+@pytest.mark.parametrize("first", [False, True])
+def test_whole_degrees_have_priority_over_degrees_and_minutes_without_sign(tmp_path: Path, first: bool):
+    parts: dict[str, Any] = {}
+    for name, value in (("lat", LAT), ("lon", LON)):
+        parts |= {f"{name}_deg": np.floor(value), f"{name}_min": value % 1 * 60}
+    whole = {"latitude": LAT, "longitude": -LON}
+    write(tmp_path / "log" / "gps.csv", {"t": FIXED, **(whole | parts if first else parts | whole)})
+    write(tmp_path / "log" / "imu.csv", {"t": TIME, **IMU})
+    drive = imported(tmp_path / "log").drive
+    assert drive.origin is not None
+    assert drive.origin[:2] == pytest.approx((LAT[0], -LON[0]), abs=1e-9)
+
+
 @pytest.mark.parametrize("name", ["log.txt", "log.log", "imu.csv"])
 @pytest.mark.parametrize(
     ("text", "way"),

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import polars as pl
 
-from sigmaswarm.importing.names import plain_words
+from sigmaswarm.importing.names import plain_words, read_names
 from sigmaswarm.importing.times import column_numbers, quoted_column
 
 _PLACES = {"lat": {"lat", "latitude"}, "lon": {"lon", "lng", "long", "longitude"}}
@@ -17,17 +17,27 @@ _PARTS = {
 
 
 def degree_parts(frame: pl.DataFrame) -> dict[str, tuple[str, str]]:
-    """Return the column of degrees and the expression of the sum, deg, for lat and lon; {} if both are not found."""
+    """Return the column of degrees and the expression of the sum, deg, for lat and lon; {} if both are not found.
+
+    A table may contain the whole latitude and longitude, too. They have priority, since the parts may have no sign, and
+    are returned with an empty expression.
+    """
     found: dict[str, tuple[str, str]] = {}
+    whole: dict[str, tuple[str, str]] = {}
     for what, names in _PLACES.items():
         groups: dict[tuple[str, ...], dict[int, str]] = {}
         for column in frame.columns:
             words = plain_words(re.sub("(?<=[a-z])(?=[A-Z])", "_", column))
             if words[-1:] and words[-1] in _PARTS and names & {*words[:-1]}:
                 groups.setdefault((*words[:-1],), {}).setdefault(_PARTS[words[-1]], column)
-        sums = [(parts[1], _sum(parts)) for parts in groups.values() if _fits(frame, parts)]
+        fitting = [parts for parts in groups.values() if _fits(frame, parts)]
+        sums = [(parts[1], _sum(parts)) for parts in fitting]
         found |= {what: sums[0]} if sums else {}
-    return found if len(found) == len(_PLACES) else {}
+        used = {column for parts in fitting for column in parts.values()}
+        others = [n.column for n in read_names(frame.columns) if n.meaning == what and n.column not in used]
+        others = [column for column in others if (column_numbers(frame[column]) != 0).any()]
+        whole |= {what: (others[0], "")} if others else {}
+    return {} if len(found) < len(_PLACES) else whole if len(whole) == len(_PLACES) else found
 
 
 def _fits(frame: pl.DataFrame, parts: Mapping[int, str]) -> bool:

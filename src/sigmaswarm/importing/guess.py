@@ -184,7 +184,10 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
         if what != "bearing" or len(column_numbers(frame[name.column])):  # a direction may be N or NE
             columns.names.setdefault(what, name)
     for what, (column, text) in degree_parts(frame).items():
-        columns.names[what], columns.degrees[what] = Name(column, what), text
+        if text:
+            columns.names[what], columns.degrees[what] = Name(column, what), text
+        else:
+            columns.names[what] = next(n for n in read_names(frame.columns) if n.column == column)
     letter = "a" if _FORCES.search(table) else "g" if _RATES.search(table) else ""
     if letter and not columns.has("lat", "lon"):
         for axis in "xyz":
