@@ -19,6 +19,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic
 from sigmaswarm.importing.convert import Request, import_drive
 from sigmaswarm.importing.inspection import inspect_request
+from sigmaswarm.importing.readers import dialect
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.shared_frame import require_same_axes
 from sigmaswarm.importing.source import Part, TableChoice
@@ -94,13 +95,21 @@ DIALECTS: dict[str, str] = {
 }
 
 
-@pytest.mark.parametrize("dialect", some(DIALECTS))
-def test_dialects(tmp_path: Path, dialect: str):
-    (tmp_path / "imu.csv").write_text(DIALECTS[dialect], encoding="utf-8")
+@pytest.mark.parametrize("form", some(DIALECTS))
+def test_dialects(tmp_path: Path, form: str):
+    (tmp_path / "imu.csv").write_text(DIALECTS[form], encoding="utf-8")
     write_fixes(tmp_path)
     got = imported(tmp_path)
     assert_close(got.drive.imu, IMU, "time ax ay az gx gy gz", 1e-12)
-    assert any("decimal commas" in n for n in got.notes) == ("decimal commas" in dialect)
+    assert any("decimal commas" in n for n in got.notes) == ("decimal commas" in form)
+
+
+def test_of_a_table_with_a_header_few_rows_are_split(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    calls: list[str] = []
+    monkeypatch.setattr(dialect, "split", lambda line, by: calls.append(line) or line.split(by))
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *20 * joined(ROWS)]))
+    assert dialect.dialect_of(tmp_path / "imu.csv", tmp_path / "imu.csv").names == (*HEAD,)
+    assert len(calls) < 2000 < 20 * len(ROWS)
 
 
 @pytest.mark.parametrize("fault", ["commas everywhere", "carriage returns"])

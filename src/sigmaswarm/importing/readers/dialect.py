@@ -80,12 +80,8 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
     ]
     empty = width - max(filled)
     names = _header([lines[i] for i in above], separator, width, most, empty)
-    rest = (
-        line for line in lines[first : first + MAX_ROWS] if line.strip() and line.lstrip()[:1] not in COMMENTS
-    )
-    whole = [split(line, separator) for line in rest]
     if all(row[0].lstrip()[:1] == "$" for row in data):
-        require_one_kind(whole, separator, shown_as)
+        _require_one_kind(lines[first : first + MAX_ROWS], separator, shown_as)
     surplus = width - len(names) if 0 < width - len(names) <= empty else 0
     notes = [packed] if packed else []
     if not names:
@@ -98,7 +94,7 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
             raise InputError(
                 f"{shown_as}, row {first + 1}: has {width} cells, but the header has {len(found)}; {remedy}"
             )
-        require_one_kind(whole, separator, shown_as)
+        _require_one_kind(lines[first : first + MAX_ROWS], separator, shown_as)
         if names := _of_message(data[0]):
             notes.append(
                 f"{shown_as.name}: each row is read as a message of {width} values, in the format of "
@@ -115,6 +111,11 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
     if commas:
         notes.append(f"{shown_as.name}: numbers have decimal commas")
     return Dialect(separator, tuple(names), first, encoding, tuple(numeric), commas, surplus, tuple(notes))
+
+
+def _require_one_kind(lines: Sequence[str], separator: str, shown_as: Path) -> None:
+    rest = (line for line in lines if line.strip() and line.lstrip()[:1] not in COMMENTS)
+    require_one_kind([split(line, separator) for line in rest], separator, shown_as)
 
 
 def _of_message(row: Sequence[str]) -> list[str]:
