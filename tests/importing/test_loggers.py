@@ -345,8 +345,12 @@ def test_a_speed_of_minus_1_is_invalid(tmp_path: Path, invalid: slice):
     write(tmp_path / "log" / "imu.csv", {"t": TIME, **IMU})
     fixes = {"t": FIXED, "latitude": LAT, "longitude": LON, "speed": speed, "course": course % 360}
     write(tmp_path / "log" / "location.csv", fixes)
-    gps = imported(tmp_path / "log").drive.gps
-    assert gps.speed is None if invalid.step is None else gps.speed is not None and gps.speed.min() > -0.5
+    got = imported(tmp_path / "log")
+    assert got.drive.gps.speed is None and len(got.drive.gps) == len(FIXED)
+    if maps := re.findall(r'"(gps\.keep=[^"]+)"', " ".join(got.notes)):
+        kept = imported(tmp_path / "log", maps=maps).drive.gps
+        assert kept.speed is not None and len(kept) == np.count_nonzero(speed > -1)
+    assert bool(maps) == (speed > -1).any()
 
 
 @pytest.mark.parametrize(("decimals", "said"), [(2, "1112 m"), (3, "111 m"), (4, "11 m")])

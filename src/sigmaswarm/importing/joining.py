@@ -22,7 +22,7 @@ from sigmaswarm.importing.timeline import (
     sorted_times,
     unwrap,
 )
-from sigmaswarm.importing.times import scaled_column
+from sigmaswarm.importing.times import quoted_column, scaled_column
 from sigmaswarm.wording import count_of, printable, rows_left_out
 
 MIN_STD = 1e-6  # m or rad; a standard deviation of at most this value counts as missing
@@ -63,7 +63,9 @@ def join(
                 target = name.removeprefix("+")
                 added = values.get(target, 0.0) if name.startswith("+") else 0.0
                 values[target] = added + _between(at, known_at[known], column[known], PERIODS.get(target))
-    return _complete_rows(time, _with_known_headings(values), role, required, say)
+    speed = parts[0].expressions.get("speed")
+    invalid = [n for n in (speed.numbers if speed else ()) if parts[0].placeholders.get(n, (0.0, 0))[0] == -1]
+    return _complete_rows(time, _with_known_headings(values), role, required, say, "".join(invalid))
 
 
 def _with_known_headings(values: Values) -> Values:
@@ -170,9 +172,12 @@ def without_column(role: Role, name: str) -> str:
 
 
 def _complete_rows(
-    time: Nanoseconds, values: Values, role: Role, required: Sequence[str], say: Say
+    time: Nanoseconds, values: Values, role: Role, required: Sequence[str], say: Say, invalid: str = ""
 ) -> tuple[Nanoseconds, Values]:
-    """Leave out mostly empty columns, then rows with an empty cell."""
+    """Leave out mostly empty columns, then rows with an empty cell.
+
+    ``invalid``: column in which a speed of -1 is invalid. The positions of these rows are valid, so the rows remain.
+    """
     for name in required:
         if name not in values or not np.isfinite(values[name]).any():
             raise InputError(without_column(role, name))
@@ -185,13 +190,17 @@ def _complete_rows(
         if name not in values or not placed.any():
             continue
         empty = ~np.isfinite(values[name][placed])
-        if np.mean(empty) > MAX_EMPTY_SHARE:
+        kept = invalid if name == "speed" else ""
+        if np.mean(empty) > (0.0 if kept else MAX_EMPTY_SHARE):
             gone = next((pair for pair in COLUMN_PAIRS if name in pair), (name,))
             if not empty.all():
                 are = "is" if len(gone) == 1 else "are"
+                keep = (
+                    f'; to leave out these rows instead, write --map "{role}.keep={quoted_column(kept)} > -1"'
+                )
                 say(
                     f"{role}: {' and '.join(gone)} {are} left out, since {np.mean(empty):.0%} of the cells of {name} "
-                    "are empty"
+                    f"are empty{keep if kept else ''}"
                 )
             values = {n: column for n, column in values.items() if n not in gone}
     full = _finite(values, len(time)).all(axis=0)
