@@ -188,6 +188,27 @@ def test_rows_of_several_kinds_are_separated_by_the_named_command(tmp_path: Path
     require_same(as_proposed(tmp_path / "kinds"))
 
 
+@pytest.mark.parametrize("place", [0, 1])
+def test_shorter_rows_without_a_fix_are_not_another_kind(tmp_path: Path, place: int):
+    """A flag of 0 or 1 states whether the cells of the fix follow."""
+    fixes = dict(zip(NEW.tolist(), zip(LAT, LON, strict=True), strict=True))
+    rows: list[str] = []
+    for k, t in enumerate(TIME.tolist()):
+        begin = [f"{t:.3f}"]
+        begin.insert(place, "1" if k in fixes else "0")
+        rows.append(",".join([*begin, *numbers(k), *(f"{v:.9f}" for v in fixes.get(k, ()))]))
+    (tmp_path / "log.csv").write_text("\n".join(rows) + "\n")
+    require_same(as_proposed(tmp_path / "log.csv"))
+
+
+def test_rows_with_only_a_time_and_a_flag_are_not_another_kind(tmp_path: Path):
+    write(tmp_path / "log" / "imu.csv", {"t": TIME, **IMU})
+    fixes = zip(FIXED.tolist(), LAT, LON, strict=True)
+    rows = [f"{t:.3f},1,{lat:.9f},{lon:.9f}\n{t + 0.1:.3f},0\n" for t, lat, lon in fixes]
+    (tmp_path / "log" / "gps.csv").write_text("".join(rows))
+    require_same(as_proposed(tmp_path / "log"))
+
+
 def sentence(t: float, lat: float, lon: float) -> str:
     places = f"{int(lat):02d}{lat % 1 * 60:08.5f},N,{int(lon):03d}{lon % 1 * 60:08.5f},E"
     body = f"GNRMC,1000{t:05.2f},A,{places},,,140525,,,A"

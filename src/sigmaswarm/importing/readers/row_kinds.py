@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from shlex import quote
 
+import numpy as np
+
 from sigmaswarm.errors import InputError
 from sigmaswarm.wording import list_names
 
@@ -46,13 +48,34 @@ def _words(rows: Sequence[Sequence[str]]) -> set[str]:
 
 
 def _codes(rows: Sequence[Sequence[str]], place: int) -> set[str]:
-    """Return the words and numbers in a column if each determines the number of cells, which varies; else {}."""
+    """Return the words and numbers in a column if each determines the number of cells, which varies; else {}.
+
+    A row with only a code and a time is not a separate kind, nor are rows in which a flag of 0 means that the last
+    cells are missing.
+    """
     sizes: dict[str, set[int]] = {}
     for row in rows:
         code = _CODE.match(row[place]) if place < len(row) else None
         if code is None:
             return set()
-        sizes.setdefault(code[1], set()).add(len(row))
+        if len(row) > KIND_CELLS:
+            sizes.setdefault(code[1], set()).add(len(row))
     known = [*sizes.values()]
     fits = 1 < len(sizes) <= MAX_KINDS and all(len(of) == 1 for of in known) and len(set.union(*known)) > 1
-    return {*sizes} if fits else set()
+    return {*sizes} if fits and not _are_cut(rows, place) else set()
+
+
+def _are_cut(rows: Sequence[Sequence[str]], place: int) -> bool:
+    """Return True if rows with a flag of 0 are the first cells of the other rows: numbers in the range of theirs."""
+    short = [row for row in rows if row[place].strip() == "0" and len(row) > KIND_CELLS]
+    long = [row for row in rows if row[place].strip() != "0" and len(row) > KIND_CELLS]
+    width = max(map(len, short), default=0)
+    if not short or width >= min(map(len, long)):
+        return False
+    try:
+        of_short, of_long = (np.array([row[:width] for row in kind], np.float64) for kind in (short, long))
+    except ValueError:  # a text
+        return False
+    middle = np.delete(np.median(of_short, axis=0), place)
+    least, most = (np.delete(end(of_long, axis=0), place) for end in (np.min, np.max))
+    return bool(np.all((least <= middle) & (middle <= most)))
