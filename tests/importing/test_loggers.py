@@ -115,6 +115,15 @@ def test_the_time_of_fixes_is_filled_in_the_rows_of_fixes(tmp_path: Path, clock:
     require_same(as_proposed(tmp_path / "log.csv"))
 
 
+def test_a_stamp_of_only_the_fixes_does_not_replace_the_clock_of_all_rows(tmp_path: Path):
+    whole, rest = np.divmod(FIXED, 1)
+    stamp = {"sec": sparse(whole + 1.7e9), "nanosec": sparse(np.round(rest * 1e9))}
+    stamps = {f"/fix/header/stamp/{name}": values.cast(pl.Int64) for name, values in stamp.items()}
+    fixes = {"/fix/latitude": sparse(LAT), "/fix/longitude": sparse(LON)}
+    write(tmp_path / "log.csv", {"__time": TIME, **IMU, **stamps, **fixes})
+    require_same(as_proposed(tmp_path / "log.csv"))
+
+
 NAMES = {
     "flight test": ("Time [s]", "N{} [g]", ("P [deg/s]", "Q [deg/s]", "R [deg/s]"), "Lat [deg]", "Lon [deg]"),
     "drone": ("offsetTime", "IMU(0):accel:{}", "IMU(0):gyro:{}", "GPS(0):Lat", "GPS(0):Long"),

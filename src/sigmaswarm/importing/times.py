@@ -124,7 +124,7 @@ def time_of_rows(
     """Find the time of a role in a table whose rows contain only some of the sensors.
 
     ``keys``: a column that is filled in the rows of each role; ``rows_of``: role whose usual rate determines the unit.
-    Header stamps of the role have priority over a clock that is filled in the rows of all roles.
+    Header stamps have priority over a clock that is filled in the rows of all roles, if each role has one.
     """
     known = frame.with_columns(pl.selectors.float().fill_nan(None))
     rows = {of: some for of, key in keys.items() if len(some := known.drop_nulls(key))}
@@ -133,8 +133,11 @@ def time_of_rows(
     }
     own = filled.get(role, frame.columns)
     common = [c for c in own if all(c in columns for columns in filled.values())]
-    stamped = any(name.is_one(STAMP) and name.column not in common for name in read_names(own))
-    found = None if stamped else find_time(frame.select(common), rows_of)
+    stamped = (
+        any(name.is_one(STAMP) and name.column not in common for name in read_names(columns))
+        for columns in filled.values()
+    )
+    found = None if filled and all(stamped) else find_time(frame.select(common), rows_of)
     return found or find_time(rows[role].select(own) if role in rows else frame, role)
 
 
