@@ -106,6 +106,35 @@ def test_the_duration_shows_the_rate_of_a_counter_of_the_imu(tmp_path: Path, rat
         imported(folder, maps=[remedy])
 
 
+@pytest.mark.parametrize("gain", [1.0, 1.6])
+@pytest.mark.parametrize("end", ["begin", "end"])
+def test_fixes_of_a_shorter_time_do_not_contradict_the_unit_of_the_imu(tmp_path: Path, end: str, gain: float):
+    """A receiver may start later, or stop earlier, than the IMU; a gyro may have another scale."""
+    folder = write(tmp_path, {"time": counted(IMU.time, 1000)}, {"time": START + GPS.time}, gain)
+    fixes = pl.read_csv(folder / "gps.csv")
+    (fixes[160:] if end == "begin" else fixes[:160]).write_csv(folder / "gps.csv")
+    drive = imported(folder).drive
+    assert drive.imu.time[-1] - drive.imu.time[0] == pytest.approx(IMU.time[-1] - IMU.time[0])
+
+
+def test_motion_and_duration_show_the_rate_of_a_counter_of_the_imu(tmp_path: Path):
+    folder = write(tmp_path, {"time": counted(IMU.time, 2000)}, {"time": 2 * START + GPS.time})
+    with pytest.raises(
+        InputError, match="the unit of the times is unknown; if IMU and fixes cover"
+    ) as caught:
+        imported(folder)
+    assert re.findall(r'"(imu\.t=time/[^"]+)"', str(caught.value)) == ["imu.t=time/2000"]
+
+
+def test_other_faults_do_not_name_a_rate(tmp_path: Path):
+    folder = write(tmp_path, {"time": counted(IMU.time, 1000)}, {"time": START + GPS.time})
+    places = {"x": 1e3 * GPS.x, "y": 1e3 * GPS.y}  # mm
+    pl.DataFrame({"time": START + GPS.time, **places})[:160].write_csv(folder / "gps.csv")
+    with pytest.raises(InputError, match="x and y are not in m") as caught:
+        imported(folder)
+    assert "ticks per s" not in str(caught.value)
+
+
 @pytest.mark.parametrize(("rate", "gain"), [(1_000_000, 1.0), (1_000_000, 2.0), (1000, 8.0)])
 def test_a_gyro_with_another_scale_does_not_change_the_rate(tmp_path: Path, rate: int, gain: float):
     """The accelerations contradict another rate."""

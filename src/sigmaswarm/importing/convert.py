@@ -138,7 +138,8 @@ def import_drive(
         try:
             drive = assemble(name, gathered, plain, notes.append, request.part)
         except InputError as error:
-            raise InputError("; ".join(filter(None, (str(error), other_rate)))) from None
+            remedy = other_rate.remedy if "overlap" in str(error) else ""
+            raise InputError("; ".join(filter(None, (str(error), remedy)))) from None
         if any(ROW in part.expressions["t"].columns for part in gathered.get("gps", ())):
             notes += filter(None, [gaps_by_distance(drive)])
         parts = recipe.roles["imu"]
@@ -342,7 +343,7 @@ def _trial(counter: Counter, request: Request, logs: Mapping[Path, Log], recipe:
             gathered = _gather_all(request, logs, plain, lambda done: None)
             gathered.pop("mag", None)
             if not counter.shared:
-                return rate_by_duration(counter, gathered, plain)
+                return rate_by_duration(counter, gathered, plain).remedy
             drive = assemble("log", gathered, plain, lambda note: None, request.part)
         except InputError:
             continue

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from sigmaswarm.importing.gather import PartColumns
 from sigmaswarm.importing.rates import MIN_CONFIRMED, MIN_EXPLAINED, turn_ratio
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.ticks import Counter, time_of_ticks, usual_rate
+from sigmaswarm.importing.ticks import Counter, closest_rate, time_of_ticks, usual_rate
 from sigmaswarm.importing.times import FASTEST_IMU, SLOWEST_IMU, scaled_column
 
 FIX_RATES = (0.1, 0.2, 0.5, 1, 2, 4, 5, 8, 10, 12.5, 16, 18, 20, 25, 50)  # Hz, of receivers
@@ -22,12 +22,22 @@ MAX_TURN_ERROR, MAX_FORCE_ERROR = 0.08, 0.2
 MAX_RATIO_ERROR = 0.2
 
 
-def wrong_tick(drive: Drive, counter: Counter, recipe: Recipe, other_rate: str) -> str:
+@dataclass(frozen=True)
+class DurationRate:
+    """Rate of a counter, ticks per s, with which IMU and fixes have the same duration; 0 if they have it anyway."""
+
+    rate: float = 0.0
+    factor: float = 1.0  # of the times of the IMU
+    remedy: str = ""
+
+
+def wrong_tick(drive: Drive, counter: Counter, recipe: Recipe, other: DurationRate) -> str:
     """Describe a wrong guess of the unit of a counter, with which IMU and fixes show another motion; else return "".
 
-    ``other_rate``: remedy if IMU and fixes have different durations.
+    A counter of the IMU alone is refused only if the motion agrees at the rate of the durations, since an IMU may also
+    record longer than the receiver, or shorter.
     """
-    if not (counter.shared or other_rate):
+    if not (counter.shared or other.rate):
         return ""
     share, ratio = turn_ratio(drive)
     if share > MIN_CONFIRMED and abs(math.log(max(ratio, 1e-9))) < MAX_RATIO_ERROR:
@@ -36,8 +46,16 @@ def wrong_tick(drive: Drive, counter: Counter, recipe: Recipe, other_rate: str) 
         factor, found = rate_by_motion(drive), scaled_column(recipe.roles["imu"][0].columns["t"])
         if factor is None or found is None or abs(math.log(factor)) < MAX_RATIO_ERROR:
             return ""
-        other_rate = shown_rate(counter.text, 1 / (found[1] * factor))
-    return f"{counter.text}: the unit of the times is unknown; {other_rate}"
+        remedy = shown_rate(counter.text, 1 / (found[1] * factor))
+    else:
+        if closest_rate(other.rate) != other.rate:
+            return ""
+        since = (drive.imu.time - drive.imu.time[0]) * other.factor
+        share, ratio = turn_ratio(replace(drive, imu=replace(drive.imu, time=drive.gps.time[0] + since)))
+        if share < MIN_EXPLAINED or abs(math.log(ratio)) > MAX_TURN_ERROR:
+            return ""
+        remedy = other.remedy
+    return f"{counter.text}: the unit of the times is unknown; {remedy}"
 
 
 def rate_by_motion(drive: Drive) -> float | None:
@@ -70,19 +88,22 @@ def _agrees(drive: Drive) -> bool:
     return mount.unit == 1 and all(abs(size - 1) < MAX_FORCE_ERROR for size in scales)
 
 
-def rate_by_duration(counter: Counter, gathered: Mapping[Role, Sequence[PartColumns]], recipe: Recipe) -> str:
-    """Return the remedy for a counter with which the duration of the IMU differs from that of the fixes."""
+def rate_by_duration(
+    counter: Counter, gathered: Mapping[Role, Sequence[PartColumns]], recipe: Recipe
+) -> DurationRate:
+    """Return the other rate of a counter with which the duration of the IMU differs from that of the fixes."""
     scaled = scaled_column(recipe.roles["imu"][0].columns.get("t", ""))
     if not counter.text or counter.shared or scaled is None or "gps" not in gathered:
-        return ""
+        return DurationRate()
     imu, gps = (gathered[role][0].duration for role in ("imu", "gps"))
     if not min(imu, gps) or abs(math.log(imu / gps)) < MAX_RATIO_ERROR:
-        return ""
+        return DurationRate()
     rate = usual_rate(imu / gps / scaled[1], 0.01)
-    return (
+    remedy = (
         f"if IMU and fixes cover the same {gps:.0f} s, {counter.text} has about {rate:,.10g} ticks per s; write "
         f'--map "imu.t={time_of_ticks(counter.text, rate)}"'
     )
+    return DurationRate(rate, 1 / (rate * scaled[1]), remedy)
 
 
 def shown_rate(counter: str, rate: float) -> str:

@@ -88,10 +88,14 @@ def rate_of(ticks: Array, clock: Array) -> float | None:
 
 def usual_rate(rate: float, tolerance: float = RATE_TOLERANCE) -> float:
     """Return the usual rate of a clock, Hz, that is closest to an estimate, or the estimate if none is close."""
+    best = closest_rate(rate)
+    return best if abs(rate / best - 1) < tolerance else float(f"{rate:.6g}")
+
+
+def closest_rate(rate: float) -> float:
     powers = [10.0 ** (math.floor(math.log10(rate)) + k) for k in (0, 1)]
     usual = [*(digits * power for digits in DIGITS for power in powers), 2.0 ** round(math.log2(rate))]
-    best = min(usual, key=lambda one: abs(rate / one - 1))
-    return best if abs(rate / best - 1) < tolerance else float(f"{rate:.6g}")
+    return min(usual, key=lambda one: abs(rate / one - 1))
 
 
 def describe_rate(text: str, found: TickRate) -> str:
