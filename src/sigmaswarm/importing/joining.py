@@ -195,11 +195,12 @@ def _complete_rows(
             gone = next((pair for pair in COLUMN_PAIRS if name in pair), (name,))
             if not empty.all():
                 are = "is" if len(gone) == 1 else "are"
+                share = f"{np.count_nonzero(empty)}" if kept else f"{np.mean(empty):.0%} of the"
                 keep = (
                     f'; to leave out these rows instead, write --map "{role}.keep={quoted_column(kept)} > -1"'
                 )
                 say(
-                    f"{role}: {' and '.join(gone)} {are} left out, since {np.mean(empty):.0%} of the cells of {name} "
+                    f"{role}: {' and '.join(gone)} {are} left out, since {share} cells of {name} "
                     f"are empty{keep if kept else ''}"
                 )
             values = {n: column for n, column in values.items() if n not in gone}
