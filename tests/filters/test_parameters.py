@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.parameters import SEARCHED, FilterParameters
 from sigmaswarm.filters.run import run_filter, run_textbook
 from sigmaswarm.tuning.tune import tune
 from support import make_drive
@@ -269,3 +269,8 @@ def test_q_refers_to_the_stated_interval():
     assert np.max(np.abs(run_filter(slow, replace(stated, nominal_interval=None)).mean - a.mean)) > 1e-3
     at_home = run_filter(drive, stated).mean, run_filter(drive, replace(stated, nominal_interval=None)).mean
     np.testing.assert_allclose(*at_home, atol=1e-9)
+
+
+def test_a_logarithmic_search_has_positive_bounds():
+    assert all(0 < search.lowest < search.highest for search in SEARCHED.values() if search.logarithmic)
+    assert not SEARCHED["latency"].logarithmic

@@ -37,12 +37,12 @@ NIS, OF_STATED = "NIS, dimensionless", "of the stated variance, dimensionless"  
 
 
 class SearchRange(NamedTuple):
-    """Option of ``tune --use`` for a search of a parameter, and bounds. ``spread``: the bounds span powers of ten."""
+    """Option of ``tune --use`` for a search of a parameter, and bounds. ``logarithmic``: the scale of the search."""
 
     option: str
     lowest: float
     highest: float
-    spread: bool
+    logarithmic: bool
 
 
 def _option(
@@ -51,16 +51,16 @@ def _option(
     use: str = "",
     bounds: tuple[float, float] = (math.nan, math.nan),
     *,
-    spread: bool = True,
+    logarithmic: bool = True,
     **properties: Any,
 ) -> Any:
     """Describe an optional parameter.
 
-    ``use``, ``bounds`` and ``spread`` are those of `SearchRange`. Properties: ``absent`` represents None in a
+    ``use``, ``bounds`` and ``logarithmic`` are those of `SearchRange`. Properties: ``absent`` represents None in a
     `ParameterTable` (default 0), ``typical`` is the value without tuning if no data sheet states one, ``scaled`` marks
     noise variances and factors of them.
     """
-    about = {"unit": unit, "search": SearchRange(use, *bounds, spread) if use else None}
+    about = {"unit": unit, "search": SearchRange(use, *bounds, logarithmic) if use else None}
     about |= {"absent": 0.0} if default is None else {}
     return field(default=default, kw_only=True, metadata=about | properties)
 
@@ -171,17 +171,17 @@ class FilterParameters:
     imu_gate: tuple[Limit, Limit] = _option((math.inf, math.inf), NIS, "imu-gate", (4.0, 100.0))
     velocity_noise: Positive | None = _noise("velocity", (1e-4, 10.0), 0.1**2)
     lateral_noise: Positive | None = _noise("lateral", (1e-4, 10.0), 0.2**2)
-    rear_axle: Real = _option(0.0, "m", "lateral", (-1.0, 4.0), spread=False)
-    tire_slip: Real = _option(0.0, "s2/m", "slip", (0.0, 0.02), spread=False)
+    rear_axle: Real = _option(0.0, "m", "lateral", (-1.0, 4.0), logarithmic=False)
+    tire_slip: Real = _option(0.0, "s2/m", "slip", (0.0, 0.02), logarithmic=False)
     standstill_noise: Positive | None = _noise("standstill", (1e-6, 1.0), 0.05**2)
     odometer_noise: Positive | None = _noise("odometer", (1e-4, 10.0), 0.1**2)
     odometer_scale: Positive = _option(
-        1.0, "reading divided by true speed", "odometer", (0.9, 1.1), spread=False
+        1.0, "reading divided by true speed", "odometer", (0.9, 1.1), logarithmic=False
     )
-    odometer_latency: Real = _option(0.0, "s", "odometer", (0.0, 0.3), spread=False)
+    odometer_latency: Real = _option(0.0, "s", "odometer", (0.0, 0.3), logarithmic=False)
     heading_noise: Positive | None = _noise("heading", (1e-7, 0.1), HEADING_NOISE)
     gate: Positive | None = _option(None, NIS, "gate", (4.0, 100.0), absent=math.inf, typical=9.2)
-    latency: Real = _option(0.0, "s", "latency", (0.0, 0.5), spread=False)
+    latency: Real = _option(0.0, "s", "latency", (0.0, 0.5), logarithmic=False)
     accuracy_scale: Positive | None = _option(
         None, OF_STATED, "accuracy", (1e-3, 10.0), typical=1.0, scaled=True
     )
