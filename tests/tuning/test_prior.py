@@ -187,6 +187,7 @@ def test_other_models_and_a_linear_search_of_noises_have_no_typical_values(model
         ({"objective": "truth-pose", "model": "tilted12", "use": ("fix-error",)}, 0.0, 0.01),
         ({"objective": FIX_ERROR_OBJECTIVE, "model": "tilted12", "use": ("fix-error",)}, 0.3, 0.01),
         ({"objective": FIX_ERROR_OBJECTIVE, "model": "tilted12"}, 0.0, 0.01),
+        ({"objective": FIX_ERROR_OBJECTIVE, "model": "planar8", "use": ("fix-error",)}, 0.0, 0.0),
         ({"objective": "gps-rmse", "model": "tilted12"}, 0.0, 0.0),
         ({"objective": "innovation-nll + 0.2 nees"}, 0.0, 0.0),
         ({"objective": "gps-rmse"}, 0.0, 0.0),

@@ -113,9 +113,9 @@ class TuneConfig(SearchConfig):
     as_recorded: bool = False
     """Run without preprocessing (for diagnosis and the paper): use stale fixes, treat IMU gaps as ordinary steps."""
     prior: float | None = Field(default=None, ge=0, le=100)
-    """Weight of priors on parameters; 0: none.
+    """Weight of parameter priors; 0: none.
 
-    Default: 1 for likelihoods without truth, 0.3 with fix-error and truth, otherwise 0.
+    Default: likelihoods without truth 1, tilted12 with fix-error and truth 0.3, otherwise 0.
     """
     inflation: float | None = Field(default=None, ge=0, le=1)
     """Relative cost increase allowed for inflating process noise; 0 disables it.

@@ -172,7 +172,8 @@ def with_default_guards(config: C) -> C:
     """Set the weight of the priors and the process-noise inflation if they are None.
 
     Objectives that are likelihoods without truth have priors and, in a log10 search, inflation. Objectives with truth
-    have priors only with fix-error, and inflation only for models with roll and pitch. Other objectives have neither.
+    have inflation only in a log10 search of a model with roll and pitch, and priors only in such a search if the
+    objective is a likelihood and the filter has fix-error. Other objectives have neither.
     """
     if not isinstance(config, TuneConfig):
         return config
