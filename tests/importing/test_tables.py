@@ -727,7 +727,8 @@ def test_the_remedy_for_a_turned_truth_is_a_rotation(degrees: float):
 
 
 @pytest.mark.parametrize(
-    ("late", "place"), several([(-18.23, "lat,lon"), (-18.23, "x,y"), (4.37, "lat,lon"), (4.37, "x,y")], 3)
+    ("late", "place"),
+    several([(-18.23, "lat,lon"), (4.37, "x,y"), (1714550000.25, "lat,lon"), (12345.678, "x,y")], 3),
 )
 def test_a_truth_with_another_clock_is_told_with_the_offset(tmp_path: Path, place: str, late: float):
     drive = simulate("urban", run=3, duration=60.0, gps="white-1m")
@@ -744,7 +745,7 @@ def test_a_truth_with_another_clock_is_told_with_the_offset(tmp_path: Path, plac
     pl.DataFrame({"time": drive.truth.time + late, **truth}).write_csv(tmp_path / "truth.csv")
     (said,) = (note for note in imported(tmp_path).notes if "--truth-offset" in note)
     offset = float(re.search(r"--truth-offset (-?[\d.]+)", said)[1])
-    assert offset == pytest.approx(-late, abs=0.06)
+    assert offset == pytest.approx(-late, rel=0.0, abs=0.06)
     notes = imported(tmp_path, recipe=Recipe(truth_offset_s=offset)).notes
     assert not any("--truth-offset" in note for note in notes)
 

@@ -36,10 +36,10 @@ def require_same_axes(
     places = [values["x"] + 1j * values["y"] for values in (gps, truth)]
     if delay := truth_delay(seconds["gps"], places[0], seconds["truth"], places[1]):
         message = (
-            f"truth: the times are about {abs(delay):g} s {'later' if delay > 0 else 'earlier'} than those of the "
-            f"fixes with the same velocity; write --truth-offset {-delay:g}"
+            f"truth: the times are about {abs(delay):.2f} s {'later' if delay > 0 else 'earlier'} than those of the "
+            f"fixes with the same velocity; write --truth-offset {-delay:.2f}"
         )
-        return f"{message}, or --gps-offset {delay:g} if the fixes have the wrong clock"
+        return f"{message}, or --gps-offset {delay:.2f} if the fixes have the wrong clock"
     inside, true = _true(seconds, truth)
     if len(true) < MIN_FIXES:
         return ""
