@@ -57,3 +57,31 @@ def test_fixes_with_a_wrong_clock_are_the_fixes_fault():
     late = replace(drive, gps=replace(drive.gps, time=drive.gps.time + 18.0))
     diagnosis = diagnose(late)
     assert "clock-offset" in diagnosis.codes and "truth-clock" not in diagnosis.codes
+    again = repair(late, diagnosis)
+    np.testing.assert_allclose(again.gps.time, drive.gps.time, atol=1e-9)
+    np.testing.assert_array_equal(again.truth.time, drive.truth.time)
+
+
+@pytest.mark.parametrize("seconds", [18.0, -7.3])
+def test_fixes_and_truth_with_one_clock_move_together(seconds: float):
+    """Only the clock of the IMU differs: one cause is one finding."""
+    drive = DRIVES["urban"]
+    late = replace(drive, imu=replace(drive.imu, time=drive.imu.time + seconds))
+    diagnosis = diagnose(late)
+    assert "truth-clock" not in diagnosis.codes
+    (found,) = (f for f in diagnosis.findings if f.code == "clock-offset")
+    assert "the times of fixes and truth" in found.remedy
+    again = repair(late, diagnosis)
+    moved = again.gps.time - drive.gps.time
+    np.testing.assert_allclose(moved, seconds, atol=0.15)
+    np.testing.assert_allclose(again.truth.time - drive.truth.time, moved[0], atol=1e-9)
+    assert not {"clock-offset", "truth-clock"} & set(diagnose(again).codes)
+
+
+def test_three_clocks_are_two_findings():
+    drive = shifted(DRIVES["urban"], 30.0)
+    late = replace(drive, gps=replace(drive.gps, time=drive.gps.time + 18.0))
+    diagnosis = diagnose(late)
+    assert {"clock-offset", "truth-clock"} <= set(diagnosis.codes)
+    again = repair(late, diagnosis)
+    np.testing.assert_allclose(again.truth.time, DRIVES["urban"].truth.time, atol=0.15)

@@ -11,6 +11,7 @@ import numpy as np
 from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.checks.heading import HEADINGS
 from sigmaswarm.doctor.checks.odometer import without_spans
+from sigmaswarm.doctor.checks.truth import moves_with_fixes
 from sigmaswarm.doctor.checks.velocity import CONVENTIONS
 from sigmaswarm.doctor.findings import Diagnosis, Repair
 from sigmaswarm.doctor.fixes import with_exchanged_axes
@@ -91,6 +92,12 @@ def _exchange_fixes(drive: Drive) -> Drive:
 def _shift(sensor: str, drive: Drive, seconds: float) -> Drive:
     table = getattr(drive, sensor)
     return _with(sensor, drive, time=table and table.time + seconds)
+
+
+def _shift_clock(drive: Drive, seconds: float) -> Drive:
+    """Add ``seconds`` to the times of the fixes, and to those of a truth with the same clock."""
+    drive = _shift("gps", drive, seconds)
+    return _shift("truth", drive, seconds) if moves_with_fixes(drive, seconds) else drive
 
 
 def _stretch(drive: Drive, factor: float, begin: float) -> Drive:
@@ -210,7 +217,7 @@ AXIS_ACTIONS = {"rotate", "gyro", "tilt-rates", "accelerometer", "turn"}
 # In the order of application. Actions refer to rows by recorded times, and to fixes by corrected times.
 ACTIONS: dict[str, Callable[..., Drive]] = {
     "exchange-fixes": _exchange_fixes,
-    "shift-clock": partial(_shift, "gps"),
+    "shift-clock": _shift_clock,
     "shift-truth": partial(_shift, "truth"),
     "drop-samples": partial(_drop, "imu"),
     "drop-fixes": partial(_drop, "gps"),

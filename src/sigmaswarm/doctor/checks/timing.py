@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sigmaswarm.arrays import Array
+from sigmaswarm.doctor.checks.truth import moves_with_fixes
 from sigmaswarm.doctor.clock_drift import clock_drift
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of, finding_of
@@ -40,6 +41,8 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
         if abs(abs(delay) - LEAP_SECONDS) < max(MAX_LEAP_ERROR, 3 * std):
             shift = -math.copysign(LEAP_SECONDS, delay)
             remedy = f"{move.replace(size, '18 s')} the fixes' times, since GPS time is 18 s ahead of UTC"
+        if moves_with_fixes(evidence.drive, -evidence.moved):
+            remedy = remedy.replace("the fixes' times", "the times of fixes and truth")
         repair = Repair("shift-clock", (shift,))
         yield Finding("clock-offset", "serious", what, where, span, 0.999, remedy, repair)
     elif drift := clock_drift(evidence):

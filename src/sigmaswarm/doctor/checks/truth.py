@@ -9,6 +9,7 @@ from scipy.signal import correlate
 from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
+from sigmaswarm.drives.drive import Drive
 
 Positions = NDArray[np.complexfloating]
 STEP, FINE_STEP = 0.5, 0.01  # s, of the tried delays, and of those near the best one
@@ -24,11 +25,8 @@ MAX_DIFFERENCE, MIN_RATIO, PEAK_WIDTH = 0.1, 3.0, 10.0
 
 
 def check_truth(evidence: Evidence) -> Iterator[Finding]:
-    truth, gps = evidence.drive.truth, evidence.drive.gps
-    if truth is None:
-        return
-    delay = truth_delay(gps.time, gps.x + 1j * gps.y, truth.time, truth.x + 1j * truth.y)
-    if delay is None:
+    truth, delay = evidence.drive.truth, _delay(evidence.drive)
+    if truth is None or delay is None or moves_with_fixes(evidence.drive, -evidence.moved):
         return
     size, way = f"{abs(delay):.2f} s", "late" if delay > 0 else "early"
     what = f"the truth's clock is {size} {way}: with this offset, its velocity equals that of the fixes"
@@ -39,6 +37,19 @@ def check_truth(evidence: Evidence) -> Iterator[Finding]:
     yield Finding(
         "truth-clock", "serious", what, "truth.csv, t", span, 0.99, remedy, Repair("shift-truth", (-delay,))
     )
+
+
+def moves_with_fixes(drive: Drive, shift: float) -> bool:
+    """Return True if the truth had the clock of the fixes before ``shift``, s, was added to the times of the fixes."""
+    delay = _delay(drive)
+    return delay is not None and abs(delay + shift) < MIN_DELAY
+
+
+def _delay(drive: Drive) -> float | None:
+    truth, gps = drive.truth, drive.gps
+    if truth is None:
+        return None
+    return truth_delay(gps.time, gps.x + 1j * gps.y, truth.time, truth.x + 1j * truth.y)
 
 
 def truth_delay(time: Array, fixes: Positions, truth_time: Array, truth: Positions) -> float | None:
