@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sigmaswarm.doctor.checks.truth import truth_delay
 from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.doctor.repairs import repair
 from sigmaswarm.drives.drive import Drive
@@ -43,6 +44,17 @@ def test_neither_a_part_nor_another_origin_hides_it(seconds: float):
     for drive in (shifted(whole, seconds, move=3e4), shifted(part, seconds)):
         (found,) = (f for f in diagnose(drive).findings if f.code == "truth-clock")
         assert found.repair.values[0] == pytest.approx(-seconds, abs=0.15)
+
+
+@pytest.mark.parametrize("interval", [3, 5, 8])
+def test_fixes_with_long_intervals_show_it(interval: int):
+    drive = DRIVES["urban"]
+    few = replace(drive, gps=drive.gps.select(np.arange(0, len(drive.gps), 5 * interval)))
+    position = few.gps.x + 1j * few.gps.y
+    for seconds in (10.0, -18.0, 0.0):
+        truth = shifted(few, seconds).truth
+        delay = truth_delay(few.gps.time, position, truth.time, truth.x + 1j * truth.y)
+        assert delay == (pytest.approx(seconds, abs=0.15) if seconds else None)
 
 
 @pytest.mark.parametrize("name", DRIVES)

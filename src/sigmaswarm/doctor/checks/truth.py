@@ -13,8 +13,10 @@ from sigmaswarm.drives.drive import Drive
 
 Positions = NDArray[np.complexfloating]
 STEP, FINE_STEP = 0.5, 0.01  # s, of the tried delays, and of those near the best one
-BASE = 2.0  # s, over which velocities are computed
-MAX_GAP = 3.0  # s, longest interval between positions within `BASE`
+# s, time over which velocities are computed, and longest interval between positions within it; usual intervals if these
+# are larger
+BASE, BASE_INTERVALS = 2.0, 2.0
+MAX_GAP, GAP_INTERVALS = 3.0, 1.5
 MAX_SPEED = 150.0  # m/s, of a velocity that is compared
 MIN_TIME = 20.0  # s, shortest time with both velocities
 MIN_SPEED = 1.0  # m/s, lowest RMS speed
@@ -60,7 +62,10 @@ def truth_delay(time: Array, fixes: Positions, truth_time: Array, truth: Positio
     """
     if min(len(time), len(truth_time)) < 3:
         return None
-    (begin, v, known), (start, w, seen) = _velocities(time, fixes), _velocities(truth_time, truth)
+    usual = max(float(np.median(np.diff(t))) for t in (time, truth_time))
+    (begin, v, known), (start, w, seen) = (
+        _velocities(*track, usual) for track in ((time, fixes), (truth_time, truth))
+    )
     if not known.any() or not seen.any():
         return None
     count = correlate(seen, known, method="fft")
@@ -87,13 +92,17 @@ def truth_delay(time: Array, fixes: Positions, truth_time: Array, truth: Positio
     return round(float(min(near, key=distance)), 2)
 
 
-def _velocities(time: Array, position: Positions) -> tuple[float, Positions, Array]:
-    """Return velocities on a grid of `STEP` (k,), m/s, its first time, and 1 where the velocity is known, else 0."""
+def _velocities(time: Array, position: Positions, usual: float) -> tuple[float, Positions, Array]:
+    """Return velocities on a grid of `STEP` (k,), m/s, its first time, and 1 where the velocity is known, else 0.
+
+    ``usual``: the longer of the usual intervals of fixes and truth, s.
+    """
+    base = max(BASE, BASE_INTERVALS * usual)
     grid = np.arange(np.ceil(time[0] / STEP), np.floor(time[-1] / STEP) + 1) * STEP
-    first, last = (np.asarray(grid + side * BASE / 2, np.float64) for side in (-1, 1))
-    velocity = (_at(last, time, position) - _at(first, time, position)) / BASE
+    first, last = (np.asarray(grid + side * base / 2, np.float64) for side in (-1, 1))
+    velocity = (_at(last, time, position) - _at(first, time, position)) / base
     # A velocity is unknown in intervals without positions.
-    long = np.append(0, np.cumsum(np.diff(time) > MAX_GAP))
+    long = np.append(0, np.cumsum(np.diff(time) > max(MAX_GAP, GAP_INTERVALS * usual)))
     i, j = np.searchsorted(time, first), np.searchsorted(time, last, side="right") - 1
     inside = (first >= time[0]) & (last <= time[-1]) & (np.abs(velocity) < MAX_SPEED)
     known = inside & (long[np.clip(j + 1, 0, len(long) - 1)] == long[np.clip(i - 1, 0, len(long) - 1)])
