@@ -18,7 +18,9 @@ import sigmaswarm as library
 from sigmaswarm.cli.app import app
 from sigmaswarm.cli.evaluate import WORSE_STEP
 from sigmaswarm.cli.remarks import name_files, name_training_files
-from sigmaswarm.cli.tune import _costs
+from sigmaswarm.cli.tune import MAX_DIAGNOSED, _costs, _with_velocity
+from sigmaswarm.datasets.dataset import LocalDataset
+from sigmaswarm.doctor.findings import Diagnosis, Finding
 from sigmaswarm.doctor.split import split_time
 from sigmaswarm.drives.drive import Imu
 from sigmaswarm.drives.fingerprint import DriveRecord
@@ -537,6 +539,22 @@ def test_an_unused_velocity_is_the_next_step(sigmaswarm, here: Path, delay: floa
     if proposed and delay == 0.0:  # the command works, and then nothing is proposed
         again = sigmaswarm("tune", "car", "--out", "v", "--use", *options[2][0].split(), *tune)
         assert again.code == 0 and "tuned-velocity" not in again.out
+
+
+@pytest.mark.parametrize(("recorded", "others", "diagnosed"), [(5, 0, MAX_DIAGNOSED), (2, 0, 2), (4, 1, 0)])
+def test_few_drives_are_diagnosed_for_an_unused_velocity(
+    monkeypatch, recorded: int, others: int, diagnosed: int
+):
+    drive, names = simulate("cruise", gps="white-1m"), []
+    speed = np.ones(len(drive.gps))
+    driven = replace(drive, gps=replace(drive.gps, speed=speed, course=speed))
+    use = Finding("use", "note", "write --use lateral velocity", "", (0.0, 1.0), 0.9, "")
+    monkeypatch.setattr(
+        "sigmaswarm.diagnose", lambda one: names.append(one.name) or Diagnosis(one.name, (use,))
+    )
+    read = LocalDataset([driven] * recorded + [drive] * others)
+    assert bool(_with_velocity(["drives"], TuneConfig(model="planar8"), read)) is (diagnosed > 0)
+    assert len(names) == diagnosed
 
 
 def test_a_drive_that_is_too_short_is_not_proposed(sigmaswarm, here: Path):

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from sigmaswarm.tuning.record import TuningRecord
     from sigmaswarm.tuning.view import TuningView
 
+MAX_DIAGNOSED = 3  # drives whose velocity is compared with the positions before a second tuning is proposed
 SHORT_HELP = ("objective", "model", "use", "particles", "generations", "trials", "seed")
 
 
@@ -198,7 +199,10 @@ def _is_part(drive: "Drive") -> bool:
 
 
 def _has_velocity(drive: "Drive") -> bool:
-    """Return True if the drive has the receiver's velocity, and the doctor found no fault in it."""
+    return drive.gps.speed is not None and drive.gps.course is not None
+
+
+def _velocity_agrees(drive: "Drive") -> bool:
     return bool(velocity_options(sigmaswarm.diagnose(drive)))
 
 
@@ -209,6 +213,10 @@ def _with_velocity(given: Places, config: TuneConfig, read: "Dataset") -> list[s
     model = MODELS.get(config.model)
     allowed = model and "velocity" in (model.options or ("velocity",)) and "velocity" not in config.use
     if not allowed or not all(read.map(_has_velocity)):
+        return []
+    if not all(
+        read.subset(range(min(len(read), MAX_DIAGNOSED))).map(_velocity_agrees)
+    ):  # a diagnosis takes time
         return []
     drives, use = " ".join(map(quote, given)), " ".join((*config.use, "velocity"))
     return [
