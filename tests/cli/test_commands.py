@@ -537,8 +537,9 @@ def test_an_unused_velocity_is_the_next_step(sigmaswarm, here: Path, delay: floa
     assert all(map(bool, options)) is proposed
     assert "sigmaswarm tune car --out tuned-velocity --use" in said[2] or not proposed
     if proposed and delay == 0.0:  # the command works, and then nothing is proposed
-        again = sigmaswarm("tune", "car", "--out", "v", "--use", *options[2][0].split(), *tune)
-        assert again.code == 0 and "tuned-velocity" not in again.out
+        (command,) = re.findall(r"sigmaswarm (tune car --out tuned-velocity .*)", said[2])
+        again = sigmaswarm(*shlex.split(command))
+        assert again.code == 0 and "then:     sigmaswarm tune" not in again.out
 
 
 @pytest.mark.parametrize(("recorded", "others", "diagnosed"), [(5, 0, MAX_DIAGNOSED), (2, 0, 2), (4, 1, 0)])
@@ -553,8 +554,11 @@ def test_few_drives_are_diagnosed_for_an_unused_velocity(
         "sigmaswarm.diagnose", lambda one: names.append(one.name) or Diagnosis(one.name, (use,))
     )
     read = LocalDataset([driven] * recorded + [drive] * others)
-    assert bool(_with_velocity(["drives"], TuneConfig(model="planar8"), read)) is (diagnosed > 0)
+    stated = {"model": "planar8", "kind": "ekf", "use": ["standstill"], "as_recorded": True}
+    said = _with_velocity(["drives"], TuneConfig(**stated), read, stated)
+    assert bool(said) is (diagnosed > 0)
     assert len(names) == diagnosed
+    assert not said or "--use standstill velocity --model planar8 --kind ekf --as-recorded" in said[0]
 
 
 def test_a_drive_that_is_too_short_is_not_proposed(sigmaswarm, here: Path):

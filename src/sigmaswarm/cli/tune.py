@@ -1,11 +1,11 @@
 """`sigmaswarm tune`."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from os.path import relpath
 from pathlib import Path
-from shlex import quote
+from shlex import join, quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import sigmaswarm
@@ -23,7 +23,7 @@ from sigmaswarm.cli.remarks import local_folders, name_files, warn_of_unusable
 from sigmaswarm.cli.terminal import tuning_progress
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import free_path
-from sigmaswarm.tuning.config import DEFERRED_OPTIONS, RENAMED, TuneConfig
+from sigmaswarm.tuning.config import DEFERRED_OPTIONS, RENAMED, TuneConfig, option_words
 from sigmaswarm.wording import TO_DO, count_of
 
 if TYPE_CHECKING:
@@ -171,7 +171,7 @@ def _tune(
     )
     compare = _compare(evaluate, out, [one["sha256"] for one in tuning.data])
     if isinstance(tuning.config, TuneConfig) and not options.paper:
-        compare += _with_velocity(given, tuning.config, read)
+        compare += _with_velocity(given, tuning.config, read, config)
     lines = [f"next:     {evaluate} --out {free_path('evaluation')}", *splitting, *compare]
     return tuning, track, [f"model:    {tuning.choice}"] if tuning.choice else [], lines
 
@@ -206,8 +206,13 @@ def _velocity_agrees(drive: "Drive") -> bool:
     return bool(velocity_options(sigmaswarm.diagnose(drive)))
 
 
-def _with_velocity(given: Places, config: TuneConfig, read: "Dataset") -> list[str]:
-    """Suggest a second tuning with the receiver's velocity, if model and logs permit it and the first one lacks it."""
+def _with_velocity(
+    given: Places, config: TuneConfig, read: "Dataset", stated: Mapping[str, Any]
+) -> list[str]:
+    """Suggest a second tuning with the receiver's velocity, if model and logs permit it and the first one lacks it.
+
+    ``stated``: the options of the first tuning that the user stated; the second one has the same.
+    """
     from sigmaswarm.filters.models import MODELS  # imports NumPy, which would slow down the help
 
     model = MODELS.get(config.model)
@@ -218,9 +223,11 @@ def _with_velocity(given: Places, config: TuneConfig, read: "Dataset") -> list[s
         read.subset(range(min(len(read), MAX_DIAGNOSED))).map(_velocity_agrees)
     ):  # a diagnosis takes time
         return []
-    drives, use = " ".join(map(quote, given)), " ".join((*config.use, "velocity"))
+    words = ["--use", *config.use, "velocity"]
+    for name, value in stated.items():
+        words += option_words(name, value) if name != "use" else []
     return [
-        f"then:     sigmaswarm tune {drives} --out {free_path('tuned-velocity')} --use {use}",
+        f"then:     sigmaswarm tune {join(given)} --out {free_path('tuned-velocity')} {join(words)}",
         "          (the logs have the receiver's velocity, which this filter does not use and which may reduce the",
         "          errors; compare both filters with evaluate --against)",
     ]

@@ -21,7 +21,7 @@ from sigmaswarm.reports.style import BLUE, LABELS, ORANGE, Look
 from sigmaswarm.scoring.methods import method_names
 from sigmaswarm.scoring.tracks import Picture
 from sigmaswarm.tables import Cell, Column, Table
-from sigmaswarm.tuning.config import RENAMED, SWARM, TuneConfig
+from sigmaswarm.tuning.config import RENAMED, SWARM, TuneConfig, option_words
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, TuningRecord, history_of, load_history
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.view import RANGES, TuningView
@@ -187,12 +187,9 @@ def tune_command(
     config = {"prior": 0.0, "inflation": 0.0} | config  # older versions had neither
     words = ["sigmaswarm", "tune", *drives, "--out", "again"]
     for name in (*STATED_OPTIONS, *(name for name in TUNE_DEFAULTS if name not in STATED_OPTIONS)):
-        value, option = config.get(name), f"--{name.replace('_', '-')}"
+        value = config.get(name)
         if value is None or (name not in STATED_OPTIONS and value == TUNE_DEFAULTS[name]):
             continue
-        if isinstance(value, list | tuple):
-            words += [option, *map(str, value)] if value else [f"{option}-nothing"]
-        else:
-            words += [option] if value is True else [option, str(value)]
+        words += option_words(name, value)
     words += ["--validation", *validation] if validation else []
     return shlex.join(words), "Replace the names of the drives by the paths of their folders."

@@ -208,6 +208,16 @@ def current_options(
     return current
 
 
+def option_words(name: str, value: Any) -> list[str]:
+    """Return an option of ``tune`` as words of a command line."""
+    option = name.replace("_", "-")
+    if isinstance(value, list | tuple):
+        return [f"--{option}", *map(str, value)] if value else [f"--{option}-nothing"]
+    if isinstance(value, bool):
+        return [f"--{option}" if value else f"--no-{option}"]
+    return [f"--{option}", str(value)]
+
+
 def similar_name(name: str, known: Iterable[str]) -> str | None:
     """Return the known option that is most similar to a name, or None."""
     names = [*known]
