@@ -13,8 +13,9 @@ from sigmaswarm.doctor.yaw_fit import yaw_windows
 ROUNDS, MAX_CHANGE = 8, 0.7  # iterations; s, largest change of a delay in one
 OUTLIER_SIGMAS = 1.5  # residuals above have less weight
 OVERLAP = 2.0  # each fix lies in two windows, so the variance is that of half as many
-# Smallest drift in standard deviations, relative, and as a change of the delay over the drive, s
-MIN_SIGMAS, MIN_DRIFT, MIN_CHANGE = 6.0, 2e-4, 0.4
+# Smallest drift in standard deviations, relative, and as a change of the delay over the drive, s; smallest ratio of
+# this change to the time in which the car drives the noise of a fix
+MIN_SIGMAS, MIN_DRIFT, MIN_CHANGE, MIN_NOISE_RATIO = 5.0, 2e-4, 0.4, 2.0
 MAX_DRIFT = 0.01  # the linear model of the delay does not determine a larger drift
 MIN_WINDOWS = 4.0  # smallest effective number of windows with turns
 
@@ -63,12 +64,17 @@ def clock_drift(evidence: Evidence) -> ClockDrift | None:
         return residual, np.stack([rest(turning[rows]), rest((turning * since)[rows])], axis=-1), trust
 
     def solved(delay: Array) -> tuple[Array, Array]:
-        """Return the correction of a and b (2,), and its covariance (2, 2) with windows as units."""
+        """Return the correction of a and b (2,), and its covariance (2, 2) with windows as units.
+
+        The covariance is that of the jackknife: the fit reduces the residuals of a window with a large leverage.
+        """
         residual, slopes, trust = linearized(delay)
         weighted = trust[:, :, None] * slopes
         inverse = np.linalg.inv(np.einsum("wni,wnj->ij", weighted, slopes) + 1e-9 * np.eye(2))
         step = inverse @ np.einsum("wni,wn->i", weighted, residual)
         of_windows = np.sum(weighted * (residual - slopes @ step)[:, :, None], axis=1)
+        others = np.eye(2) - np.einsum("wni,wnj->wij", weighted, slopes) @ inverse
+        of_windows = np.linalg.solve(others + 1e-9 * np.eye(2), of_windows[:, :, None])[:, :, 0]
         return step, OVERLAP * inverse @ of_windows.T @ of_windows @ inverse
 
     for _ in range(ROUNDS):
@@ -79,6 +85,8 @@ def clock_drift(evidence: Evidence) -> ClockDrift | None:
     power = np.sum(linearized(delay)[1] ** 2, axis=1)  # (w, 2)
     spread = float(np.min(np.sum(power, axis=0) ** 2 / np.maximum(np.sum(power**2, axis=0), 1e-300)))
     drift, change = float(delay[1]), float(delay[1]) * length
-    clear = abs(drift) > max(MIN_SIGMAS * std, MIN_DRIFT) and abs(change) > MIN_CHANGE
+    noise = evidence.noise / float(np.median(np.abs(course.velocity[rows])))  # s
+    clear = abs(drift) > max(MIN_SIGMAS * std, MIN_DRIFT)
+    clear = clear and abs(change) > max(MIN_CHANGE, MIN_NOISE_RATIO * noise)
     known = abs(drift) < MAX_DRIFT and spread >= MIN_WINDOWS
     return ClockDrift(drift, std, change) if clear and known else None
