@@ -25,6 +25,7 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.gyro_bias import GyroBiasEvidence
 from sigmaswarm.drives.prepared import prepare_drive
+from sigmaswarm.errors import SigmaswarmWarning
 from sigmaswarm.filters.bank.live import LiveFilterBank
 from sigmaswarm.filters.bank.mixture import Mixture
 from sigmaswarm.filters.bank.offsets import FIXED_OFFSETS, START, OffsetPrior, R
@@ -174,7 +175,13 @@ def test_each_lane_is_a_filter_and_the_mixture_theirs(option: str):
         gps=replace(drive().gps, std_x=np.full(len(drive().gps), 0.5), std_y=np.full(len(drive().gps), 0.6)),
     )
     found = fed(LiveFilterBank, p, searches=False)
-    assert found.spread is found.prior  # deprecated name
+    nothing = np.zeros(len(found.prior.names))
+    with pytest.warns(SigmaswarmWarning, match="is deprecated, use LiveFilterBank.prior"):
+        assert found.spread is found.prior
+    with pytest.warns(SigmaswarmWarning, match="is deprecated, use LiveFilterBank.bank_restarts"):
+        assert found.swarm_restarts == found.bank_restarts
+    with pytest.warns(SigmaswarmWarning, match="is deprecated, use OffsetPrior.warnings"):
+        assert found.prior.said(nothing) == found.prior.warnings(nothing)
     states, weights = found.lanes()
     evidence, means, covariances = np.zeros(LANES), [], []
     for lane in range(LANES):

@@ -9,6 +9,7 @@ import pytest
 
 from custom_models import PARAMETERS, PENDULUM, pendulum_log
 from sigmaswarm import InputError, Log, Tunable, run_model
+from sigmaswarm.errors import SigmaswarmWarning
 from sigmaswarm.filters.custom.model import fingerprint
 
 LOG = pendulum_log(duration=2.0)
@@ -197,3 +198,8 @@ def test_a_model_s_identity_has_all_that_makes_it(monkeypatch: pytest.MonkeyPatc
     ]
     hashes = {replace(PENDULUM, **change).identity()["sha256"] for change in changes}
     assert len(hashes | {same["sha256"]}) == len(changes) + 1
+
+
+def test_the_old_name_of_indices_is_deprecated():
+    with pytest.warns(SigmaswarmWarning, match="Model.places is deprecated, use Model.indices"):
+        assert PENDULUM.places(PENDULUM.states) == PENDULUM.indices(PENDULUM.states)

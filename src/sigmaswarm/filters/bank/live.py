@@ -13,7 +13,7 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.gyro_bias import UP
 from sigmaswarm.drives.tables import Indices
-from sigmaswarm.errors import InputError
+from sigmaswarm.errors import InputError, warn_deprecated
 from sigmaswarm.filters.bank.mixture import Mixture, is_definite
 from sigmaswarm.filters.bank.offsets import FIXED_OFFSETS, START, OffsetPrior
 from sigmaswarm.filters.bank.search import (
@@ -382,11 +382,13 @@ class LiveFilterBank(LiveFilter):
     @property
     def swarm_restarts(self) -> list[float]:
         """Deprecated name of ``bank_restarts``."""
+        warn_deprecated("LiveFilterBank.swarm_restarts", "LiveFilterBank.bank_restarts")
         return self.bank_restarts
 
     @property
     def spread(self) -> OffsetPrior:
         """Deprecated name of ``prior``."""
+        warn_deprecated("LiveFilterBank.spread", "LiveFilterBank.prior")
         return self.prior
 
     @property

@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from sigmaswarm.arrays import Array
+from sigmaswarm.errors import warn_deprecated
 from sigmaswarm.filters.compiled.layout import CONSTANTS, LANES, LETTERS
 from sigmaswarm.filters.models import MODELS, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
@@ -149,7 +150,10 @@ class OffsetPrior:
                     messages.append(_MEANS.get(name, usual).format(**values))
         return tuple(messages)
 
-    said = warnings  # deprecated name
+    def said(self, moved: Array) -> tuple[str, ...]:
+        """Deprecated name of ``warnings``."""
+        warn_deprecated("OffsetPrior.said", "OffsetPrior.warnings")
+        return self.warnings(moved)
 
     def parameters(self, offsets: Array) -> FilterParameters:
         p, decades = self.tuning, dict(zip(self.names, offsets.tolist(), strict=True))

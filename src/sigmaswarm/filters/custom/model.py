@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.errors import InputError
+from sigmaswarm.errors import InputError, warn_deprecated
 
 SCALING_NAMES = ("alpha", "beta", "kappa")
 """Scaling of the sigma points; the tuning of an unscented filter also searches these parameters."""
@@ -187,7 +187,10 @@ class Model:
     def indices(self, names: Sequence[str]) -> list[int]:
         return [self.states.index(name) for name in names]
 
-    places = indices  # deprecated name
+    def places(self, names: Sequence[str]) -> list[int]:
+        """Deprecated name of ``indices``."""
+        warn_deprecated("Model.places", "Model.indices")
+        return self.indices(names)
 
     def identity(self) -> dict[str, Any]:
         """Return names and bounds in plain types, and a hash of names, bounds and functions."""
