@@ -63,25 +63,11 @@ def clock_drift(evidence: Evidence) -> ClockDrift | None:
         trust = np.minimum(1.0, OUTLIER_SIGMAS / 0.6745 * np.median(size) / np.maximum(size, 1e-12))
         return residual, np.stack([rest(turning[rows]), rest((turning * since)[rows])], axis=-1), trust
 
-    def solved(delay: Array) -> tuple[Array, Array]:
-        """Return the correction of a and b (2,), and its covariance (2, 2) with windows as units.
-
-        The covariance is that of the jackknife: the fit reduces the residuals of a window with a large leverage.
-        """
-        residual, slopes, trust = linearized(delay)
-        weighted = trust[:, :, None] * slopes
-        inverse = np.linalg.inv(np.einsum("wni,wnj->ij", weighted, slopes) + 1e-9 * np.eye(2))
-        step = inverse @ np.einsum("wni,wn->i", weighted, residual)
-        of_windows = np.sum(weighted * (residual - slopes @ step)[:, :, None], axis=1)
-        others = np.eye(2) - np.einsum("wni,wnj->wij", weighted, slopes) @ inverse
-        of_windows = np.linalg.solve(others + 1e-9 * np.eye(2), of_windows[:, :, None])[:, :, 0]
-        return step, OVERLAP * inverse @ of_windows.T @ of_windows @ inverse
-
     for _ in range(ROUNDS):
-        step, _ = solved(delay)
+        step, _ = _solve(*linearized(delay))
         largest = abs(float(step[0])) + abs(float(step[1])) * length / 2
         delay = delay + step * min(1.0, MAX_CHANGE / max(largest, 1e-9))
-    std = float(np.sqrt(solved(delay)[1][1, 1]))
+    std = float(np.sqrt(_solve(*linearized(delay))[1][1, 1]))
     power = np.sum(linearized(delay)[1] ** 2, axis=1)  # (w, 2)
     spread = float(np.min(np.sum(power, axis=0) ** 2 / np.maximum(np.sum(power**2, axis=0), 1e-300)))
     drift, change = float(delay[1]), float(delay[1]) * length
@@ -90,3 +76,17 @@ def clock_drift(evidence: Evidence) -> ClockDrift | None:
     clear = clear and abs(change) > max(MIN_CHANGE, MIN_NOISE_RATIO * noise)
     known = abs(drift) < MAX_DRIFT and spread >= MIN_WINDOWS
     return ClockDrift(drift, std, change) if clear and known else None
+
+
+def _solve(residual: Array, slopes: Array, trust: Array) -> tuple[Array, Array]:
+    """Return the correction of a and b (2,), and its covariance (2, 2) with windows as units.
+
+    The covariance is that of the jackknife: the fit reduces the residuals of a window with a large leverage.
+    """
+    weighted = trust[:, :, None] * slopes
+    inverse = np.linalg.inv(np.einsum("wni,wnj->ij", weighted, slopes) + 1e-9 * np.eye(2))
+    step = inverse @ np.einsum("wni,wn->i", weighted, residual)
+    of_windows = np.sum(weighted * (residual - slopes @ step)[:, :, None], axis=1)
+    others = np.eye(2) - np.einsum("wni,wnj->wij", weighted, slopes) @ inverse
+    of_windows = np.linalg.solve(others + 1e-9 * np.eye(2), of_windows[:, :, None])[:, :, 0]
+    return step, OVERLAP * inverse @ of_windows.T @ of_windows @ inverse
