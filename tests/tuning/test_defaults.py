@@ -197,8 +197,10 @@ def test_fix_errors_that_do_not_show_as_stated_are_states():
         assert "fix-error" not in chosen_for([lasting], kind=kind)
     assert chosen_for([six(lasting)], kind="ukf", model="tilted12") == used
     assert chosen_for([six(lasting)]) == (*used, "fix-error")
-    known = six(replace(lasting, truth=truth))
+    assert truth is not None
+    known = six(replace(lasting, truth=replace(truth, x=truth.x + 2.0)))
     assert chosen_for([known]) == (*used, "fix-error"), "with truth only for tilted12"
+    assert chosen_for([six(replace(lasting, truth=truth))]) == used, "the fixes are accurate"
     assert chosen_for([known], objective="truth-pose + 0.2 nees") == used, (
         "these do not determine its parameters"
     )
@@ -323,3 +325,19 @@ def test_it_is_never_offered_for_planar5_nor_where_the_objective_looks_at_it():
         assert said.startswith(f"TO DO: tune with '{objective} + 0.2 {measure}'")
     for objective in ("truth-pose + 0.2 nees", "innovation-t", "gps-rmse"):
         assert scale_warnings(parse_objective(objective), five, replayer) == []
+
+
+@pytest.mark.parametrize("noise", [0.03, 0.1, 0.2])
+def test_truth_shows_that_a_receiver_without_stated_accuracy_is_accurate(noise: float):
+    """Such a log looks like one of a receiver with correlated errors of 2 m; without truth the two are the same."""
+    drive = simulate("urban", duration=60.0, gps="white-1m", imu_rate=50.0, seed=2)
+    assert drive.truth is not None
+    rng = np.random.default_rng(0)
+    at = [np.interp(drive.gps.time, drive.truth.time, getattr(drive.truth, axis)) for axis in ("x", "y")]
+    x, y = (places + rng.normal(0.0, noise, len(places)) for places in at)
+    metadata = {name: value for name, value in drive.metadata.items() if name != "gps_std_m"}
+    accurate = replace(drive, gps=replace(drive.gps, x=x, y=y, std_x=None, std_y=None), metadata=metadata)
+    assert "fix-error" not in default_filter_options({}, [accurate])[0]["use"]
+    assert "fix-error" in default_filter_options({}, [replace(accurate, truth=None)])[0]["use"]
+    smooth = replace(accurate, gps=replace(accurate.gps, x=x + 2.0, y=y - 1.5))
+    assert "fix-error" in default_filter_options({}, [smooth])[0]["use"]

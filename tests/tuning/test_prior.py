@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sigmaswarm import Drive, run_batch, simulate, tune
-from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, receiver_std, stated_std
+from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, log_properties, receiver_std, stated_std
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.defaults import FIX_ERROR_OBJECTIVE, with_default_guards
+from sigmaswarm.tuning.defaults import FIX_ERROR_OBJECTIVE, complete_config, with_default_guards
 from sigmaswarm.tuning.problem import car_problem
 from sigmaswarm.tuning.receiver import prior_costs
 from sigmaswarm.tuning.space import search_space
@@ -213,3 +213,13 @@ def test_a_validation_is_no_matter_of_what_a_receiver_states():
         tuning.validation.cost == run_batch([far], [tuning.parameters], objective="innovation-nll").costs[0]
     )
     assert abs(tuning.validation.gap) < 0.3
+
+
+@pytest.mark.parametrize(("true_std", "prior"), [(1.5, 0.3), (0.3, 0.0), (8.0, 0.0)])
+def test_with_truth_the_prior_on_r_needs_a_receiver_that_is_as_accurate_as_stated(
+    true_std: float, prior: float
+):
+    config = TuneConfig(model="tilted12", use=("fix-error",))
+    cars = [replace(log_properties(town()), receiver_std=(2.1, 2.1), true_std=true_std)]
+    assert complete_config(config, cars).prior == prior
+    assert complete_config(config.model_copy(update={"prior": 0.7}), cars).prior == 0.7

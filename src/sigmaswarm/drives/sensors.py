@@ -55,6 +55,8 @@ class LogProperties:
         courses; headings
     driven : time from the first fix more than 20 m away from the start to the last fix, s; 0 if there is none
     fixes : number of fixes within the IMU's time
+    noise, true_std : white noise of the fixes, and their standard deviation from the truth (NaN without truth), m per
+        axis; the latter only for objectives that use truth
     mounting : mounting of the IMU, deg; None if the drive states none
     """
 
@@ -74,6 +76,8 @@ class LogProperties:
     lasting: bool = False
     fixes: int = 0
     fix_interval: float = np.nan
+    noise: float = np.nan
+    true_std: float = np.nan
     mounting: Angles | None = None
 
 
@@ -99,6 +103,8 @@ def log_properties(drive: Drive | LogProperties) -> LogProperties:
         lasting=has_lasting_errors(drive),
         fixes=int(np.sum((gps.time >= imu.time[0]) & (gps.time <= imu.time[-1]))),
         fix_interval=float(np.median(np.diff(gps.time))) if len(gps) > 1 else np.nan,
+        noise=white_noise(gps.x + 1j * gps.y),
+        true_std=true_std(drive),
         # An imported drive states its axes, but not a rotation of zero.
         mounting=drive.mounting or (NO_ROTATION if axes_of(drive.metadata) else None),
     )
@@ -155,6 +161,16 @@ def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
     third = np.diff(position, n=3)
     parts = np.concatenate([third.real, third.imag])
     return float(np.median(np.abs(parts)) / 0.6745 / np.sqrt(20.0)) if len(third) else 0.0
+
+
+def true_std(drive: Drive) -> float:
+    """Return a robust standard deviation of the fixes from the truth, m per axis; NaN without truth at their times."""
+    gps, truth = drive.gps, drive.truth
+    if truth is None:
+        return float("nan")
+    gps = gps.select((gps.time >= truth.time[0]) & (gps.time <= truth.time[-1]))
+    off = [getattr(gps, axis) - np.interp(gps.time, truth.time, getattr(truth, axis)) for axis in ("x", "y")]
+    return float(np.median(np.abs(off)) / 0.6745) if len(gps) else float("nan")
 
 
 def has_white_errors(drive: Drive) -> bool:
