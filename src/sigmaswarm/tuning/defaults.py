@@ -118,7 +118,7 @@ def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive
 
 
 def _mean(drives: Sequence[LogProperties], name: str) -> float:
-    return float(np.mean([getattr(one, name) for one in drives]))
+    return float(np.mean([getattr(one, name) for one in drives])) if drives else np.nan
 
 
 def _described(model: str, use: Sequence[str]) -> str:
