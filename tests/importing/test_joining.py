@@ -114,11 +114,15 @@ def test_a_chosen_table_is_that_of_the_role_s_log(
     """--imu-table next to --gps or --truth: other logs need no table of this name."""
     (circle / "places.csv").rename(circle / "fixes.csv")
     shutil.copy(circle / "imu.csv", circle / "spare_imu.csv")
-    beside = circle / "beside"
-    beside.mkdir()
-    shutil.copy(circle / "fixes.csv", beside / "fixes.csv")
-    write(beside, "odometer.csv", t=FIXES, wheel_speed=10 + 0 * FIXES)
-    files = {"gps": beside / "fixes.csv", "truth": beside / "fixes.csv", "odometer": beside / "odometer.csv"}
+    separate = circle / "separate"
+    separate.mkdir()
+    shutil.copy(circle / "fixes.csv", separate / "fixes.csv")
+    write(separate, "odometer.csv", t=FIXES, wheel_speed=10 + 0 * FIXES)
+    files = {
+        "gps": separate / "fixes.csv",
+        "truth": separate / "fixes.csv",
+        "odometer": separate / "odometer.csv",
+    }
     drive = imported(circle, choice=TableChoice(chosen), **{role: files[role] for role in others}).drive
     assert len(drive.imu) == len(TIME) and len(drive.gps) == len(FIXES)
     assert (drive.truth is not None) == ("truth" in others)

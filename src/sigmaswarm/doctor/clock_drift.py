@@ -67,8 +67,9 @@ def clock_drift(evidence: Evidence) -> ClockDrift | None:
         step, _ = _solve(*linearized(delay))
         largest = abs(float(step[0])) + abs(float(step[1])) * length / 2
         delay = delay + step * min(1.0, MAX_CHANGE / max(largest, 1e-9))
-    std = float(np.sqrt(_solve(*linearized(delay))[1][1, 1]))
-    power = np.sum(linearized(delay)[1] ** 2, axis=1)  # (w, 2)
+    residual, slopes, trust = linearized(delay)
+    std = float(np.sqrt(_solve(residual, slopes, trust)[1][1, 1]))
+    power = np.sum(slopes**2, axis=1)  # (w, 2)
     spread = float(np.min(np.sum(power, axis=0) ** 2 / np.maximum(np.sum(power**2, axis=0), 1e-300)))
     drift, change = float(delay[1]), float(delay[1]) * length
     noise = evidence.noise / float(np.median(np.abs(course.velocity[rows])))  # s

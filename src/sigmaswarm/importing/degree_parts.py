@@ -1,11 +1,10 @@
 """Latitude and longitude in two or three columns each: degrees, minutes and perhaps seconds."""
 
-import re
 from collections.abc import Mapping
 
 import polars as pl
 
-from sigmaswarm.importing.names import plain_words, read_names
+from sigmaswarm.importing.names import read_names, split_words
 from sigmaswarm.importing.times import column_numbers, quoted_column
 
 _PLACES = {"lat": {"lat", "latitude"}, "lon": {"lon", "lng", "long", "longitude"}}
@@ -27,7 +26,7 @@ def degree_parts(frame: pl.DataFrame) -> dict[str, tuple[str, str]]:
     for what, names in _PLACES.items():
         groups: dict[tuple[str, ...], dict[int, str]] = {}
         for column in frame.columns:
-            words = plain_words(re.sub("(?<=[a-z])(?=[A-Z])", "_", column))
+            words = split_words(column)
             if words[-1:] and words[-1] in _PARTS and names & {*words[:-1]}:
                 groups.setdefault((*words[:-1],), {}).setdefault(_PARTS[words[-1]], column)
         fitting = [parts for parts in groups.values() if _fits(frame, parts)]

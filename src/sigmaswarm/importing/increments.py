@@ -3,7 +3,7 @@
 import re
 from collections.abc import Sequence
 
-from sigmaswarm.importing.names import plain_words, read_name
+from sigmaswarm.importing.names import read_name, split_words
 from sigmaswarm.importing.times import quoted_column
 from sigmaswarm.importing.units import in_si
 
@@ -19,7 +19,7 @@ def increments(names: Sequence[str]) -> dict[str, str]:
     found: dict[str, str] = {}
     for name in names:
         bare = re.sub(r"\s*[\[(][^\[\]()]*[\])]\s*$", "", name)
-        plain = "_".join(plain_words(re.sub("(?<=[a-z])(?=[A-Z])", "_", bare)))
+        plain = "_".join(split_words(bare))
         unit = read_name(name).unit
         for letter, (dimension, words) in _WORDS.items():
             axis = re.fullmatch(rf"(?:.*_)?{words}", plain)

@@ -17,7 +17,7 @@ MIN_NUMBERS = 6  # smallest number of numbers in a row of an IMU
 
 def describe_kinds(log: Log) -> str:
     """Describe a long table, with one value or one sensor per row, and a command that converts it; "" for others."""
-    if found := _beside_sentences(log.path):
+    if found := _between_sentences(log.path):
         return found
     for table, about in log.tables.items():
         _, frame, _ = next(iter(log.batches({table: about.columns})), ("", pl.DataFrame(), 0.0))
@@ -59,7 +59,7 @@ def _is_kind(values: pl.Series) -> bool:
     return 1 < len(known) <= MAX_KINDS < len(values) and bool(known.str.contains(r"^[A-Za-z]\w*$").all())
 
 
-def _beside_sentences(path: Path) -> str:
+def _between_sentences(path: Path) -> str:
     """Describe rows of numbers between NMEA sentences, and a command that separates them; else ""."""
     lines = first_bytes(path, 65536).decode("utf-8", "replace").split("\n")[:-1] if path.is_file() else []
     rows = [line for line in lines if "$" not in line and len(re.findall(r"\d+\.?\d*", line)) >= MIN_NUMBERS]

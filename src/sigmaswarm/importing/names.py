@@ -162,6 +162,15 @@ def plain_words(text: str) -> list[str]:
     return [_TRANSLATED.get(word, word) for word in words]
 
 
+def split_words(text: str) -> list[str]:
+    """Split a name into words like `plain_words`, also at the capitals of CamelCase."""
+    return plain_words(_with_underscores(text))
+
+
+def _with_underscores(text: str) -> str:
+    return re.sub("(?<=[a-z])(?=[A-Z])", "_", text)
+
+
 def _stated(plain: str, unit: Unit | None) -> str | None:
     dimension = None if unit is None else unit.dimension
     return next((w for d, w, pattern in _STATED if d == dimension and re.fullmatch(pattern, plain)), None)
@@ -251,7 +260,7 @@ def read_name(column: str) -> Name:
 
     An unrecognized name is interpreted again with its words split at capitals: "gyroRotationX(rad/s)".
     """
-    name, split = _read(column, column.strip()), re.sub(r"(?<=[a-z])(?=[A-Z])", "_", column.strip())
+    name, split = _read(column, column.strip()), _with_underscores(column.strip())
     if name.meaning is not None or split == column.strip():
         return name
     again = _read(column, split)

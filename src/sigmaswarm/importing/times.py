@@ -22,8 +22,8 @@ from sigmaswarm.importing.names import (
     WEEK,
     Name,
     meaning_of_plain,
-    plain_words,
     read_names,
+    split_words,
 )
 from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.units import PARTS_OF_SECONDS, SECONDS, in_si, scaled
@@ -298,7 +298,7 @@ def _prefixed(names: Sequence[Name], words: str) -> list[tuple[Name, str]]:
     """Return the names that end in one of the words, such as utc_date or rtcDate, and the part before the word."""
     found: list[tuple[Name, str]] = []
     for name in names:
-        split = "_".join(plain_words(re.sub("(?<=[a-z])(?=[A-Z])", "_", name.column)))
+        split = "_".join(split_words(name.column))
         fits = [fit for text in (name.plain, split) if (fit := re.fullmatch(f"(?:(.+)_)?(?:{words})", text))]
         found += [(name, fits[0][1] or "")] if fits else []
     return found

@@ -169,11 +169,10 @@ def complete_config(config: C, data: Sequence[LogProperties | Log]) -> C:
     car = isinstance(config, TuneConfig)
     model, use = (config.model, config.use) if car else (PAPER_MODEL, ())
     objective = objective_for(data, config.objective, model, use)
-    completed = with_default_guards(config.model_copy(update={"objective": objective}))
     cars = [one for one in data if not isinstance(one, Log)]
-    if car and config.prior is None and parse_objective(objective).needs_truth and not _is_as_stated(cars):
-        return completed.model_copy(update={"prior": 0.0})
-    return completed
+    return with_default_guards(
+        config.model_copy(update={"objective": objective}), as_stated=_is_as_stated(cars)
+    )
 
 
 def _is_as_stated(cars: Sequence[LogProperties]) -> bool:
@@ -196,12 +195,13 @@ def explain_tuning(drives: Sequence[Drive | LogProperties], **options: Any) -> l
     ]
 
 
-def with_default_guards(config: C) -> C:
+def with_default_guards(config: C, *, as_stated: bool = True) -> C:
     """Set the weight of the priors and the process-noise inflation if they are None.
 
     Objectives that are likelihoods without truth have priors and, in a log10 search, inflation. Objectives with truth
-    have inflation only in a log10 search of a model with roll and pitch, and priors only in such a search if the
-    objective is a likelihood and the filter has fix-error. Other objectives have neither.
+    have inflation only in a log10 search of a model with roll and pitch. In such a search they also have priors if the
+    objective is a likelihood, the filter has fix-error, and ``as_stated`` (see `_is_as_stated`). Other objectives have
+    neither.
     """
     if not isinstance(config, TuneConfig):
         return config
@@ -212,7 +212,8 @@ def with_default_guards(config: C) -> C:
         inflation = TILTED_INFLATION if model.tilts or model.measures_imu else INFLATION
     elif config.scale == "log10" and objective.needs_truth and model.tilts:
         inflation = WITH_TRUTH
-        prior = PRIOR_WITH_TRUTH if "fix-error" in config.use and objective.likelihood else 0.0
+        likelihood = objective.likelihood and "fix-error" in config.use
+        prior = PRIOR_WITH_TRUTH if likelihood and as_stated else 0.0
     return config.model_copy(
         update={
             "prior": prior if config.prior is None else config.prior,

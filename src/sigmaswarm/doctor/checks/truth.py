@@ -28,7 +28,7 @@ MAX_DIFFERENCE, MIN_RATIO, PEAK_WIDTH = 0.1, 3.0, 10.0
 
 def check_truth(evidence: Evidence) -> Iterator[Finding]:
     truth, delay = evidence.drive.truth, _delay(evidence.drive)
-    if truth is None or delay is None or moves_with_fixes(evidence.drive, -evidence.moved):
+    if truth is None or delay is None or _moves_with_fixes(delay, -evidence.moved):
         return
     size, way = f"{abs(delay):.2f} s", "late" if delay > 0 else "early"
     what = f"the truth's clock is {size} {way}: with this offset, its velocity equals that of the fixes"
@@ -44,7 +44,11 @@ def check_truth(evidence: Evidence) -> Iterator[Finding]:
 def moves_with_fixes(drive: Drive, shift: float) -> bool:
     """Return True if the truth had the clock of the fixes before ``shift``, s, was added to the times of the fixes."""
     delay = _delay(drive)
-    return delay is not None and abs(delay + shift) < MIN_DELAY
+    return delay is not None and _moves_with_fixes(delay, shift)
+
+
+def _moves_with_fixes(delay: float, shift: float) -> bool:
+    return abs(delay + shift) < MIN_DELAY
 
 
 def _delay(drive: Drive) -> float | None:
