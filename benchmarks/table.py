@@ -38,11 +38,12 @@ CAPTIONS = (
     "median; lowest value over the turns.",
     "**A fix at every IMU sample**, since kalman-py needs a measurement at every step. Columns as above.",
     "**Models and filter types** in the compiled batch. The ratio to planar5's UKF is the median [lowest, highest].",
-    "**One tuning run**: 30 particles, 50 generations, ten minutes at 100 Hz. The ratio is the median; lowest value.",
+    "**One tuning run**: 30 particles, 50 generations, ten minutes at 100 Hz. The ratio is given as median; lowest "
+    "value.",
     "**Two cores.** Wall time in ms to score parameter sets over the drive, if both cores were idle before.",
     "**Live filters.** Time of one call from Python in us: median; 99.9% quantile. A fix is processed with the next "
     'sample, so "sample with fix" is the time of both calls. A ratio is FilterPy\'s time, with the same filter or with '
-    "planar5's UKF, divided by the time in the same row (a sample without a fix; with a fix).",
+    "planar5's UKF, divided by the time in the same row (sample without a fix; sample with a fix).",
 )
 TUNINGS = {
     "test_tuning_pyswarms_filterpy": "PySwarms + FilterPy",
