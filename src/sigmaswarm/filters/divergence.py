@@ -102,7 +102,7 @@ class StateCheck:
         return bool(off > max(HEADING_OFF, MANY_SIGMAS * std))
 
     def _turned_by_bias(self, aligned: InitialState) -> float:
-        """Return the correction of the alignment's heading at the check for the gyro bias of the filter, rad."""
+        """Return the change of heading at the check (rad) if the filter's gyro bias replaces that of the alignment."""
         gyro = aligned.gyro
         if gyro is None or len(self.mean) <= GYRO_BIAS:
             return 0.0
@@ -278,7 +278,7 @@ def align_stream(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -
 
 @call_once
 def compile_resets() -> None:
-    """Compile or load the functions of a reset, which otherwise delay the estimates of a live filter by seconds."""
+    """Compile or load the functions of a reset in advance; during a run, this would delay a live filter by seconds."""
     samples, fixes = np.zeros((100, 6)), np.zeros((100, 3))
     samples[:, 0] = fixes[:, 0] = 0.1 * np.arange(100)
     fixes[:, 1] = 10.0 * fixes[:, 0]  # 10 m/s to the east

@@ -5,7 +5,7 @@ roll left side up. The covariance describes a small rotation ``e`` about east, n
 R_true = exp([e]x) R (J. Sola, Quaternion kinematics for the error-state Kalman filter, 2017, section 7: the global
 error). In state vectors, e has the indices of roll, pitch and theta. To first order, the covariance does not change
 when e is injected. There is no vertical channel, since the car stays on the road. The Jacobians assume that the
-specific force along the local up axis is gravity; otherwise, bumps would make the Jacobians noisy.
+specific force along the local up axis is gravity; with the measured force, bumps would make the Jacobians noisy.
 """
 
 from dataclasses import dataclass
