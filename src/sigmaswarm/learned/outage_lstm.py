@@ -200,7 +200,7 @@ class OutageLstm:
 
 
 def outputs_of(xp: Any, weights: Weights, features: Any) -> Any:
-    """Return displacements in units of ``scale``, and ln of their standard deviations, (k, 4), for (k, steps, f) inputs."""
+    """Return displacements in units of ``scale``, and ln of their standard deviations, (k, 4); inputs (k, steps, f)."""
     inputs = (features - weights["center"]) / weights["spread"]
     units = weights["hidden"].shape[0]
     state = xp.zeros((len(inputs), units)), xp.zeros((len(inputs), units))
