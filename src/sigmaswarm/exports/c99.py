@@ -125,9 +125,9 @@ def replay_events(
 ) -> list[tuple[str, list[float]]]:
     """Return the events of a drive, sorted by time: ``start``, followed by ``imu``, ``fix`` and ``odometer``.
 
-    Each event has the numbers of a row of the input of replay.c. ``model`` determines the axes of the IMU and of the
-    lever arm. If ``heading`` is True, headings of fixes are included. Fixes and readings after the last IMU sample are
-    left out.
+    The numbers of an event are those of a row in the input of replay.c. ``model`` determines the axes of the IMU and of
+    the lever arm. If ``heading`` is True, headings of fixes are included. Fixes and readings after the last IMU sample
+    are left out.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Translate the fit of an alignment from the library's functions to C99; the C code always uses double."""
+"""Translate the library's functions for the fit of an alignment to C99; the C code always uses double."""
 
 # pyright: reportPrivateUsage=false
 

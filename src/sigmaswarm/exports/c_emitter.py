@@ -62,7 +62,7 @@ class Emitter:
     def add(
         self, function: Any, name: str = "", translation: "type[_Function] | None" = None, **known: Any
     ) -> None:
-        """Translate a kernel or a plain function, and before it the functions that it calls.
+        """Translate a kernel or a plain function, after the functions that it calls.
 
         ``name`` is the name in calls, by default that of the function. ``known`` contains the values of parameters. If
         ``known["e"]`` is an `Elements`, the function writes its results to these elements.
@@ -163,7 +163,7 @@ class _Function(ast.NodeTransformer):
         return chosen
 
     def drop_unused(self) -> None:
-        """Remove locals that were used only in removed terms; keep calls of kernels."""
+        """Remove local variables that only removed terms used; keep calls of kernels."""
         for line in reversed(list(self.lines)):
             match = re.match(r"( +)const (?:real|bool) (\w+) = ([^;]*;)$", line)
             if match and len(re.findall(rf"(?<!>)\b{match[2]}\b", "\n".join(self.lines))) == 1:

@@ -131,7 +131,7 @@ def check_target(
 ) -> None:
     """Raise `InputError` if an estimate can't be written.
 
-    If ``replace`` is True, a bag of this module may be replaced.
+    If ``replace`` is True, a bag that this module wrote may be replaced.
     """
     endings = [*_WRITERS, BAG, *MAPS]
     if path.suffix not in endings:

@@ -1,8 +1,8 @@
 """Detection and reset of diverged filters.
 
 The fixes of the last few seconds determine position, speed and heading without a filter (`drives.alignment`). A filter
-has diverged if, for `DIVERGED_AFTER` seconds, its heading differs from this alignment, or its position from the fixes,
-by far more than the covariances allow. It is then reset to the alignment.
+has diverged if its heading differs from this alignment, or its position differs from the fixes, by far more than the
+covariances allow, for `DIVERGED_AFTER` seconds. It is then reset to the alignment.
 
 The thresholds were chosen on nine recordings. Filters that had not diverged differed from the alignments by more than
 20 deg in heading for at most 8 s. They differed from the fixes by more than 20 m and 5 standard deviations for at most
@@ -253,7 +253,7 @@ _MAX_MAGNITUDE = 1e12  # m, m/s2 or rad/s; samples and fixes with larger numbers
 
 
 def align_stream(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> InitialState | None:
-    """Align with the last few seconds of a live filter's data.
+    """Compute an alignment from the last few seconds of a live filter's data.
 
     ``samples`` (k, 4 or 6): time, ax, ay, gz and, if present, gx, gy; ``fixes`` (m, 3): time (s), x, y (m);
     ``gyro_bias``: known bias of gz, rad/s.

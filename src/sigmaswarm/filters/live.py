@@ -119,8 +119,8 @@ class LiveFilter:
         Number of fixes and odometer readings that were ignored, since they were more than ``history`` s late, too many
         of them waited in an IMU gap, or their time or speed was not finite.
     time_jumps : int
-        Number of samples, fixes and odometer readings that were dropped because of a time stamp far ahead, which was
-        not confirmed.
+        Number of samples, fixes and odometer readings that were dropped, since their time stamps were far ahead and not
+        confirmed.
     frozen : int
         Number of stale fixes, which are not used.
     """
@@ -246,8 +246,8 @@ class LiveFilter:
         Returns
         -------
         bool
-            False if the reading was ignored: the filter uses no odometer, or the reading is too late, more than 10 s
-            ahead, or has the time of an earlier reading.
+            False if the reading was ignored: the filter uses no odometer, or the reading is too late, is more than 10 s
+            ahead, is not finite, or has the time of an earlier reading.
         """
         try:
             return self._calls.speed(self._memory.handle, t, speed) == live.TAKEN

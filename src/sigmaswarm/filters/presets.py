@@ -79,8 +79,9 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
     ----------
     drive : Drive
     like : FilterParameters, optional
-        Filter whose model, type and options the result has. If None, the result is the preset ``datasheet``, a planar5
-        UKF with values from data sheets only (without `MODEL_NOISE` and without an estimate from the fixes).
+        Filter that determines the model, type and options of the result. If None, the result is the preset
+        ``datasheet``, a planar5 UKF with values from data sheets only (without `MODEL_NOISE` and without an estimate
+        from the fixes).
     """
     if like is None:
         return _planar(drive, stated_std(drive) or (UNSTATED_GPS_STD, UNSTATED_GPS_STD))

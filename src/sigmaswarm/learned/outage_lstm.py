@@ -1,6 +1,6 @@
 """outage-lstm: a filter that uses a network's forecasts of displacements in outages.
 
-The network estimates the displacement in the last second, forward and left, from windows of the IMU. The windows
+The network estimates the displacement in the last second, forward and left, from windows of IMU samples. The windows
 contain information on the speed, since vibration and lateral acceleration depend on it. The filter's speed is not an
 input, since the update would use it twice.
 

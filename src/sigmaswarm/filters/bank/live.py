@@ -58,10 +58,10 @@ class LiveFilterBank(LiveFilter):
     The weight of a filter depends on the prior of its offsets and on its evidence: the log-likelihood of the fixes,
     whose weight decays. Filter 0 has the tuned parameters and equals a `LiveFilter`. Filters 1 to 7 have fixed offsets,
     for larger biases and for other receivers. Every 10 s of driving, the filters with the lowest weights among filters
-    8 to 15 are replaced: one by the result of a search over the last minute, and each of the others by a changed copy
-    of a good filter. Thus the bank adapts to other sensors or reception. On the vehicle of the tuning, the bank is not
-    more accurate than a single filter. If the mixture diverges, filters 1 to 15 are reset; most of them keep the biases
-    of the mixture.
+    8 to 15 are replaced: one by the result of a search over the last minute, and each of the others by a randomly
+    changed copy of a good filter. Thus the bank adapts to other sensors or reception. On the vehicle of the training
+    drives, the bank is not more accurate than a single filter. If the mixture diverges, filters 1 to 15 are reset; most
+    of them keep the biases of the mixture.
 
     The interface is that of a `LiveFilter`, without the smoothed state. A copy by `pickle` continues with identical
     results. After a reset, all filters ignore fixes from before the reset.
@@ -336,7 +336,7 @@ class LiveFilterBank(LiveFilter):
         return mean, covariance
 
     def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
-        """Set the mixture's biases in the reset filters, except in those whose offsets assume other initial biases.
+        """Set the biases of reset filters to those of the mixture, except if their offsets assume other initial biases.
 
         The filters keep the gyro bias of the alignment if it is more precise than that of the mixture, or if the two
         contradict each other.

@@ -539,7 +539,7 @@ def replay_call():
 
 @dataclass(frozen=True)
 class LiveCalls:
-    """Compiled functions on the memory of a live filter; their first argument is `Memory.handle`.
+    """Compiled functions that change or read the memory of a live filter; their first argument is `Memory.handle`.
 
     - ``sample(handle, t, a, b, c, d, e, f)``: process an IMU sample, axes in the filter's order
     - ``fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta)``

@@ -83,7 +83,7 @@ def _call(typing_context, step, v, u, events, z, wheels, lever, since):
     def generate(context, builder, signature, arguments):
         for kind in (v, u, z, wheels, lever):
             if not (isinstance(kind, types.Array) and kind.dtype == types.float64 and kind.layout == "C"):
-                raise TypeError(f"a step takes contiguous doubles, not {kind}")
+                raise TypeError(f"a step needs contiguous arrays of doubles, not {kind}")
         values = [
             context.make_array(kind)(context, builder, value).data if isinstance(kind, types.Array) else value
             for kind, value in zip(signature.args, arguments, strict=True)

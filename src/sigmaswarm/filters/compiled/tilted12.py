@@ -69,7 +69,7 @@ def _half_turn(w, u):
 
 @kernel
 def _move(w, u):
-    """Propagate the mean; compute the coefficients of the transition of the error for the covariance."""
+    """Propagate the mean; compute the coefficients of the error transition, for the covariance."""
     dt, ax, ay, az = u[DT], u[AX], u[AY], u[AZ]
     h = 0.5 * dt
     for l in range(LANES):

@@ -56,7 +56,7 @@ class SigmaPoints:
         return wm, wc
 
     def draw(self, mean: Array, covariance: Array) -> Array:
-        """Return the points, (2n + 1, n): the mean, mean plus each scaled column of the root, mean minus each."""
+        """Return the points, (2n + 1, n): mean, mean plus each scaled column of the root, mean minus each column."""
         n = len(mean)
         gamma = np.sqrt(self.alpha**2 * (n + self.kappa))
         columns = gamma * square_root(covariance, self.first).T
