@@ -98,7 +98,7 @@ class OffsetPrior:
         return {"the tuning": [0]} | {name: lanes for name, lanes in groups.items() if lanes}
 
     def penalty(self, offsets: Array) -> Array:
-        """Return log-prior penalties (m,) of offsets (m, d): negative logs of Student's t, summed, without constants."""
+        """Return log-prior penalties (m,) of offsets (m, d): summed negative logs of Student's t, without constants."""
         relative = offsets / self.std
         r = relative[..., self.names.index(R)]
         r[r < 0.0] *= R_STD / R_DOWN_STD
