@@ -5,9 +5,9 @@ contain information on the speed, since vibration and lateral acceleration depen
 input, since the update would use it twice.
 
 Errors of the forecasts are modeled as Gauss-Markov processes. In an outage, the error at the last fix, multiplied by a
-decay, is subtracted. Two factors are chosen to maximize the likelihood of hidden fixes on validation data. A factor on
-the variance of the forecasts accounts for the remaining correlation in time. A factor on the Q of the velocity is
-needed, since the velocity covariance of a filter that was tuned with fixes is often too small in an outage.
+decay factor, is subtracted. Two factors are chosen to maximize the likelihood of hidden fixes on validation data. A
+factor on the variance of the forecasts accounts for the remaining correlation in time. A factor on the Q of the
+velocity is needed, since the velocity covariance of a filter that was tuned with fixes is often too small in an outage.
 """
 
 from collections.abc import Mapping, Sequence
@@ -128,7 +128,7 @@ def features_at(line: Timeline, end: Indices, *, axes: Sequence[str], window: fl
 
 
 def _means(time: Array, values: Array, edges: Array) -> Array:
-    """Return the means (k, m) of a signal between times ``edges`` (k, m + 1), s; earlier values equal the first."""
+    """Return the means (k, m) of a signal between times ``edges`` (k, m + 1), s, extended back by its first value."""
     whole = cumulative_trapezoid(values, time, initial=0)
     inside = np.maximum(edges, time[0])
     length = np.diff(inside, axis=1)

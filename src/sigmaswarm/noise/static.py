@@ -48,8 +48,8 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
     steps = np.diff(imu.time)
     if len(imu) < MIN_SAMPLES or not np.all(steps > 0):
         raise InputError(
-            f"at least {MIN_SAMPLES} samples with increasing times are needed, but the log has {len(imu)} samples; "
-            f"record at least {MIN_DURATION:g} s"
+            f"at least {MIN_SAMPLES} samples with increasing times are needed, but the log has {len(imu)} samples "
+            f"or times that do not increase; record at least {MIN_DURATION:g} s"
         )
     columns = [axis for axis in AXES if getattr(imu, axis) is not None]
     if wrong := [axis for axis in columns if not np.isfinite(getattr(imu, axis)).all()]:
