@@ -554,12 +554,12 @@ def test_what_all_variances_have_in_common_is_said_once():
 
     assert said() == ()
     (common,) = said(scale=1.0)
-    assert common.startswith("all variances together are 10 times")
+    assert common.startswith("all variances are 10 times")
     (receiver,) = said(r=0.4, scale=0.4)
     assert receiver == "R is 6.3 times the tuned value, which indicates a different receiver"
     assert [s for s in said(r=1.0, scale=-1.0) if s.startswith("R is")] == []
     (axle,) = said(rear_axle=1.2)
-    assert axle == "the rear axle is 1.2 m farther back than the tuned value"
+    assert axle == "the rear axle is 1.2 m farther back than in the tuning"
 
 
 def test_one_lane_that_fails_counts_nothing_and_goes_on_from_the_best():

@@ -93,7 +93,7 @@ def test_a_kernel_that_is_written_into_another_touches_none_of_its_names():
 
 
 def test_a_kernel_that_ends_early_is_refused():
-    with pytest.raises(TypeError, match="and not end early"):
+    with pytest.raises(TypeError, match="nor end early"):
         unrolled(_outer, inner=lanes.kernel(_ends_early))
 
 

@@ -93,10 +93,10 @@ def test_matlab():
 def test_comments_name_remarks_and_unknown_axes():
     text = text_of("kalibr")
     assert "# a remark\n" in text
-    assert "# gx was not measured; the value is that of the other axes\n" in text
+    assert "# gx was not measured; the value is the RMS of the other axes\n" in text
     assert "# az is not" not in text
     assert "ICM-20602" not in text
-    assert "# axes without a measured bias have the random walk of an ICM-20602\n" in text_of(
+    assert "# axes without a measured bias have the bias random walk of an ICM-20602\n" in text_of(
         "kalibr", walk=0.0
     )
 

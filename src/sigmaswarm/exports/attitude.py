@@ -1,4 +1,4 @@
-"""Attitudes of estimates, and their velocities in body axes. In planar models roll and pitch are 0."""
+"""Attitudes of estimates, and velocities in body axes. In planar models, roll and pitch are 0."""
 
 import numpy as np
 
@@ -33,8 +33,8 @@ def rotations(mean: Array) -> Array:
 def body_velocity(mean: Array) -> tuple[Array, Array]:
     """Return the velocity along the body axes x and y, (k, 2) m/s, for means (k, n), and its Jacobian (k, 2, 3 or 5).
 
-    The velocity is R' (vx, vy, vz), where vz is such that the velocity along the body's z axis is 0. The Jacobian is
-    with respect to vx, vy, theta and, if the model has them, roll and pitch.
+    The velocity is R^T (vx, vy, vz); vz is chosen such that the velocity along the body's z axis is 0. The columns of
+    the Jacobian are vx, vy, theta and, if the model has them, roll and pitch.
     """
     c, s, vx, vy = np.cos(mean[:, THETA]), np.sin(mean[:, THETA]), mean[:, 2], mean[:, 3]
     ahead, left = c * vx + s * vy, c * vy - s * vx  # planar

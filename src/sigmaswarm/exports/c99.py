@@ -47,8 +47,8 @@ def c99(
     """Return the text of each file by name. Q refers to steps of ``interval`` s; ``as_recorded``: see `PreparedDrive`.
 
     ``mounting``: roll, pitch and yaw of the IMU, deg, for the C function that rotates raw samples. ``lanes``: filters
-    of a bank; None for a single filter. ``imu_axes``: expressions with which the import read the IMU's axes, for the
-    README.
+    of a bank; None for a single filter. ``imu_axes``: expressions from which the import computed the IMU's axes, for
+    the README.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def _context(
     lanes: Lanes,
     imu_axes: Mapping[str, str] | None,
 ) -> dict[str, Any]:
-    """Return what the templates use; for the arguments see `c99`."""
+    """Return the variables of the templates; for the arguments see `c99`."""
     model = MODELS[parameters.model]
     width = max(map(len, imu_axes or ()), default=0)
     axes = ("ax", "ay", "az", "gx", "gy", "yaw_rate") if model.tilts else ("ax", "ay", "yaw_rate")
@@ -125,9 +125,9 @@ def replay_events(
 ) -> list[tuple[str, list[float]]]:
     """Return the events of a drive, sorted by time: ``start``, followed by ``imu``, ``fix`` and ``odometer``.
 
-    Each event has the numbers of a row of the input of replay.c. ``model`` determines the axes of the IMU and of the
-    lever arm. If ``heading`` is True, headings of fixes are included. Fixes and readings after the last IMU sample are
-    left out.
+    The numbers of an event are those of a row in the input of replay.c. ``model`` determines the axes of the IMU and of
+    the lever arm. If ``heading`` is True, headings of fixes are included. Fixes and readings after the last IMU sample
+    are left out.
 
     Raises
     ------
@@ -196,14 +196,14 @@ def _constants(p: FilterParameters, interval: float) -> dict[str, float]:
 
 
 def fits_float(p: FilterParameters) -> bool:
-    """Return True if each constant of a filter is 0 or a normal number in float."""
+    """Return True if each constant of a filter is 0, infinite or a normal number in float."""
     numbers = [*_constants(p, known_interval(p)).values(), *p.bias_std]
     low, high = 2.0**-126, (2 - 2.0**-23) * 2.0**127
     return all(v == 0 or low <= abs(v) <= high or math.isinf(v) for v in numbers)
 
 
 def _numbers(p: FilterParameters, interval: float) -> dict[str, str]:
-    """Return the C text of a filter's numbers, some of which are in `features.NUMBERS`, by name."""
+    """Return the C text of a filter's numbers by name; `features.NUMBERS` describes some of them."""
     constants = _constants(p, interval)
     numbers = constants | {name.upper(): value for name, value in vars(p).items() if isinstance(value, float)}
     numbers |= zip(("ACCEL_BIAS_STD", "GYRO_BIAS_STD"), p.bias_std, strict=True)

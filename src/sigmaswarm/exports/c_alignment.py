@@ -1,4 +1,4 @@
-"""Translate the fit of an alignment from the library's functions to C99; the C code always uses double."""
+"""Translate the library's functions for the fit of an alignment to C99; the C code always uses double."""
 
 # pyright: reportPrivateUsage=false
 
@@ -26,7 +26,7 @@ _GYRO = (
 
 
 class _OfFit(Rule):
-    """Translation of a function on fixes, paths and matrices."""
+    """Translation of a function that reads fixes, paths and matrices."""
 
     times, enumerators = (), dict[str, str]()
     fields: ClassVar = {"fix": _FIX, "fixes": _FIX, "tilt": _GYRO, "seen": _GYRO}
@@ -42,7 +42,7 @@ class _OfFit(Rule):
 
 
 class _OfFilter(_OfFit):
-    """Translation of a function on the state of a filter, with the names that states have in ins_gps.c."""
+    """Translation of a function that changes the state of a filter; the states have their names in ins_gps.c."""
 
     enumerators: ClassVar = {"THETA": "HEADING", **{name: name for name in STATES}}
     pointers: ClassVar = by_name(

@@ -39,13 +39,13 @@ class Emitter:
     Parameters
     ----------
     rows : dict
-        For each row of parameters: C text, a number, or None if the C code does not contain the row.
+        Rows of the kernel by name: C text, a number, or None if the C code does not contain the row.
     states : sequence of str
         C names of the filter's states.
     settings : dict
         Values of parameters and globals, by name, in all functions.
     names : dict of str to str
-        C names of functions, by name in Python; by default the same.
+        C names of functions by Python name; all other functions keep their names.
     """
 
     def __init__(
@@ -62,10 +62,10 @@ class Emitter:
     def add(
         self, function: Any, name: str = "", translation: "type[_Function] | None" = None, **known: Any
     ) -> None:
-        """Translate a kernel or a plain function, and before it the functions that it calls.
+        """Translate a kernel or a plain function, after the functions that it calls.
 
         ``name`` is the name in calls, by default that of the function. ``known`` contains the values of parameters. If
-        its value ``e`` is `Elements`, the function writes its results to these elements.
+        ``known["e"]`` is an `Elements`, the function writes its results to these elements.
         """
         if isinstance(function, Kernel):
             function, known = function.source, {**function.known, **known}
@@ -78,7 +78,7 @@ class Emitter:
     ) -> tuple[str, list[list[str]]]:
         """Return the C name and parameters of a called function, which is translated at its first call.
 
-        ``name`` is its name in the call.
+        ``name`` is the function's name in the call.
         """
         if name not in self.signatures:
             self.add(function, name, translation)
@@ -163,7 +163,7 @@ class _Function(ast.NodeTransformer):
         return chosen
 
     def drop_unused(self) -> None:
-        """Remove locals that were used only in removed terms; keep calls of kernels."""
+        """Remove local variables that only removed terms used; keep calls of kernels."""
         for line in reversed(list(self.lines)):
             match = re.match(r"( +)const (?:real|bool) (\w+) = ([^;]*;)$", line)
             if match and len(re.findall(rf"(?<!>)\b{match[2]}\b", "\n".join(self.lines))) == 1:
@@ -355,7 +355,7 @@ class _Function(ast.NodeTransformer):
         return (None if place is not None and " * " in place else place), mirror
 
     def place(self, node: ast.expr) -> tuple[str | None, str]:
-        """Return the C text of a local or an element of ``w``, and of its mirror element in the covariance."""
+        """Return the C text of a local variable or an element of ``w``, and of a covariance's mirrored element."""
         if isinstance(node, ast.Name):
             return self.local(node.id), ""
         assert isinstance(node, ast.Subscript)
@@ -400,7 +400,7 @@ class _Function(ast.NodeTransformer):
     # ---- expressions ----
 
     def refused(self, node: ast.AST) -> TypeError:
-        return TypeError(f"{self.name}: {ast.unparse(node)} is not in the emitter's subset")
+        return TypeError(f"{self.name}: {ast.unparse(node)} is not in the subset that the emitter translates")
 
     def fold(self, node: ast.expr) -> ast.expr:
         """Rewrite an expression with C names and without terms that are 0 in this filter."""

@@ -41,7 +41,7 @@ _SAME_NAME = (
     "QUARTER_GAMMA", "SHORTENS", "SPREAD", "LATENCY", "REAR_AXLE", "TIRE_SLIP", "ODOMETER_LATENCY", "FORGETTING",
     "GATE", "WIDTH_RATIO", "WIDTH_TREND", "GAIN_R", "GAIN_Q", "PATIENCE", "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",
 )  # fmt: skip
-"""Rows of the kernel whose values are macros in C with the same name. `_FIELDS` are fields of the estimate."""
+"""Rows of the kernel that are macros of the same name in C. The rows in `_FIELDS` are fields of the estimate."""
 _FIELDS = ("RECENT", "REJECTED", "QUICK", "SLOW", "TIMES_R", "TIMES_Q", "OUTLIERS", "SPAN")
 
 
@@ -75,7 +75,7 @@ def kernels_of(p: FilterParameters, context: Mapping[str, Any]) -> dict[str, Any
 
 
 def _add_prediction(emitter: Emitter) -> None:
-    """Add the parts of tilted12's prediction, which a function in the template calls."""
+    """Add the functions that ``predict_tilted12`` in the template calls."""
     for function in (tilted12._half_turn, tilted12._move):
         emitter.add(function)
     coefficients = [f"work->{NAMES[row].lower()}" for row in transition.COEFFICIENTS["tilted12"]]

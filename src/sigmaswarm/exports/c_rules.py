@@ -1,7 +1,7 @@
 """Translate the rules for samples and fixes (standstill, stale fixes, gaps) from the library's functions to C99.
 
-The exported C code has a type for times, since the float build counts ticks. ``seconds_between`` returns the difference
-of two times; ``SECONDS`` converts seconds that are added to a time.
+The exported C code has its own type for times, since the float build counts ticks. ``seconds_between`` returns the
+difference of two times; ``SECONDS`` converts seconds that are added to a time.
 """
 
 # pyright: reportPrivateUsage=false
@@ -23,7 +23,7 @@ MODULES = gaps, stale_fixes, standstill, odometer, events
 
 
 def by_name(names: Mapping[str, str]) -> dict[str, str]:
-    """Return the type of each name from the names of each type, which are separated by blanks."""
+    """Return the type of each name, from the names of each type, separated by blanks."""
     return {name: kind for kind, some in names.items() for name in some.split()}
 
 
@@ -71,7 +71,7 @@ _CASTS = {"int": "(int)", "float": "(real)"}
 
 
 def rules_of(features: Mapping[str, Any], used: int) -> dict[str, str]:
-    """Return by name the C text of the rules and the call of `sample_events`; ``used``: see `events.bits_of`."""
+    """Return the C text of the rules and of the call of `sample_events`, by name; ``used``: see `events.bits_of`."""
     emitter = Emitter({}, settings={"used": used})
     emitter.add(live._until, "fixes_until", Rule)
     if features["odometer"]:

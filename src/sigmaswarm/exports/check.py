@@ -65,7 +65,7 @@ def check_export(
     Raises
     ------
     InputError
-        If there is no C compiler, the build fails, or a drive does not contain an input of the filter.
+        If there is no C compiler, the build fails, or a drive lacks data that the filter needs.
     AlignmentError
         If the filter's initial state cannot be computed from a drive.
     """

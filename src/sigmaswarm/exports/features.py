@@ -1,4 +1,4 @@
-"""Fill the templates of exported files, which are written in the language of Jinja."""
+"""Fill the Jinja templates of exported files."""
 
 import math
 import re
@@ -61,7 +61,7 @@ NUMBERS = {
     "FIX_ERROR_RATE": "nominal interval / time constant of the correlated fix error",
     "FIX_VAR": "m2: variance of a fix that has no stated standard deviation",
     "ROBUST_DOF": "degrees of freedom of Student's t, the distribution of the errors of fixes",
-    "PATIENCE": "smallest number of nominal steps from the first to the last of the OUTLIERS consecutive outliers",
+    "PATIENCE": "nominal steps: shortest run of consecutive outliers after which P is inflated",
     **{noise.upper(): MEASURED[name] for name, noise in NOISE_OF.items()},
     "REAR_AXLE": "m: distance from the rear axle forward to the IMU",
     "TIRE_SLIP": "s2/m: slip angle of the rear tires (rad) per lateral acceleration (m/s2)",
@@ -80,14 +80,14 @@ def with_definitions(text: str, numbers: Mapping[str, str]) -> str:
 
 
 def context_of(p: FilterParameters, interval: float) -> dict[str, Any]:
-    """Return what every template may use. Q refers to steps of ``interval`` s."""
+    """Return the variables that every template may use. Q refers to steps of ``interval`` s."""
     about = {"p": p, "model": MODELS[p.model], "interval": interval}
     about |= {"version": __version__, "description": f"{p.model}, {p.kind}"}
     return features_of(p) | about
 
 
 def in_range(value: float, of: str) -> float:
-    """Return the number; raise `InputError` with its description ``of`` if it is not finite."""
+    """Return a number; if it is not finite, raise `InputError` with the description ``of``."""
     if not math.isfinite(value):
         raise InputError(
             f"the filter can't be exported: {of} is not a finite number; correct this value, or tune the filter again"

@@ -1,6 +1,7 @@
 """Write the filter as a Python script that needs only NumPy and FilterPy.
 
-The script contains the source of those parts of sigmaswarm that FilterPy does not have, so both give the same results.
+The script contains the source of those parts of sigmaswarm that FilterPy lacks, so its results equal those of
+sigmaswarm.
 """
 
 import ast
@@ -30,12 +31,12 @@ from sigmaswarm.filters.textbook import adaptive, car, ekf, gaussian, ukf
 
 FILE = "run_filter.py"
 _ABSENT = ("imu_noise", "imu_gate", "fix_error", "fix_error_time", "fix_std")
-"""Parameters that only filters without an exported script use."""
+"""Parameters of filters for which no script can be exported."""
 MODEL = {
     models: "THETA ACCEL_BIAS GYRO_BIAS planar5 planar8 gps_position velocity lateral_arm lateral_velocity "
     "wheel_speed heading gyro_bias"
 }
-"""Names in each module that the script contains; an empty text means all names. FILTER and DRIVE have the same form."""
+"""Names from each module that the script contains; an empty text means all. FILTER and DRIVE have the same form."""
 FILTER = {
     gaussian: "Innovation Prediction GaussianFilter",
     ekf: "complex_step",

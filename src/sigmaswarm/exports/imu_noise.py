@@ -51,13 +51,13 @@ def noise_texts(noise: Noise, target: NoiseTarget) -> dict[str, str]:
     sign = "%" if target == "matlab" else "#"
     lines = [f"Noise of the IMU of {noise.name}, {noise.rate:.6g} Hz, by sigmaswarm", *noise.remarks]
     lines += [
-        f"{axis} was not measured; the value is that of the other axes"
+        f"{axis} was not measured; the value is the RMS of the other axes"
         for axes, _ in SENSORS.values()
         for axis in axes.split()
         if axis not in known
     ]
     if not all(axis.bias(noise.longest)[0] for axis in noise.axes):
-        lines.append("axes without a measured bias have the random walk of an ICM-20602")
+        lines.append("axes without a measured bias have the bias random walk of an ICM-20602")
     comments = [f"{sign} {' '.join(line.split())}" for line in lines]
     return {file: "\n".join([*comments, *written(noise), ""])}
 
@@ -66,7 +66,7 @@ _white = attrgetter("white.value")
 
 
 def _walk_of(noise: Noise, sensor: str) -> Callable[[AxisNoise], float]:
-    """Return a function from an axis to the random walk of its bias, unit/sqrt(s); if not measured, a typical value."""
+    """Return a function of an axis: the random walk of its bias, unit/sqrt(s), or a typical value if not measured."""
 
     def walk(axis: AxisNoise) -> float:
         std, time = axis.bias(noise.longest)
@@ -111,7 +111,7 @@ def _kf_gins(noise: Noise) -> list[str]:
         f"  vrw: {_listed(vrw)}  # m/s/sqrt(h)",
         f"  gbstd: {_listed(gyro)}  # deg/h",
         f"  abstd: {_listed(accel)}  # mGal",
-        "  gsstd: [1000.0, 1000.0, 1000.0]  # ppm, from KF-GINS's example: a log at rest does not show the scale",
+        "  gsstd: [1000.0, 1000.0, 1000.0]  # ppm, from KF-GINS's example: a log at rest does not show scale factors",
         "  asstd: [1000.0, 1000.0, 1000.0]  # ppm, from the same example",
         f"  corrtime: {_number(time / HOUR)}  # h",
     ]
@@ -157,7 +157,7 @@ def _matlab(noise: Noise) -> list[str]:
             for part in ("white", "instability", "walk")
         )
         lines += [
-            f"imu.{name} = {sensor}params( ...  % two-sided densities: set NoiseType to double-sided where it exists",
+            f"imu.{name} = {sensor}params( ...  % two-sided densities: set NoiseType, if available, to double-sided",
             f"    'NoiseDensity', {white}, ...  % {unit}/sqrt(Hz)",
             f"    'BiasInstability', {flicker}, ...  % {unit}",
             f"    'RandomWalk', {walk});  % {unit}/sqrt(s)",

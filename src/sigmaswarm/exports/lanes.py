@@ -35,7 +35,7 @@ class Lanes:
         return spread.first(np.random.default_rng([self.seed, 0]))[: self.n]
 
     def context(self, tuning: FilterParameters) -> dict[str, Any]:
-        """Return what the templates use of a bank."""
+        """Return the variables of a bank for the templates."""
         filters = self.filters(tuning)
         one = {"lanes": self.n, "filters": filters, "q": "process_noise", "r": "measurement_noise"}
         if self.n == 1:

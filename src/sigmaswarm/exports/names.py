@@ -21,7 +21,7 @@ class Description:
     title, needs : str
         Name and requirements, for users.
     commands : dict of str to str
-        Parts of the shell command that uses the files, by exported file; ``{}`` is the folder of the files.
+        Parts of the shell command that uses the exported files, by file; ``{}`` is the folder of these files.
     lacks : tuple of str
         Options of `tune` that the target does not support.
     tilts : bool
@@ -71,7 +71,7 @@ DESCRIPTIONS: dict[Target, Description] = {
 
 
 def target_named(target: AnyTarget) -> Target:
-    """Return a target; users may also write it as the model robot-localization."""
+    """Return a target; robot-localization, the name of the model, is also accepted."""
     return "robot_localization" if target == "robot-localization" else target
 
 

@@ -1,8 +1,8 @@
 """Write a configuration of ROS's robot_localization, from a filter with the model robot-localization or another model.
 
 robot_localization adds ``process_noise_covariance`` times the time step, so Q is divided by the nominal interval. Its
-rejection threshold is the square root of a limit of the NIS. Source: https://github.com/cra-ros-pkg/robot_localization,
-branch rolling-devel, filter_base.cpp.
+rejection thresholds are the square roots of limits of the NIS. Source:
+https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel, filter_base.cpp.
 """
 
 import math
@@ -120,7 +120,7 @@ def yaml_number(value: float) -> str:
 
 
 def _entries(sensor: str, *measured: int) -> str:
-    """Return the setting that selects the measured states of a sensor, in five rows of three."""
+    """Return the setting that selects the measured states of a sensor, as five rows of three values."""
     head = f"    {sensor}_config: ["
     cells = [("true," if k in measured else "false,").ljust(6) for k in range(15)]
     rows = [" ".join(cells[k : k + 3]).rstrip() for k in range(0, 15, 3)]

@@ -34,7 +34,7 @@ INNOVATION, INNOVATION_SIGMA, NIS = (
 )
 INTERVAL = 0.1  # s between messages of the topics SIGMA and FIX
 NOT_ESTIMATED = 1e6
-"""Variance of states that a filter does not estimate: height, vertical velocity, rates; in planar models attitude."""
+"""Variance of what a filter does not estimate: height, vertical velocity, rates; in planar models roll and pitch."""
 RawMessage = tuple[int, Any, Any]  # ns, connection in the new bag, bytes
 Message = tuple[int, str, Any]  # ns, topic, message
 
@@ -257,8 +257,8 @@ def _fix(factory: MessageFactory, nanoseconds: int, mean: Array, pose: Array, or
 def _pose_of(n: int) -> dict[int, int]:
     """Return a mapping from the states of the pose to rows in the covariance of a message.
 
-    The rows are x, y, z, and the rotations about the fixed axes x, y, z, which are roll, pitch and theta, since R =
-    Rz(theta) Ry(pitch) Rx(roll).
+    The rows are x, y, z, and the rotations about the fixed axes x, y, z. These rotations are roll, pitch and theta,
+    since R = Rz(theta) Ry(pitch) Rx(roll).
     """
     return {0: 0, 1: 1} | dict(zip(tilt_indices(n), (3, 4), strict=False)) | {THETA: 5}
 

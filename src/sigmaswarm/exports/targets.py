@@ -43,7 +43,7 @@ def export_texts(
     imu_axes : dict of str to str, optional
         c99: expressions from which the import computed the IMU's axes, for the README.
     lanes, seed : int
-        c99: number of filters in a bank, like a `LiveFilterBank` without searches, and seed of their parameters.
+        c99: number of filters of a bank (as in a `LiveFilterBank` without searches), and seed of their parameters.
 
     Raises
     ------

@@ -38,7 +38,7 @@ def write_pieces(
     name: str | None = None,
     replace: bool = False,
 ) -> None:
-    """Write an estimate, in pieces, to a file; the extension selects the format.
+    """Write an estimate, given in pieces, to a file; the extension selects the format.
 
     ``.csv``: t, x, y, vx, vy, theta and std_x ... std_theta (s, m, m/s, rad); also the other states of the model and
     their standard deviations. ``.mat``, for MATLAB: t, the states by name, and covariance (n, states, states).
@@ -131,7 +131,7 @@ def check_target(
 ) -> None:
     """Raise `InputError` if an estimate can't be written.
 
-    If ``replace`` is True, a bag of this module may be replaced.
+    If ``replace`` is True, a bag that this module wrote may be replaced.
     """
     endings = [*_WRITERS, BAG, *MAPS]
     if path.suffix not in endings:

@@ -1,8 +1,8 @@
 """Detection and reset of diverged filters.
 
 The fixes of the last few seconds determine position, speed and heading without a filter (`drives.alignment`). A filter
-has diverged if, for `DIVERGED_AFTER` seconds, its heading differs from this alignment, or its position from the fixes,
-by far more than the covariances allow. It is then reset to the alignment.
+has diverged if its heading differs from this alignment, or its position differs from the fixes, by far more than the
+covariances allow, for `DIVERGED_AFTER` seconds. It is then reset to the alignment.
 
 The thresholds were chosen on nine recordings. Filters that had not diverged differed from the alignments by more than
 20 deg in heading for at most 8 s. They differed from the fixes by more than 20 m and 5 standard deviations for at most
@@ -102,7 +102,7 @@ class StateCheck:
         return bool(off > max(HEADING_OFF, MANY_SIGMAS * std))
 
     def _turned_by_bias(self, aligned: InitialState) -> float:
-        """Return the correction of the alignment's heading at the check for the gyro bias of the filter, rad."""
+        """Return the change of heading at the check (rad) if the filter's gyro bias replaces that of the alignment."""
         gyro = aligned.gyro
         if gyro is None or len(self.mean) <= GYRO_BIAS:
             return 0.0
@@ -253,7 +253,7 @@ _MAX_MAGNITUDE = 1e12  # m, m/s2 or rad/s; samples and fixes with larger numbers
 
 
 def align_stream(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> InitialState | None:
-    """Align with the last few seconds of a live filter's data.
+    """Compute an alignment from the last few seconds of a live filter's data.
 
     ``samples`` (k, 4 or 6): time, ax, ay, gz and, if present, gx, gy; ``fixes`` (m, 3): time (s), x, y (m);
     ``gyro_bias``: known bias of gz, rad/s.
@@ -278,7 +278,7 @@ def align_stream(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -
 
 @call_once
 def compile_resets() -> None:
-    """Compile or load the functions of a reset, which otherwise delay the estimates of a live filter by seconds."""
+    """Compile or load the functions of a reset in advance; during a run, this would delay a live filter by seconds."""
     samples, fixes = np.zeros((100, 6)), np.zeros((100, 3))
     samples[:, 0] = fixes[:, 0] = 0.1 * np.arange(100)
     fixes[:, 1] = 10.0 * fixes[:, 0]  # 10 m/s to the east

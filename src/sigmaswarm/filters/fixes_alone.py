@@ -31,7 +31,7 @@ class MotionNoise:
 
     @classmethod
     def typical(cls, noises: Iterable["MotionNoise"]) -> "MotionNoise":
-        """Return the median noise parameters of several drives, computed from their logarithms."""
+        """Return the medians of the noise parameters of several drives, computed from logarithms."""
         density, fix = np.exp(np.median([(np.log(n.acceleration), np.log(n.fix)) for n in noises], axis=0))
         return cls(float(density), float(fix))
 

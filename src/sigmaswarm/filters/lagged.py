@@ -12,7 +12,7 @@ from sigmaswarm.filters.compiled.step_log import logged_rows
 
 LAG_ROUNDING = 1e-6  # s, largest rounding error of a lag
 N_LOGGED = live.N_ALL
-"""Index at which the number of logged steps follows the state of a live filter; the log follows the number."""
+"""Index of the number of logged steps, which follows the state of a live filter; the log follows this number."""
 STEP_LOG = N_LOGGED + 1
 
 

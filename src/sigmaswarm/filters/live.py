@@ -81,10 +81,9 @@ class LiveFilter:
     is a repeated message and is ignored. A stale fix is not used: see `drives.stale_fixes`.
 
     Without IMU samples, the state does not change and fixes wait; the next sample bridges the gap (`drives.gaps`). A
-    sample whose time stamp is more than 10 s ahead of the filter waits for a second sample within a second of this
-    time. If the next sample is such a sample, both samples are used, as after a gap; otherwise the first sample is
-    dropped and counted in ``time_jumps``. The same rule applies to fixes, which IMU samples near their time also
-    confirm.
+    sample whose time stamp is more than 10 s ahead of the filter waits for the next sample. If that sample is at most 1
+    s later, both samples are used, as after a gap; otherwise the first sample is dropped and counted in ``time_jumps``.
+    The same rule applies to fixes; IMU samples near the time of a fix also confirm it.
 
     The divergence monitor compares the filter once a second with the latest fixes and resets it if it has diverged
     (`divergence`). If fixes are delayed, the reset is later than in `run_filter`. Fixes from before a reset count as
@@ -118,10 +117,10 @@ class LiveFilter:
         Times of the last `MAX_RESTARTS` resets, s.
     too_late : int
         Number of fixes and odometer readings that were ignored, since they were more than ``history`` s late, too many
-        of them waited in an IMU gap, or their time was not finite.
+        of them waited in an IMU gap, or their time or speed was not finite.
     time_jumps : int
-        Number of samples, fixes and odometer readings that were dropped because of a time stamp far ahead, which was
-        not confirmed.
+        Number of samples, fixes and odometer readings that were dropped, since their time stamps were far ahead and not
+        confirmed.
     frozen : int
         Number of stale fixes, which are not used.
     """
@@ -191,7 +190,7 @@ class LiveFilter:
         if len(imu) != len(self._axes):
             raise InputError(
                 f"the IMU sample has {len(imu)} numbers, but {self.parameters.model} reads {', '.join(self._axes)}; "
-                "pass these numbers in this order"
+                "pass the axes that it reads, in this order"
             )
         try:
             took = self._calls.sample(self._memory.handle, t, *imu, *self._no_axes)
@@ -247,8 +246,8 @@ class LiveFilter:
         Returns
         -------
         bool
-            False if the reading was ignored: the filter uses no odometer, or the reading is too late, more than 10 s
-            ahead, or has the time of an earlier reading.
+            False if the reading was ignored: the filter uses no odometer, or the reading is too late, is more than 10 s
+            ahead, is not finite, or has the time of an earlier reading.
         """
         try:
             return self._calls.speed(self._memory.handle, t, speed) == live.TAKEN

@@ -67,9 +67,9 @@ def robot_localization(state: Array, dt: float, imu: Array) -> Array:
         x += cos(yaw) A - sin(yaw) B        y += sin(yaw) A + cos(yaw) B        yaw += d yaw rate
         vx += d ax                          vy += d ay                          P = J P J' + d Q
 
-    The velocity does not rotate with the body, so in a turn a fused ay becomes lateral speed. All measurements are of
-    states: the IMU measures the yaw rate, ax and ay; the wheels measure vx; a twist measures vy = 0; a fix measures x
-    and y; two antennas measure yaw. A fix, gz or ax with nu' S^-1 nu >= threshold^2 is rejected. Source:
+    The velocity does not rotate with the body, so in a turn a fused ay becomes lateral speed. The measurements are
+    states plus noise: the IMU measures the yaw rate, ax and ay; the wheels measure vx; a twist measures vy = 0; a fix
+    measures x and y; two antennas measure yaw. A fix, gz or ax with nu' S^-1 nu >= threshold^2 is rejected. Source:
     https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel.
     """
     x, y, vx, vy, theta, ax, ay, yaw_rate = state

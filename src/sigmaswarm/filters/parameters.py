@@ -37,7 +37,7 @@ NIS, OF_STATED = "NIS, dimensionless", "of the stated variance, dimensionless"  
 
 
 class SearchRange(NamedTuple):
-    """Option of ``tune --use`` for a search of a parameter, and bounds. ``logarithmic``: the scale of the search."""
+    """Option of ``tune --use`` that tunes a parameter, and bounds and scale (``logarithmic``) of the search."""
 
     option: str
     lowest: float
@@ -58,7 +58,7 @@ def _option(
 
     ``use``, ``bounds`` and ``logarithmic`` are those of `SearchRange`. Properties: ``absent`` represents None in a
     `ParameterTable` (default 0), ``typical`` is the value without tuning if no data sheet states one, ``scaled`` marks
-    noise variances and factors of them.
+    noise variances and factors of variances.
     """
     about = {"unit": unit, "search": SearchRange(use, *bounds, logarithmic) if use else None}
     about |= {"absent": 0.0} if default is None else {}
@@ -228,7 +228,7 @@ class FilterParameters:
         return kernel_name(self.model, self.kind, self.fix_error is not None)
 
     def scaled(self, factor: float) -> "FilterParameters":
-        """Multiply all variances by a factor, which hardly changes the estimates.
+        """Multiply all noise variances by a factor, which hardly changes the estimates.
 
         The initial standard deviations of the biases are multiplied by the root of the factor. The other initial
         covariances and the covariance that IMU gaps add do not change. The estimates change if a gate or ``robust_dof``
@@ -320,7 +320,7 @@ class FilterParameters:
 
 
 def described(key: str) -> dict[str, Any]:
-    """Return a property of parameters by name, for those that have it: a key of the metadata in `_option`."""
+    """Return the property ``key`` (see `_option`) of the parameters that have it, by parameter name."""
     return {f.name: f.metadata[key] for f in fields(FilterParameters) if f.metadata.get(key) is not None}
 
 
@@ -350,7 +350,7 @@ RULES_SINCE = (0, 3)  # first version with the present treatment of stale fixes,
 def incompatibility(kind: str, use: Collection[str]) -> str | None:
     """Return the reason why a filter type and options conflict; None if they do not."""
     if "robust" in use and "gate" in use:
-        return "robust and gate can't be combined: robust weights the fixes that gate rejects; leave out one option"
+        return "robust and gate can't be combined: robust reduces the weight of fixes that gate rejects; leave out one"
     if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"):
         return (
             f"robust can't be combined with {kind}, which adapts its noise to outliers; use ukf or ekf, or "

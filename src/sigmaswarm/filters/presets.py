@@ -79,8 +79,9 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
     ----------
     drive : Drive
     like : FilterParameters, optional
-        Filter whose model, type and options the result has. If None, the result is the preset ``datasheet``, a planar5
-        UKF with values from data sheets only (without `MODEL_NOISE` and without an estimate from the fixes).
+        Filter that determines the model, type and options of the result. If None, the result is the preset
+        ``datasheet``, a planar5 UKF with values from data sheets only (without `MODEL_NOISE` and without an estimate
+        from the fixes).
     """
     if like is None:
         return _planar(drive, stated_std(drive) or (UNSTATED_GPS_STD, UNSTATED_GPS_STD))
@@ -145,7 +146,7 @@ def filter_for(given: FilterParameters | str | Path, dataset: Dataset) -> Filter
 
 
 def _as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
-    """Return a robot_localization filter with the variances that the messages of a drive state."""
+    """Return a robot_localization filter with the variances that are stated in the messages of a drive."""
     gyro, accel = _stated_imu(drive, p)[:2]
     stated = [gyro, *[accel] * (len(p.imu_noise) - 1)]
     imu = tuple(r if r == NOT_FUSED else variance for r, variance in zip(p.imu_noise, stated, strict=True))
@@ -164,7 +165,7 @@ def _as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
 
 
 def _stated_imu(drive: Drive, p: FilterParameters) -> tuple[float, ...]:
-    """Return the variances of gz and ax that the log's messages state, or the variances of ``p``."""
+    """Return the variances of gz and ax that are stated in the log's messages, otherwise those of ``p``."""
     return tuple(map(float, drive.metadata.get("imu_stated_noise", p.imu_noise)))
 
 

@@ -133,7 +133,7 @@ def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
 
 
 def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float | None:
-    """Return the square of the Mahalanobis threshold with the first of ``names`` in the file; None: no limit."""
+    """Return the square of the first Mahalanobis threshold in the file for one of ``names``; None: no limit."""
     keys = [key for name in names or () if (key := f"{name}_rejection_threshold") in block]
     if not keys:
         return None

@@ -60,7 +60,7 @@ _LENGTHS = {len(model.states) for model in FILTERS.values() if model.fix_error}
 
 
 def known_states(n: int, given: int) -> int:
-    """Return how many of a model's n states an initial state with ``given`` states contains."""
+    """Return the number of a model's n states that are also in an initial state with ``given`` states."""
     if n == given:
         return n
     return min(n - 2 if n in _LENGTHS else n, given - 2 if given in _LENGTHS else given)

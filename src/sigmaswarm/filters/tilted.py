@@ -1,11 +1,11 @@
 """tilted12: a car on a road that is not flat; process and measurements in textbook form.
 
-The attitude is a rotation R from body to local frame, R = Rz(theta) Ry(pitch) Rx(roll): pitch is positive nose down,
-roll left side up. The covariance describes a small rotation ``e`` about east, north and up, multiplied from the left:
-R_true = exp([e]x) R (J. Sola, Quaternion kinematics for the error-state Kalman filter, 2017, section 7: the global
-error). In state vectors, e has the indices of roll, pitch and theta. To first order, the covariance does not change
-when e is injected. There is no vertical channel, since the car stays on the road. The Jacobians assume that the
-specific force along the local up axis is gravity; otherwise, bumps would make the Jacobians noisy.
+The attitude is a rotation R from body to local frame, R = Rz(theta) Ry(pitch) Rx(roll): pitch is positive with the nose
+down, roll with the left side up. The covariance describes a small rotation ``e`` about east, north and up, multiplied
+from the left: R_true = exp([e]x) R (J. Sola, Quaternion kinematics for the error-state Kalman filter, 2017, section 7:
+the global error). In state vectors, e has the indices of roll, pitch and theta. To first order, the covariance does not
+change when e is injected. There is no vertical channel, since the car stays on the road. The Jacobians assume that the
+specific force along the local up axis is gravity; with the measured force, bumps would make the Jacobians noisy.
 """
 
 from dataclasses import dataclass

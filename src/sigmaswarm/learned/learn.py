@@ -41,7 +41,7 @@ POPULATION = 4  # combinations of settings in a batch of the search
 
 @dataclass(frozen=True)
 class TrainingProgress:
-    """Progress after an epoch: number of epochs ``done`` and at most ``total``, and lowest validation ``loss``."""
+    """Progress after an epoch: number ``done`` of at most ``total`` epochs, and lowest validation ``loss``."""
 
     trial: int
     epoch: int

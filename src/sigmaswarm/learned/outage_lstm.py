@@ -1,13 +1,13 @@
 """outage-lstm: a filter that uses a network's forecasts of displacements in outages.
 
-The network estimates the displacement in the last second, forward and left, from windows of the IMU. The windows
+The network estimates the displacement in the last second, forward and left, from windows of IMU samples. The windows
 contain information on the speed, since vibration and lateral acceleration depend on it. The filter's speed is not an
 input, since the update would use it twice.
 
 Errors of the forecasts are modeled as Gauss-Markov processes. In an outage, the error at the last fix, multiplied by a
-decay, is subtracted. Two factors are chosen to maximize the likelihood of hidden fixes on validation data. A factor on
-the variance of the forecasts accounts for the remaining correlation in time. A factor on the Q of the velocity is
-needed, since the velocity covariance of a filter that was tuned with fixes is often too small in an outage.
+decay factor, is subtracted. Two factors are chosen to maximize the likelihood of hidden fixes on validation data. A
+factor on the variance of the forecasts accounts for the remaining correlation in time. A factor on the Q of the
+velocity is needed, since the velocity covariance of a filter that was tuned with fixes is often too small in an outage.
 """
 
 from collections.abc import Mapping, Sequence
@@ -128,7 +128,7 @@ def features_at(line: Timeline, end: Indices, *, axes: Sequence[str], window: fl
 
 
 def _means(time: Array, values: Array, edges: Array) -> Array:
-    """Return the means (k, m) of a signal between times ``edges`` (k, m + 1), s; earlier values equal the first."""
+    """Return the means (k, m) of a signal between times ``edges`` (k, m + 1), s, extended back by its first value."""
     whole = cumulative_trapezoid(values, time, initial=0)
     inside = np.maximum(edges, time[0])
     length = np.diff(inside, axis=1)
@@ -200,7 +200,7 @@ class OutageLstm:
 
 
 def outputs_of(xp: Any, weights: Weights, features: Any) -> Any:
-    """Return displacements in units of ``scale``, and ln of their standard deviations, (k, 4), for (k, steps, f)."""
+    """Return displacements in units of ``scale``, and ln of their standard deviations, (k, 4); inputs (k, steps, f)."""
     inputs = (features - weights["center"]) / weights["spread"]
     units = weights["hidden"].shape[0]
     state = xp.zeros((len(inputs), units)), xp.zeros((len(inputs), units))

@@ -6,7 +6,7 @@ The two-sided spectral density is
 
 with white noise N (angle or velocity random walk), flicker noise B (bias instability) and a bias with rate random walk
 K. For finite T the bias is a first-order Gauss-Markov process with variance K^2 T / 2. The fit maximizes Whittle's
-likelihood (1953) of the periodogram; the intervals are computed from the likelihood's profile. Unlike straight lines
+likelihood (1953) of the periodogram; the intervals are computed from the profile likelihood. Unlike straight lines
 fitted to an Allan deviation, the likelihood separates overlapping processes, and shows which processes the log does not
 determine.
 """
@@ -157,7 +157,7 @@ def _least_squares(matrix: Array, right: Array, sets: list[list[int]]) -> Array:
 
 
 def _interval(s: Spectrum, shapes: Array, k: int, variance: float, limit: float) -> Interval:
-    """Return the root of a variance, and the ends of its interval, where the deviance profile crosses a limit."""
+    """Return the square root of a variance, with the interval at whose ends the deviance profile crosses a limit."""
     others = shapes[:, [i for i in range(3) if i != k]]
     own = shapes[:, k]
 

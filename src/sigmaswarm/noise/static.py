@@ -48,8 +48,8 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
     steps = np.diff(imu.time)
     if len(imu) < MIN_SAMPLES or not np.all(steps > 0):
         raise InputError(
-            f"at least {MIN_SAMPLES} samples with increasing times are needed, but the log has {len(imu)} samples; "
-            f"record at least {MIN_DURATION:g} s"
+            f"at least {MIN_SAMPLES} samples with increasing times are needed, but the log has {len(imu)} samples "
+            f"or times that do not increase; record at least {MIN_DURATION:g} s"
         )
     columns = [axis for axis in AXES if getattr(imu, axis) is not None]
     if wrong := [axis for axis in columns if not np.isfinite(getattr(imu, axis)).all()]:
@@ -75,7 +75,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
         duration = imu.time[-1] - imu.time[0]
         what = f"log is {duration:.3g} s long" if duration < 2 * MIN_DURATION else "IMU moves"
         raise InputError(
-            f"the {what}, without a standstill of {MIN_DURATION:g} s; record the IMU at rest, for an hour to "
+            f"the {what}, and there is no standstill of {MIN_DURATION:g} s; record the IMU at rest, for an hour to "
             "determine all noise terms"
         )
     static = sum(part.stop - part.start for part in parts)
@@ -83,7 +83,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
 
 
 def _calm_blocks(imu: Imu, starts: NDArray[np.int_], size: int, fresh: Mask) -> Mask:
-    """Return a mask of blocks that are nearly as quiet as the quietest block and similar in mean to their neighbors."""
+    """Return a mask of blocks that are nearly as quiet as the quietest tenth and similar in mean to their neighbors."""
     calm = np.ones(len(starts), np.bool_)
     for axis in AXES:
         values = getattr(imu, axis)

@@ -1,6 +1,6 @@
 """A bank of sixteen filters with the interface of a `LiveFilter`.
 
-The result of a search replaces filters in an earlier state of the bank, which no late fix can change. The bank then
+The result of a search replaces filters in an earlier state of the bank that no late fix can change. The bank then
 processes the later samples again. Therefore, estimates do not depend on the time that the search takes.
 """
 
@@ -58,13 +58,13 @@ class LiveFilterBank(LiveFilter):
     The weight of a filter depends on the prior of its offsets and on its evidence: the log-likelihood of the fixes,
     whose weight decays. Filter 0 has the tuned parameters and equals a `LiveFilter`. Filters 1 to 7 have fixed offsets,
     for larger biases and for other receivers. Every 10 s of driving, the filters with the lowest weights among filters
-    8 to 15 are replaced: one by the result of a search over the last minute, and each of the others by a changed copy
-    of a good filter. Thus the bank adapts to other sensors or reception. On the vehicle of the tuning, the bank is not
-    more accurate than a single filter. If the mixture diverges, filters 1 to 15 are reset; most of them keep the biases
-    of the mixture.
+    8 to 15 are replaced: one by the result of a search over the last minute, and each of the others by a randomly
+    changed copy of a good filter. Thus the bank adapts to other sensors or reception. On the vehicle of the training
+    drives, the bank is not more accurate than a single filter. If the mixture diverges, filters 1 to 15 are reset; most
+    of them keep the biases of the mixture.
 
-    The interface is the same as for a `LiveFilter`, without the smoothed state. A copy by `pickle` continues with
-    identical results. After a reset, all filters ignore fixes from before the reset.
+    The interface is that of a `LiveFilter`, without the smoothed state. A copy by `pickle` continues with identical
+    results. After a reset, all filters ignore fixes from before the reset.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class LiveFilterBank(LiveFilter):
     searches : bool
         Search for better filters during the drive. If False, no filter is replaced.
     trust_times : bool
-        Accept all time stamps; for a recording with sorted samples.
+        Accept all time stamps, for a recording whose samples are sorted by time.
 
     Attributes
     ----------
@@ -150,7 +150,7 @@ class LiveFilterBank(LiveFilter):
         return self._filter_state[live.BEHIND :]
 
     def _start_lanes(self, start: InitialState, lanes: slice) -> None:
-        """Start the filters ``lanes``; set the evidence of all filters to 0, and that of failed filters to -inf."""
+        """Start the filters ``lanes``; set the evidence of failed filters to -inf, and that of all others to 0."""
         rows = self._rows_of(self._numbers)
         rows[:, lanes] = self._started(start)[:, lanes]
         rows[CONSTANT_ROWS, lanes] = self.prior.constants(self._own_constants, self.offsets[lanes])
@@ -167,7 +167,7 @@ class LiveFilterBank(LiveFilter):
         return KernelArray(sets).start([start], [self._interval])[0]
 
     def count_only(self, lanes: int) -> None:
-        """Give weight only to the first ``lanes`` filters, as in an export with this number; searches must be off."""
+        """Weight only the first ``lanes`` filters, as in an export of ``lanes`` filters; searches must be off."""
         self._counted = lanes
         self._numbers[swarm.PENALTY][lanes:] = np.inf
         swarm.weigh(self._filter_state)
@@ -336,10 +336,10 @@ class LiveFilterBank(LiveFilter):
         return mean, covariance
 
     def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
-        """Set the mixture's biases in the reset filters, except in those whose offsets assume other initial biases.
+        """Set the biases of reset filters to those of the mixture, except if their offsets assume other initial biases.
 
-        The filters keep the gyro bias of the alignment if it is more precise than that of the mixture, or contradicts
-        it.
+        The filters keep the gyro bias of the alignment if it is more precise than that of the mixture, or if the two
+        contradict each other.
         """
         gyro = start.gyro
         if gyro is not None:
@@ -414,7 +414,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def settled(self) -> FilterParameters:
-        """Tuned parameters plus the mean offsets `moved`; a filter that can be saved for this car."""
+        """Tuned parameters with the mean offsets `moved`, to be saved as the filter of this car."""
         return self.prior.parameters(self.moved)
 
     @property

@@ -30,12 +30,12 @@ FIXED_OFFSETS = (
     {R: 2.5, START: 3.0},
     {R: 4.5, START: 3.0},
 )
-"""Constant offsets of the first filters: the tuned parameters, larger initial biases, other receivers."""
+"""Constant offsets of the first filters: none (the tuned parameters), larger initial biases, other receivers."""
 
 WARNING_OFFSET, WARNING_AXLE_OFFSET = 0.5, 0.5  # largest offsets without a warning, decades and m
 _MEANS = {
     R: "R is {times}, which indicates a different receiver",
-    SCALE: "all variances together are {times}, since the tuning did not determine the scale of the covariances",
+    SCALE: "all variances are {times}; the tuning did not determine this common factor",
     **dict.fromkeys(
         NOISE_OF, "the noise of {name} is {times}, which indicates a different vehicle or mounting"
     ),
@@ -44,7 +44,7 @@ _MEANS = {
 
 @dataclass(frozen=True)
 class OffsetPrior:
-    """Prior distribution of the offsets of a bank's filters from a tuning."""
+    """Prior distribution of the offsets of a bank's filters from the tuned parameters."""
 
     tuning: FilterParameters
 
@@ -98,7 +98,7 @@ class OffsetPrior:
         return {"the tuning": [0]} | {name: lanes for name, lanes in groups.items() if lanes}
 
     def penalty(self, offsets: Array) -> Array:
-        """Return the log-prior penalty (m,) of offsets (m, d): the sum of -log of Student's t, without constants."""
+        """Return log-prior penalties (m,) of offsets (m, d): summed negative logs of Student's t, without constants."""
         relative = offsets / self.std
         r = relative[..., self.names.index(R)]
         r[r < 0.0] *= R_STD / R_DOWN_STD
@@ -140,7 +140,7 @@ class OffsetPrior:
                 if abs(offset) > WARNING_AXLE_OFFSET:
                     where = "back" if offset > 0 else "ahead"
                     messages.append(
-                        f"the rear axle is {abs(offset):.1f} m farther {where} than the tuned value"
+                        f"the rear axle is {abs(offset):.1f} m farther {where} than in the tuning"
                     )
             elif name not in (START, SCALE):
                 is_its_own = abs(offset) > WARNING_OFFSET or abs(common) <= WARNING_OFFSET

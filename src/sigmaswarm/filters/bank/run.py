@@ -67,7 +67,8 @@ class BankLog:
 class BankRun:
     """Run of a filter bank over a drive, as an iterator of pieces; the log is complete after the last piece.
 
-    ``failure`` states the first time in the pieces so far at which all filters had failed; None if some filter works.
+    ``failure`` states the first time in the pieces so far at which all filters had failed; None if there is no such
+    time.
     """
 
     def __init__(

@@ -148,7 +148,7 @@ FUZZY_FACTORS = R.TIMES_R, R.TIMES_Q
 
 
 def with_zero_sums(lanes: Array) -> Array:
-    """Return filters (N_KEPT, m) in the same state, with sums of 0 and fuzzy factors of 1."""
+    """Return copies of filters (N_KEPT, m) with the same state, sums of 0 and fuzzy factors of 1."""
     fresh = lanes.copy()
     fresh[SUM_ROWS] = 0.0
     lasting = [R.REJECTED, R.RECENT, R.OUTLIERS, R.SPAN, R.QUICK, R.SLOW, R.HEADING, R.OK]
@@ -214,7 +214,7 @@ def search(
 
 
 def _trials(offsets: Array, prior: OffsetPrior, rng: np.random.Generator) -> Array:
-    """Return a trial for each member: its crossover with another member plus the scaled difference of two more."""
+    """Return a trial for each member: its crossover with a + F (b - c), where a, b and c are other members."""
     n, d = offsets.shape
     others = np.array([rng.permutation(np.delete(np.arange(n), i))[:3] for i in range(n)])
     a, b, c = (offsets[others[:, k]] for k in range(3))

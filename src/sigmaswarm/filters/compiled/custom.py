@@ -251,7 +251,7 @@ def _update(mean, covariance, y, w, share):
 def _limited_share(z, nis, limit, runs):
     """Return the factor of an update: limit / NIS for an outlier, otherwise 1.
 
-    The factor is also 1 if outliers last: see `Model.robust`.
+    After a long run of outliers, the factor is 1 again: see `Model.robust`.
 
     ``runs``: see `TextbookModel`.
     """

@@ -106,7 +106,8 @@ N_RECORD = S_MEANS.stop
 TAKEN, IGNORED, LEFT_OUT = 1, 0, -1
 """Reasons:
 
-IGNORED: repeated, before the start, or waiting; LEFT_OUT: too late, no room, not finite, or a speed far ahead.
+IGNORED: repeated, before the start, or waiting; LEFT_OUT: too late, no room, not finite, or a wheel speed whose time is
+far ahead.
 """
 DUE = 2  # result of a sample: used, and the divergence monitor is due
 
@@ -378,7 +379,7 @@ def replay(step, v, counts, fixes, speeds, history, checkpoints, first, corrects
 
 @_plain
 def _replay_from(step, v, counts, fixes, speeds, history, checkpoints, back):
-    """Return to the state before the stored sample ``back``, or to an earlier checkpoint; process again from there."""
+    """Return to the state before the stored sample ``back``, or to an earlier checkpoint; process the samples again."""
     if checkpoints.shape[0] > 0:
         number = counts[N_SAMPLES] - counts[N_HISTORY] + back
         back -= number % CHECKPOINT_EVERY
@@ -532,13 +533,13 @@ def _definite(handle):
 
 @call_once
 def replay_call():
-    """Return `replay` with a cache; for a smoother, pass as ``step`` a `single_step` that logs its steps."""
+    """Return `replay`, compiled and cached; a smoother passes as ``step`` a `single_step` that logs its steps."""
     return cached_by_sources(getattr(replay, "py_func", replay), "live again")
 
 
 @dataclass(frozen=True)
 class LiveCalls:
-    """Compiled functions on the memory of a live filter; their first argument is `Memory.handle`.
+    """Compiled functions that change or read the memory of a live filter; their first argument is `Memory.handle`.
 
     - ``sample(handle, t, a, b, c, d, e, f)``: process an IMU sample, axes in the filter's order
     - ``fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta)``

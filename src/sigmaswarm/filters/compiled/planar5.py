@@ -13,7 +13,7 @@ center, g0 = g(theta). With J a turn by 90 degrees, and s the state,
     Cov(s, g) = k P[:, theta] (J g0)^T
     Cov(g)    = k^2 P[theta, theta] J g0 (J g0)^T  +  (alpha^2 (n + kappa - 1) + beta) e^2 g0 g0^T
 
-The other covariances are those of sums: Cov(., u') = Cov(., u) + dt Cov(., g), and so on; Q is added at the end.
+The other covariances follow from linearity: Cov(., u') = Cov(., u) + dt Cov(., g), and so on; Q is added at the end.
 
 The extended Kalman filter has no second-order terms: gamma = 0, so e = 0 and k = 1. In a step, the heading turns by the
 same angle in all lanes, so rows COS and SIN are rotated. After an update, a start or a large turn, SIN_COS_VALID and
@@ -64,7 +64,7 @@ def _turn(w, ax, ay, turn):
 
 @kernel
 def predict_planar5(w, u):
-    """Compute a step of the process model; a name that ends in n holds an element after n changes.
+    """Compute a step of the process model; a digit at the end of a name counts the changes of this element.
 
     The position moves for half a step with the velocity before the step, and for half a step with the velocity after
     it. There are two loops, since one loop would be too long for out-of-order execution.

@@ -33,7 +33,7 @@ USES_VY, USES_AY = LATERAL, STANDSTILL
 """Bits of a step: update with vy = 0 of a twist, and with the IMU's ay."""
 R_GZ, R_AX, R_AY, R_VY = R.R_RATE, R.R_VELOCITY, R.R_STANDSTILL, R.R_LATERAL
 GATE_GZ, GATE_AX = R.REAR_AXLE, R.TIRE_SLIP
-"""Rows of the NIS limits of gz and ax; the names are those of constants that this model does not have."""
+"""Rows of the NIS limits of gz and ax; the rows are named after constants that this model does not have."""
 _TWO_PI = 2 * math.pi
 
 
@@ -106,7 +106,7 @@ def _correct(w, l, off, r, use, *, state):
 
 
 def _update(w, z, *, state, noise, gate, correct):
-    """Update with a measurement of one state; ``gate``: row of the NIS from which measurements are rejected, or 0."""
+    """Update with a measurement of one state; ``gate``: row of the smallest rejected NIS; 0: no gate."""
     for l in range(LANES):
         r, use, off = w[noise], 1.0, z - w[state]
         if state == R.T:

@@ -144,7 +144,7 @@ def _run(
     """Run the filters ``w`` from step ``cursor[NEXT_STEP]`` up to ``stop``, and update ``w`` and ``cursor``.
 
     ``state``: the recorded rows; ``heading``: the row of the scored heading. The kernel ``step`` gets the numbers of a
-    step and of a fix as tuples, since slices of arrays would cost Numba's reference counting at each step.
+    step and of a fix as tuples, since Numba would count the references to array slices at each step.
     """
     steps, sample, driving, flags, fixes, speeds, lever, targets, target_end = drive
     z, arm = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), tuple(lever[k] for k in range(3))
@@ -261,7 +261,7 @@ def _digest():
 
 
 def named_by_sources(function, name, known=None):
-    """Return the recipe of a function; its key in Numba's cache contains a hash of all kernels' sources.
+    """Return the `FunctionRecipe` of a function; its key in Numba's cache contains a hash of all kernels' sources.
 
     Numba's own key does not depend on the called functions, which are in other files or bound by `unrolled`. ``known``
     returns the values of the keyword-only parameters, which are needed only for compilation.

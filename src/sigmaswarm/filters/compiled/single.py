@@ -1,7 +1,6 @@
 """One step of one filter as a separate function, which other compiled code calls by its address.
 
-Otherwise, Numba would inline the step into its callers, the functions of a live filter, and compile these functions for
-each model.
+Otherwise, Numba would inline the step into the functions of a live filter, and compile these functions for each model.
 """
 
 from dataclasses import dataclass
@@ -48,7 +47,7 @@ def _one_step(v, u, events, z, wheels, lever, since, *, step, kept, step_log, lo
 
 @dataclass(frozen=True, eq=False)
 class SingleStep:
-    """A model's step in this process; a copy in another process looks up its own address.
+    """The compiled step of a model in this process; a copy in another process looks up its own address.
 
     ``address`` is the first argument of `take_step`; without compilation it is a function. ``made_by`` contains the
     function that creates this object, and its arguments.
@@ -84,7 +83,7 @@ def _call(typing_context, step, v, u, events, z, wheels, lever, since):
     def generate(context, builder, signature, arguments):
         for kind in (v, u, z, wheels, lever):
             if not (isinstance(kind, types.Array) and kind.dtype == types.float64 and kind.layout == "C"):
-                raise TypeError(f"a step takes contiguous doubles, not {kind}")
+                raise TypeError(f"a step needs contiguous arrays of doubles, not {kind}")
         values = [
             context.make_array(kind)(context, builder, value).data if isinstance(kind, types.Array) else value
             for kind, value in zip(signature.args, arguments, strict=True)

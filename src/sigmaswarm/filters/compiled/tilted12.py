@@ -69,7 +69,7 @@ def _half_turn(w, u):
 
 @kernel
 def _move(w, u):
-    """Propagate the mean; compute the coefficients of the transition of the error for the covariance."""
+    """Propagate the mean; compute the coefficients of the error transition, for the covariance."""
     dt, ax, ay, az = u[DT], u[AX], u[AY], u[AZ]
     h = 0.5 * dt
     for l in range(LANES):
@@ -136,7 +136,7 @@ def propagate(w, u, *, columns, coefficients, transition):
 
 
 def predict_tilted12(w, u, *, propagate, linearize, add_curvature):
-    """Compute a step of the process model; the unscented filter has ``linearize`` and ``add_curvature``."""
+    """Compute a step of the process model; only the unscented filter uses ``linearize`` and ``add_curvature``."""
     _half_turn(w, u)
     _move(w, u)
     if linearize:
@@ -226,7 +226,7 @@ def measure_heading_tilted(w, *, n):
 
 
 def measure_along_tilted(w, u, wheels, *, n, lateral, bias):
-    """Compute nu, C and S of the velocity to the left at the rear axle, or forward.
+    """Compute nu, C and S of the forward velocity, or of the velocity to the left at the rear axle.
 
     See `tilted.RearAxle` and `tilted.Wheels`.
     """

@@ -4,11 +4,11 @@ Sigma points are errors added to the mean; a rotation vector e is added as exp([
 valid. Here the states that do not enter linearly come first: see `tilted.STEP_FIRST` and `MEASURED_FIRST`. The later
 columns do not change these first states, and all other states enter linearly. Only the first columns need points:
 
-- In a step, the first columns are the gyro's biases and the attitude. The columns of the attitude follow those of the
+- For a step, the first columns are the gyro's biases and the attitude. The columns of the attitude follow those of the
   biases and do not change the biases. The points of the attitude rotate like the center, so their errors do not change,
   and the rotation of their acceleration has a closed form.
-- In a fix, the first columns are the attitude, which rotates the lever arm; this rotation also has a closed form.
-- In the other measurements, the first columns are the attitude, which rotates the velocity or the forward axis.
+- For a fix, the first columns are the attitude, which rotates the lever arm; this rotation also has a closed form.
+- For the other measurements, the first columns are the attitude, which rotates the velocity or the forward axis.
 
 A function of the state is a linear part plus r, where r is 0 at the center and at the points of the later columns. Let
 r+ and r- be the values of r at the two points of one of the first columns, L_c, and gamma^2 = alpha^2 (n + kappa). The
@@ -177,7 +177,7 @@ def _rotation_vector(scalar, vector, near):
 
 
 def _rotation_vector_far(scalar, vector, near):
-    """Of the rotation vectors of a quaternion, return the one nearest to ``near``."""
+    """Return the rotation vector of a quaternion that is nearest to ``near``."""
     (q1, q2, q3), (x, y, z) = vector, near
     length = math.sqrt(_square(vector)) + TINY
     sine = -length if q1 * x + q2 * y + q3 * z < 0.0 else length
@@ -433,7 +433,7 @@ def measure_heading_unscented(w):
 
 
 def _measure_along(w, u, wheels, *, lateral, bias, axis):
-    """Compute nu, C and S of the velocity to the left at the rear axle, or forward: `tilted.RearAxle`, `Wheels`."""
+    """Compute nu, C and S of `tilted.Wheels` (forward velocity) or `tilted.RearAxle` (velocity to the left)."""
     if lateral:
         shown = u[GZ]
     else:

@@ -54,7 +54,7 @@ def tilted12(f, dt, e):
 
 
 def tilted12_unscented(f, dt, e):
-    """Compute A e; ``f``: slopes H of tilted12_unscented.py, of vx and vy by STEP_FIRST, of rotation by gyro biases."""
+    """Compute A e; ``f``: R dt, and the slopes H (tilted12_unscented.py) of velocity and rotation."""
     (
         d11, d12, d21, d22,
         vx_wz, vx_wx, vx_wy, vx_up, vx_east, vx_north, vy_wz, vy_wx, vy_wy, vy_up, vy_east, vy_north,

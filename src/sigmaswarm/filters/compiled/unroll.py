@@ -222,7 +222,7 @@ class _Writer(ast.NodeTransformer):
         names = [n for n in ast.walk(definition) if isinstance(n, ast.Name)]
         stored = {n.id for n in names if isinstance(n.ctx, ast.Store)}
         if any(isinstance(node, ast.Return) for node in ast.walk(definition)):
-            raise TypeError(f"{definition.name} is a kernel: it must return nothing, and not end early")
+            raise TypeError(f"{definition.name} is a kernel: it must neither return a value nor end early")
         renamed = {name: f"_{self.calls}_{name}" for name in stored.union(parameters)}
         body: list[ast.stmt] = []
         for parameter, argument in zip(parameters, arguments, strict=True):

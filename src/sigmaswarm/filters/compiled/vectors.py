@@ -121,7 +121,7 @@ def _hash(body: list[ast.stmt], names: Names) -> str:
 
 
 def _as_intrinsic(loop: _Loop) -> Any:
-    """Return the function ``called(w, (shared ...))`` for Numba; it calls the loop and, if necessary, generates it."""
+    """Return the function ``called(w, (shared ...))`` for Numba. It calls the loop, generated if necessary."""
 
     def call(typing_context, w, numbers):
         def generate(context, builder, signature, arguments):

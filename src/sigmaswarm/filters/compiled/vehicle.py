@@ -1,4 +1,4 @@
-"""Updates of mean and covariance: with velocity, heading and odometer, and with a wheeled vehicle's motion constraints.
+"""Updates of mean and covariance with velocity, heading, odometer, and the motion constraints of a wheeled vehicle.
 
 In `update_scalar` and `update_pair`, the caller has computed nu, S and C of the measurement in every lane.
 """

@@ -1,4 +1,4 @@
-"""`LiveModel`: a Kalman filter for a user's model that processes one sample at a time."""
+"""`LiveModel`: a Kalman filter that processes one sample at a time, for a user's model."""
 
 from bisect import insort
 from collections import deque
@@ -56,7 +56,7 @@ class LiveModel:
     Attributes
     ----------
     too_late : int
-        Number of measurements that were ignored, since they were more than ``history`` seconds late or from before the
+        Number of measurements that were ignored, since they were more than ``history`` seconds late or earlier than the
         start.
 
     Raises
@@ -192,7 +192,7 @@ def _seconds(t: float) -> float:
 
 
 def _store(stored: list[Timed], t: float, z: Array) -> bool:
-    """Insert a measurement by time, or fill NaN in one of the same time; return False if no element is new."""
+    """Insert a measurement in order of time, or add it to one of the same time; return False if no element is new."""
     for k, (time, known) in enumerate(stored):
         if time == t:
             both = np.where(np.isnan(known), z, known)

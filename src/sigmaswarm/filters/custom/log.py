@@ -169,7 +169,7 @@ def _wrong(log: str, what: str) -> InputError:
 
 
 def _finite(log: str, name: str, values: ArrayLike | None, *, absent: bool = False) -> Array:
-    """Return a copy as finite numbers; NaN is allowed if ``absent`` is True."""
+    """Return a copy as an array of finite numbers; NaN is allowed if ``absent`` is True."""
     try:
         column = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):

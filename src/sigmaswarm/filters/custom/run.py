@@ -21,7 +21,7 @@ from sigmaswarm.geodesy import wrap_angle
 
 # Number of steps in which a compiled filter is compared with the textbook filter before its first use
 VERIFIED_STEPS = 20
-# Largest accepted difference, in standard deviations; rounding causes far smaller and wrong code larger differences
+# Largest accepted difference, in standard deviations; rounding causes far smaller differences, wrong code larger ones
 MAX_DIFFERENCE = 1e-6
 
 

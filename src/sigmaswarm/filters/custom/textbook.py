@@ -49,7 +49,7 @@ class TextbookModel:
             kalman.correct(innovation)
 
     def _is_outlier(self, present: NDArray[np.int64], above: bool) -> bool:
-        """Update ``runs``; return ``above``, but False if all present elements have been outliers for a long time."""
+        """Update ``runs``; return ``above``, but False after a long run of outliers in all present elements."""
         count, since = self.runs[present, 0], self.runs[present, 1]
         since[count == 0] = 0.0
         count = count + 1 if above else np.zeros(len(present))

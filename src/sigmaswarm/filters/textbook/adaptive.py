@@ -16,7 +16,7 @@ class SageHusa:
 
     A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969. The weight of a fix is 1 -
     b, the limit of the paper's weight (1 - b) / (1 - b^(k+1)) for large k. R is computed from the residual after the
-    update, so it is positive by construction. A fix reduces an element of Q at most to b times its value.
+    update, so it is positive by construction. A fix reduces an element of Q at most to b times its previous value.
     """
 
     process_noise: Array  # (n,), diagonal of Q per nominal step
@@ -116,8 +116,8 @@ class StudentT:
 
     R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear systems using
     the multivariate Student-t distribution, MLSP 2012. A filter with a wrong state would treat all fixes as outliers.
-    Therefore, if at least `OUTLIERS` consecutive fixes over at least `OUTLIERS_SPAN` are outliers, the last of these
-    fixes has weight 1, and P is inflated before the update with this fix.
+    Therefore, if at least `OUTLIERS` consecutive fixes over at least `OUTLIERS_SPAN` seconds are outliers, the last of
+    these fixes has weight 1, and P is inflated before the update with this fix.
     """
 
     dof: float  # degrees of freedom

@@ -56,7 +56,7 @@ class SigmaPoints:
         return wm, wc
 
     def draw(self, mean: Array, covariance: Array) -> Array:
-        """Return the points, (2n + 1, n): the mean, mean plus each scaled column of the root, mean minus each."""
+        """Return the points, (2n + 1, n): mean, mean plus each scaled column of the root, mean minus each column."""
         n = len(mean)
         gamma = np.sqrt(self.alpha**2 * (n + self.kappa))
         columns = gamma * square_root(covariance, self.first).T
@@ -95,15 +95,16 @@ class UnscentedKalmanFilter(GaussianFilter):
         Draw new sigma points after Q is added (FilterPy 2.0.0). If False, apply h to the propagated points (FilterPy
         1.4.5, which the paper probably used).
     angles : sequence of int
-        States that are angles. The change of an angle's difference from the center point by f is wrapped. A circular
-        mean would be wrong, since the center's weight is a large negative number for a small alpha.
+        States that are angles. The difference of a point from the center may exceed half a turn, so only its change in
+        a step is wrapped. A circular mean would be wrong, since the center's weight is a large negative number for a
+        small alpha.
     measured_angles : sequence of int
         Elements of ``h`` that are angles: their differences from the center point and their innovations are wrapped.
 
     Attributes
     ----------
     mean, covariance : ndarray
-        x and P, after the last call.
+        x and P after the last call.
     """
 
     def __init__(
