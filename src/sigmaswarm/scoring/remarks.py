@@ -124,7 +124,7 @@ def _is_worse(worse: Collection[str], known: int) -> bool:
 def _worse_measures(
     scores: ScoresRecord, shown: Mapping[str, Measure], method: str
 ) -> tuple[dict[str, tuple[float, float]], int]:
-    """Return the means (tuned, method) of measures over 10% lower for the method, and the number of all measures."""
+    """Return the means (tuned, method) of measures that are over 10% lower for the method; also count all measures."""
     known = {
         m: (tuned, other)
         for m in ("position_rmse_m", "heading_rmse_deg", *DRIFTS)
