@@ -223,7 +223,10 @@ class Evaluation:
 
     @property
     def is_worse_than_untuned(self) -> bool:
-        """True if baseline or fixes alone have errors over 10% lower than the filter: position RMSE, or most measures."""
+        """True if the baseline or the fixes alone are over 10% more accurate than the tuned filter.
+
+        This must hold for the position RMSE or for more than half of the measures.
+        """
         return is_worse_than_untuned(self.record, self.measures)
 
     @property
