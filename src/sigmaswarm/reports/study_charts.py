@@ -193,7 +193,7 @@ def curve_charts(results: Results) -> tuple[Chart, ...]:
                 mean, low, high = np.array([(p.mean, *p.interval) for p in own], np.float64).T
                 band(ax, x, low, high, Look(look.color, opacity=0.15))
                 curve(ax, x, mean, Look(look.color, 2.0, look.style, "o"), results.label(own[0].method))
-            ax.set(xlabel="minutes of training data; 0: the filter alone", ylim=(0.0, None))
+            ax.set(xlabel="minutes of training data; 0: filter without network", ylim=(0.0, None))
 
         return Chart(results.measures[measure], draw, broad=True)
 

@@ -136,8 +136,8 @@ def _remarks(results: Results, protocol: str) -> Iterable[str]:
     ]
     if unsure:
         yield (
-            f"{main}: the difference of the position RMSE from that of {'; '.join(unsure)} may be due to chance "
-            "(p above 0.05)"
+            f"{main}: the position RMSE may differ only by chance (p above 0.05) from that of these methods: "
+            f"{'; '.join(unsure)}"
         )
 
 

@@ -67,8 +67,8 @@ def other_sensors(drive: DriveRecord, training: Sequence[DriveRecord]) -> str:
         return ""
     return (
         f"the sensors or surroundings of {drive.name} differ from those of the training drives "
-        f"({', '.join(differences)}). On such drives the filter can be far less accurate; tune on such drives, and "
-        "compare with --against"
+        f"({', '.join(differences)}). The filter can be far less accurate there than on the training drives; tune on "
+        "drives with these sensors, and compare with --against"
     )
 
 

@@ -169,7 +169,10 @@ class EvaluationView:
             text = f"The tuned filter {what.format(f'{tuned:.3g}')}{compared} on {drives}."
             return f"{text}{self._not_better()}{f' {described}.' if described else ''}"
         if any(mean_of("tuned", measure) is not None for measure in DRIFTS):
-            return f"On {drives}, no outage of {self.setup.outage_length_s:g} s fits; use a longer part of a drive."
+            return (
+                f"On {drives}, there is no time for an outage of {self.setup.outage_length_s:g} s; use a longer part of "
+                "a drive."
+            )
         return f"On {drives}, the tuned filter failed, or there is no truth, so scores are missing."
 
     def _not_better(self) -> str:
