@@ -36,7 +36,7 @@ def restarted(scores: ScoresRecord) -> tuple[str, ...]:
 
 
 def describe_training_drives(drive: DriveRecord) -> str:
-    """Return a sentence on the part of a drive that the tuning used; name the training drives if their names differ."""
+    """Return a sentence on the part of a drive that the tuning used; name training drives that have another name."""
     used, whole = drive.seen_s or 0.0, drive.duration_s or 0.0
     part = "all" if round(used) >= round(whole) else f"{used:.0f}"
     others = [name for name in drive.seen_in if name != drive.name]

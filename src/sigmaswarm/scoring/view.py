@@ -170,8 +170,8 @@ class EvaluationView:
             return f"{text}{self._not_better()}{f' {described}.' if described else ''}"
         if any(mean_of("tuned", measure) is not None for measure in DRIFTS):
             return (
-                f"On {drives}, there is no time for an outage of {self.setup.outage_length_s:g} s; use a longer part of "
-                "a drive."
+                f"On {drives}, there is no time for an outage of {self.setup.outage_length_s:g} s; use a longer part "
+                "of a drive."
             )
         return f"On {drives}, the tuned filter failed, or there is no truth, so scores are missing."
 
