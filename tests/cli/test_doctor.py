@@ -204,8 +204,8 @@ def test_tune_and_evaluate_warn_of_what_is_serious_in_a_line_and_trust_log_silen
         (line,) = [said for said in ended.err.splitlines() if "SERIOUS" in said]
         assert line.startswith(f"warning: {sick}: the doctor finds SERIOUS faults")
         assert (
-            f"(gyro-sign); run sigmaswarm doctor {sick} --fix mended, or suppress this warning with --trust-log"
-            in line
+            f"(gyro-sign), which distort the result; run sigmaswarm doctor {sick} --fix mended, or suppress this "
+            "warning with --trust-log" in line
         )
     ended = sigmaswarm("tune", sick, "--out", "u", *quick, "--json", "--trust-log")
     assert ended.code == 0

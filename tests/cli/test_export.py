@@ -107,7 +107,7 @@ def test_export_states_that_slow_vehicles_have_no_alignment_in_c(
         data = [{"name": "robot", "slow": True}, {"name": "car", "slow": slow}]
         Path("t.toml").write_text(tomli_w.dumps(content | {"data": data}))
         said = sigmaswarm("export", "t.toml", "--to", "c99", "--out", "c", "--overwrite").out
-        assert ("(12 km/h). The alignment in C finds no start before such a part" in said) is slow
+        assert ("(12 km/h), which the alignment in C requires. Compute the initial state" in said) is slow
 
 
 @pytest.mark.long
@@ -340,7 +340,7 @@ def test_an_export_says_what_to_do_where_mountings_differ(sigmaswarm: Command, t
             {"name": n, "imu_mounting_deg": m} for n, m in (("monday", (0.0, 10.5, 90.0)), ("friday", second))
         ]
         Path(f"{name}.toml").write_text(tomli_w.dumps(content | {"data": data}))
-    note = "the export contains no rotation; rotate raw samples to x forward, y left, z up before the filter, or tune"
+    note = "the export contains no rotation; rotate raw samples to x forward, y left, z up for the filter, or tune"
     assert note in sigmaswarm("export", "two.toml", "--to", "c99", "--out", "c").out
     assert note not in sigmaswarm("export", "one.toml", "--to", "c99", "--out", "d").out
 

@@ -65,5 +65,5 @@ def test_the_tuning_is_not_replaced(sigmaswarm, drives: Path, tuned: Path, here:
     ended = sigmaswarm(
         "run", "e.swarm.toml", min(drives.iterdir()), "--out", "e.csv", "--bank", "--overwrite"
     )
-    assert ended.code == 2 and "e.swarm.toml: is also another file of this command" in ended.err
+    assert ended.code == 2 and "e.swarm.toml: is another input or output of this command" in ended.err
     assert Path("e.swarm.toml").read_bytes() == before

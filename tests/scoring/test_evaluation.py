@@ -289,7 +289,7 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
         "0.4 deg instead of 0.3 deg",
     )
     assert worse(Evaluation({"town": DriveResult(others | {"fixes_alone": sheet, "tuned": good})})) == (
-        "the tuned filter is worse than the filter of the fixes alone in 1 of 4 measures: heading error "
+        "the tuned filter is worse than the filter that uses only the fixes in 1 of 4 measures: heading error "
         "0.4 deg instead of 0.3 deg",
     )
     close = {
@@ -298,7 +298,7 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
     }
     headline = Evaluation({"town": DriveResult(others | {"tuned": good} | close)}).view.result()
     assert headline.endswith(
-        " It is NOT better than the filter of the fixes alone in the 5 s outage drift (2 instead of 2"
+        " It is NOT better than the filter that uses only the fixes in the 5 s outage drift (2 instead of 2"
         " m). It is NOT better than the baseline in the 30 s outage drift (7 instead of 6.9 m)."
     )
     other = {"against": replace(good, outage_drift=3.0, long_outage_drift=1.5)}

@@ -87,7 +87,7 @@ def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():
     assert (short.tuned_m, short.baseline_m, short.fixes_alone_m) == pytest.approx(measured)
     (lower,) = larger_drifts([replace(short, baseline_m=np.inf, fixes_alone_m=0.9 * short.tuned_m)])
     assert lower.startswith(
-        "the tuned filter drifts MORE than the filter of the fixes alone in outages of 5 s"
+        "the tuned filter drifts MORE than the filter that uses only the fixes in outages of 5 s"
     )
     assert not larger_drifts([replace(short, baseline_m=np.inf, fixes_alone_m=1.01 * short.tuned_m)])
     assert (

@@ -142,7 +142,7 @@ def _fail(code: int, message: str) -> int:
 
 
 def _unforeseen(error: Exception) -> int:
-    """Write the traceback of an unexpected error to a temporary file, and report the error in one line."""
+    """Write the traceback of an unexpected error to a temporary file, and report the error on one line."""
     what = "not enough memory" if isinstance(error, MemoryError) else f"{type(error).__name__}: {error}"
     try:
         with NamedTemporaryFile("w", prefix="sigmaswarm-", suffix=".txt", delete=False) as file:
@@ -164,7 +164,7 @@ def _missing_out(error: Exception) -> str | None:
 
 
 def _other_name(error: Exception) -> str | None:
-    """Suggest the option of sigmaswarm if the user gave the name that another library has for this option."""
+    """Suggest the option of sigmaswarm if the user gave the name that another library uses for it."""
     if not isinstance(error, UnknownOptionError):
         return None
     from sigmaswarm.tuning.config import SYNONYMS
@@ -176,7 +176,7 @@ def _other_name(error: Exception) -> str | None:
 
 
 def _too_many(error: Exception) -> str | None:
-    """Return the message for arguments that a command does not take, for example more files of a shell pattern."""
+    """Return the message for surplus arguments, for example several files that match a shell pattern."""
     if not isinstance(error, UnusedCliTokensError) or not error.unused_tokens:
         return None
     first, *more = error.unused_tokens

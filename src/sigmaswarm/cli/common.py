@@ -46,7 +46,7 @@ def read_drives(places: "Sequence[Location]") -> "list[Drive]":
 
 
 def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *, overwrite: bool) -> None:
-    """Raise `InputError` if a folder is a source or contains files; ``overwrite`` permits the files of a drive."""
+    """Raise `InputError` if a folder is a source or contains files; with ``overwrite``, permit those of a drive."""
     from sigmaswarm.drives.reader import all_drive_locations
     from sigmaswarm.drives.writer import require_replaceable
     from sigmaswarm.errors import InputError
@@ -59,7 +59,7 @@ def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *
 
 
 def require_free(*files: Path | None, overwrite: bool) -> None:
-    """Raise `InputError` if a file, or a bag of `sigmaswarm run`, exists and must not be overwritten."""
+    """Raise `InputError` if a file, or a bag that `sigmaswarm run` wrote, exists and must not be overwritten."""
     from sigmaswarm.errors import InputError
     from sigmaswarm.exports.foxglove import LAYOUT_FILE
 
@@ -73,7 +73,8 @@ def require_result_folder(
 ) -> None:
     """Raise `InputError` if ``out`` is or contains a source, or contains files other than a result of this kind.
 
-    Without ``overwrite``, also raise the error if it contains a result of this kind. ``mark``: see `earlier_result`.
+    Without ``overwrite``, also raise the error if ``out`` contains a result of this kind. ``mark``: see
+    `earlier_result`.
     """
     from sigmaswarm.errors import InputError
     from sigmaswarm.files import earlier_result, free_path

@@ -28,7 +28,7 @@ class DoctorOptions:
     fix
         Folder for a repaired copy of each drive. The drives themselves are not changed.
     lever_arm_within
-        Estimate one lever arm from all drives. --fix writes components whose 95% interval is within +- this value, m.
+        Estimate one lever arm from all drives. --fix writes components whose 95% error is at most this value, m.
     """
 
     fix: Path | None = None
@@ -96,7 +96,7 @@ def _repair(
     options: DoctorOptions,
     explained: set[str],
 ) -> "tuple[Diagnosis, dict[str, Any]]":
-    """Write a repaired copy of a drive; return the diagnosis of the copy, and "copy" of the JSON output."""
+    """Write a repaired copy of a drive; return the diagnosis of the copy, and the JSON value of "copy"."""
     copy = sigmaswarm.repair(drive, diagnosis)
     copy = arm.applied(copy) if arm else copy
     sigmaswarm.write_drive(copy, folder, overwrite=options.overwrite)
@@ -154,5 +154,5 @@ def _check_names(drives: "list[Drive]") -> None:
     for name in names:
         if names.count(name) > 1:
             raise InputError(
-                f"{names.count(name)} drives are named {name!r}; repair them into different folders"
+                f"{names.count(name)} drives are named {name!r}; run doctor for each, with different --fix folders"
             )

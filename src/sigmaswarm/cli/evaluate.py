@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from sigmaswarm.tuning.record import TunedFilter
 
 WORSE_STEP = (
-    "then: tune on more or longer drives and evaluate again: a method without tuning is more accurate"
+    "then: tune on more or longer drives, and evaluate again (a method without tuning is more accurate)"
 )
 
 
@@ -49,7 +49,7 @@ class EvaluateOptions:
     out
         Folder for scores.csv, scores.json, figures and the data for `sigmaswarm report`.
     outage_length
-        Length of an outage, s (drift: error at its end). Outages of 1 and 30 s are added.
+        Length of outages, s; the drift is the error at their end. Outages of 1 and 30 s are added.
     outage_seed
         Seed of the outage windows.
     smooth
@@ -224,7 +224,7 @@ def _warn_of_training_drives(evaluation: "Evaluation") -> None:
         drive = result.record
         if drive.seen_s:
             message = (
-                f"{describe_training_drives(drive)}: the errors on training data are smaller; evaluate on a drive that "
-                "the tuning did not use"
+                f"{describe_training_drives(drive)}: the errors on training data are smaller than on other data; "
+                "evaluate on a drive that the tuning did not use"
             )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)

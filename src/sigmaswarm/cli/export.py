@@ -34,18 +34,18 @@ class ExportOptions:
     Attributes
     ----------
     to
-        c99: a C library. filterpy: a Python script (planar models). robot_localization: YAML (same filter only for
-        --model robot-localization).
+        c99: a C library. filterpy: a Python script (planar models). robot_localization: YAML (the same filter only for
+        the model robot-localization).
     out
         Folder of the export. --overwrite replaces an earlier export and the programs built from it, and keeps other
         files.
     replay
         c99: also write this drive as replay.csv, the input of the program replay.c.
     check
-        c99: compare C with `sigmaswarm run` on these drives. Model robot-localization: write the filter's errors into
-        README.md.
+        c99: compare the C library with `sigmaswarm run` on these drives. Model robot-localization: write the filter's
+        errors into README.md.
     against
-        With --check and the model robot-localization: another tuning, whose errors are added to README.md.
+        With --check and the model robot-localization: another tuning; the errors of its filter are added to README.md.
     lanes
         c99: number of filters in the exported bank, 1 to 16. This bank does not search for better parameters.
     seed
@@ -119,7 +119,10 @@ def export(
 
 
 def _check_options(options: ExportOptions, *, ros: bool) -> None:
-    """Raise `InputError` for options that the target does not have; ``ros``: True for robot-localization as YAML."""
+    """Raise `InputError` for options that the target does not have.
+
+    ``ros``: True if a filter with the model robot-localization is exported as YAML.
+    """
     if options.check and options.to != "c99" and not ros:
         raise sigmaswarm.InputError(
             "--check needs --to c99 or a tuning of the model robot-localization; leave --check out"
@@ -141,13 +144,13 @@ def _notes(target: Target, record: "TuningRecord", *, replay: bool) -> Iterator[
     if target != "filterpy" and record.mountings_differ:
         yield (
             "note: the training drives have different mountings, so the export contains no rotation; rotate raw "
-            "samples to x forward, y left, z up before the filter, or tune on drives with one mounting"
+            "samples to x forward, y left, z up for the filter, or tune on drives with one mounting"
         )
 
     if target == "c99" and record.data and all(drive.slow for drive in record.data):
         yield (
-            "note: the training drives rarely travel 20 m within 6 s (12 km/h). The alignment in C finds no start "
-            "before such a part: compute the initial state in your program, and pass it to ins_gps_init() (README.md)"
+            "note: in the training drives, the vehicle rarely travels 20 m within 6 s (12 km/h), which the alignment "
+            "in C requires. Compute the initial state in your program, and pass it to ins_gps_init() (README.md)"
         )
 
 

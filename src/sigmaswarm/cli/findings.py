@@ -71,7 +71,10 @@ def _in_words(finding: "Finding", *, part: bool) -> str:
 
 
 def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[Remedy]:
-    """Warn in one line per drive about serious faults, otherwise warnings; return remedies for serious faults."""
+    """Warn about faults, in one warning per drive; return the remedies for serious faults.
+
+    A warning lists the serious faults or, if there are none, the doctor's warnings.
+    """
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.errors import SigmaswarmWarning
 
@@ -82,7 +85,7 @@ def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[Rem
             remedies.append((cut, None) if cut else repair_command(diagnosis, folder))
             codes = ", ".join(f.code for f in diagnosis.findings if f.severity == "serious")
             message = (
-                f"{folder}: the doctor finds SERIOUS faults, which distort the result ({codes}); "
+                f"{folder}: the doctor finds SERIOUS faults ({codes}), which distort the result; "
                 f"run {remedies[-1][0]}, or suppress this warning with --trust-log"
             )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
@@ -166,7 +169,10 @@ def repair_and_split(diagnosis: "Diagnosis", folder: Path, options: Sequence[str
 
 
 def mirror_maps(diagnosis: "Diagnosis") -> list[str]:
-    """Return the --map in the remedy for exchanged fixes, with placeholders; [] if there is none, or a repair."""
+    """Return the arguments of --map, with placeholders, in the remedy for mirrored fixes.
+
+    Return [] if there is no such remedy, or if the doctor can repair the fixes.
+    """
     mirrored = (f for f in diagnosis.findings if f.code == "mirrored-fixes" and not f.repair)
     maps = re.search(r'exchange .* --map((?: "[^"]*")+)', next((f.remedy for f in mirrored), ""))
     return re.findall(r'"([^"]*)"', maps[1]) if maps else []
@@ -206,7 +212,7 @@ def repair_whole(diagnosis: "Diagnosis", part: "Location") -> "tuple[list[str], 
 
 
 def too_short_for_outages(drive: "Drive") -> str:
-    """Describe a drive in which the first outage would begin after its end; "" for a longer drive."""
+    """Describe a drive that ends before its first outage would begin; return "" for a longer drive."""
     from sigmaswarm.drives.alignment import StartFailure, find_start
     from sigmaswarm.scoring.targets import OUTAGE_FIRST_AFTER as least
 

@@ -69,7 +69,8 @@ class ImportOptions:
     odometer_topic
         Topic or table of the wheel speed, m/s forward.
     mag_topic
-        Topic or table of a magnetometer with the IMU's axes; adds headings to the fixes. For --map: mag.mx, mag.my.
+        Topic or table of a magnetometer with the IMU's axes; adds headings to the fixes. Names for --map: mag.mx,
+        mag.my.
     declination
         Magnetic declination, deg, east positive. By default, the sum of declination and sensor rotation is estimated
         from the course.
@@ -351,7 +352,7 @@ def _columns(preview: "TablePreview") -> Iterator[str]:
         ends = f"{_short(r.low):>20} {_short(r.middle):>20} {_short(r.high):>20}" if r.example else "empty"
         yield f"  {printable(r.column):{width}} {printable(r.example) if r.low is None and r.example else ends}"
     if others := len(preview.ranges) - len(varying):
-        yield f"  and {others} columns that are 0"
+        yield f"  and {others} columns that contain only 0"
 
 
 def _short(value: float | None) -> str:

@@ -58,7 +58,7 @@ def noise(
     *,
     options: Annotated[NoiseOptions, FIELDS] = NoiseOptions(),
 ) -> None:
-    """Measure the noise of an IMU at rest, in the units of other software.
+    """Measure the noise of an IMU at rest, and convert it for other software.
 
     The log needs no fixes. A log of an hour at rest determines white noise, bias instability and rate random walk. The
     standstills of a drive usually determine only the white noise, since they are short.

@@ -44,7 +44,7 @@ Overwrite = Annotated[bool, Parameter(help="Replace earlier output of this comma
 AsRecorded = Annotated[
     bool,
     Parameter(
-        help="Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps."
+        help="Run without preprocessing, for diagnosis: use stale fixes, and treat IMU gaps as ordinary steps."
     ),
 ]
 Json = Annotated[bool, Parameter(help="Print the result as JSON.")]
@@ -94,7 +94,7 @@ def options_of(
 
 
 def _annotation(name: str, field: FieldInfo, old: str | None, shown: bool, constant: bool) -> Any:
-    """Return type and `Parameter` of a field.
+    """Return a field's type, annotated with its `Parameter`.
 
     For a union, the command line accepts only the first type that is not None.
 

@@ -25,7 +25,7 @@ for option in fields(Options):
 def record_carla(*, out: Path, **options: Any) -> None:
     """Record drives with known truth from a CARLA server.
 
-    A Tesla Model 3 drives the paper's five maneuvers in its five environments, by default 20 times in each environment.
+    A Tesla Model 3 drives each of the paper's five maneuvers in each of its five environments, by default 20 times.
 
     A server of CARLA 0.9.16 needs `pip install carla==0.9.16`. For an older server, write the recorder into one file
     with `python -m sigmaswarm_carla.pack carla_recorder.pyz`, and run this file with the Python installation that

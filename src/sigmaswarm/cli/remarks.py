@@ -44,7 +44,7 @@ def name_files(remark: str, folders: Sequence[Path]) -> str:
 
 
 def warn_of_unusable(tuning: Path, record: "TuningRecord") -> bool:
-    """Warn if a filter should not be used. Return True in this case; the command then proposes no use of the filter."""
+    """Warn and return True if a filter should not be used; the command then does not suggest how to use the filter."""
     for remark in record.unusable:
         warnings.warn(f"{tuning}: {remark.removeprefix(TO_DO)}", SigmaswarmWarning, stacklevel=2)
     return bool(record.unusable)

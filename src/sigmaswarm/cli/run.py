@@ -209,7 +209,7 @@ def _bank_files(out: Path) -> tuple[Path, Path]:
 def _check_bank_files(out: Path, others: Sequence[Path | None]) -> None:
     for file in _bank_files(out):
         if file.is_dir() or file.resolve() in [other.resolve() for other in (out, *others) if other]:
-            what = "is a folder" if file.is_dir() else "is also another file of this command"
+            what = "is a folder" if file.is_dir() else "is another input or output of this command"
             raise InputError(f"{file}: {what}, but --bank writes a file with this name; choose another --out")
 
 

@@ -57,7 +57,7 @@ def study(*, out: Path, options: Annotated[StudyOptions, FIELDS] = StudyOptions(
 
     PSO-UKF is tuned under two protocols. With the protocol "paper", the cost is the distance from the fixes, and
     variances are searched on a linear scale. With the protocol "honest", the cost is the error against truth, and
-    variances are searched on a logarithmic scale. The other filters are tuned with truth only. The tables also list the
+    variances are searched on a logarithmic scale. The other filters are tuned only with truth. The tables also list the
     values in the paper. Racing, which evaluates bad candidates on fewer drives, is on by default with 96 training
     drives or more. The result does not depend on the number of workers.
 

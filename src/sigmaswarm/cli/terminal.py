@@ -19,7 +19,7 @@ MIN_COLUMNS = 20  # characters, smallest width of a terminal in which tables are
 
 
 def prepare() -> None:
-    """Escape characters that the streams cannot encode, and ignore COLUMNS below `MIN_COLUMNS`."""
+    """Make the streams escape characters that they cannot encode, and ignore COLUMNS below `MIN_COLUMNS`."""
     for stream in (sys.stdout, sys.stderr):
         if reconfigure := getattr(stream, "reconfigure", None):  # a closed stream is None
             reconfigure(errors="backslashreplace")
@@ -59,7 +59,7 @@ def console(**options: Any) -> "Console":
 
 
 def one_line(text: object) -> str:
-    """Write a message in one line of at most `MAX_LINE_LENGTH` characters, without control characters."""
+    """Return a message as one line with escaped control characters; shorten it if it exceeds `MAX_LINE_LENGTH`."""
     line = escape_controls(" ".join(str(text).split()))
     half = MAX_LINE_LENGTH // 2
     return line if len(line) <= MAX_LINE_LENGTH else f"{line[:half]} ... {line[-half:]}"

@@ -87,8 +87,8 @@ def tune(
         sigmaswarm tune drives/training --out tuned --resume
         sigmaswarm tune s3://fleet/training --out tuned --cluster tcp://scheduler:8786
 
-    Values of --objective (usual defaults: truth-pose + 0.2 nees if all drives have truth, otherwise innovation-t; for
-    tilted12 with forecast-t if the fix errors are white):
+    Values of --objective (usual defaults: truth-pose + 0.2 nees if all drives have truth, otherwise innovation-t; the
+    defaults of tilted12 include forecast-t if the fix errors are white):
 
         truth-rmse      position error against truth
         truth-pose      errors of position and heading, and drift in outages
@@ -209,9 +209,9 @@ def _velocity_agrees(drive: "Drive") -> bool:
 def _with_velocity(
     given: Places, config: TuneConfig, read: "Dataset", stated: Mapping[str, Any]
 ) -> list[str]:
-    """Suggest a second tuning with the receiver's velocity, if model and logs permit it and the first one lacks it.
+    """Suggest a second tuning that uses the receiver's velocity, if the first does not, and model and logs permit it.
 
-    ``stated``: the options of the first tuning that the user stated; the second one has the same.
+    ``stated``: the options that the user gave for the first tuning; the second tuning has the same options.
     """
     from sigmaswarm.filters.models import MODELS  # imports NumPy, which would slow down the help
 

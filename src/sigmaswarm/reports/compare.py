@@ -52,7 +52,7 @@ def comparison_table(comparison: Comparison) -> Table:
     note = (
         f"{comparison.seeds} seeds, {comparison.budget} evaluations each. Values: median [95% interval of the median] "
         f"and worst run. p: paired Wilcoxon test against {comparison.contenders[0].label}, with Holm's correction over "
-        "the rows. Steps: filter steps relative to those of the whole budget on all drives. Touched bounds: number of "
+        "the rows. Steps: number of filter steps; 100%: the whole budget on all drives. Touched bounds: number of "
         f"runs in which a parameter ended at a bound. Training drives: {', '.join(comparison.drives)}. "
         f"Held-out drives: {', '.join(comparison.test) or 'none'}.{rival}{few}"
     )
@@ -60,7 +60,7 @@ def comparison_table(comparison: Comparison) -> Table:
 
 
 def comparison_figure(comparison: Comparison) -> Figure:
-    """Draw the training cost over the evaluations, with quartiles, and the cost of every run (held-out, if known)."""
+    """Draw the training cost over the evaluations, with quartiles, and the (held-out, if known) cost of every run."""
     last = "held_out_cost" if "held_out_cost" in comparison.measures else "cost"
     contenders = comparison.contenders
     looks = many_styles(len(contenders), 1.6)

@@ -16,7 +16,7 @@ Gaps = list[tuple[float, float]]  # start and end of intervals without fixes, s
 
 
 def drive_figure(drive: Drive) -> Figure:
-    """Draw a drive on 12 by 9 inches."""
+    """Draw a drive on a figure of 12 by 9 inches."""
     figure = Figure(figsize=(12, 9), layout="constrained")
     grid = figure.add_gridspec(4, 2, width_ratios=[1, 1.35])
     imu, time = drive.imu, drive.gps.time

@@ -114,10 +114,10 @@ def comparison(evaluation: Evaluation) -> Figure:
 
 
 def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, ...]:
-    """Draw the mean over the drives of every method as a bar, one chart per measure.
+    """Draw the mean of every method over the drives as a bar, one chart per measure.
 
     The methods "IMU only" and "fixes alone" do not affect the scale. A bar beyond the scale is cut and has an arrow. If
-    ``titled`` is True, the title of the chart names the measure, not the axis.
+    ``titled`` is True, the unit of the measure is in the title of the chart, and the axis has no label.
     """
 
     def bars(measure: Measure, values: Mapping[str, float]) -> Chart:
@@ -181,7 +181,7 @@ def consistency(name: str, evaluated: DriveResult) -> Figure | None:
     charts = (
         Chart(f"{name}: {found.inside_gate:.1%} in the gate", over_time),
         Chart(f"mean {found.mean_nis:.2f}, consistent: {low:.2f} to {high:.2f}", histogram),
-        Chart("innovations (gray: white noise, 95%)", lags),
+        Chart("innovations (gray: 95% band of white noise)", lags),
     )
     return figure_of(*charts, size=(11, 3.4))
 
@@ -248,7 +248,7 @@ def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
 
 
 def swarm_charts(tracks: Tracks) -> tuple[Chart, ...]:
-    """Draw the stacked weights of a bank's filters over time, and the offsets of its parameters from the tuning."""
+    """Draw the stacked weights of a bank's filters over time, and its parameters' offsets from the tuned values."""
     shares, moved = (tracks.series.get("swarm" + ending) for ending in (SHARES, MOVED))
     if shares is None or moved is None:
         return ()

@@ -138,7 +138,7 @@ def _legend_below(figure: Figure, columns: int) -> None:
 def _plain(artist: Artist) -> None:
     """Draw texts literally, since names of drives are not formulas.
 
-    Labels of ticks are not changed, since they may contain powers, and since creating ticks is slow.
+    Tick labels are not changed, since they may contain powers of ten, and since the creation of ticks is slow.
     """
     if isinstance(artist, Text):
         artist.set_parse_math(False)
@@ -165,7 +165,7 @@ def save_both(figure: Figure, stem: Path) -> list[Path]:
 def svg(chart: Chart) -> str:
     """Return a chart without title as an SVG element that is as wide as its container.
 
-    Sizes are in inches. The page enlarges the chart by a factor of 1.2 on a phone and 1.8 on a screen.
+    Sizes are in inches. The page enlarges the chart by a factor of 1.2 on a phone and 1.8 on a large screen.
     """
     with rc_context({"font.size": 8, "axes.labelsize": 8, "xtick.labelsize": 7, "ytick.labelsize": 7}):
         figure = figure_of(replace(chart, title=""), size=(3.4, 2.4), legend="none")

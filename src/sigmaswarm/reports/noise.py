@@ -19,7 +19,7 @@ _SLOPES = (
 
 
 def noise_figure(noise: Noise) -> Figure:
-    """Draw measured Allan deviation, fitted model and its asymptotes for each axis of an IMU log."""
+    """Draw the measured Allan deviation, the fitted model and its asymptotes for each axis of an IMU log."""
     charts = [
         Chart(f"{axis.axis}{', drifts' * bool(axis.drift)}", lambda ax, axis=axis: _draw(ax, axis))
         for axis in noise.axes

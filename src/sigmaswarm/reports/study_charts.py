@@ -104,7 +104,7 @@ def quantile_chart(
 ) -> Chart | None:
     """Draw boxes over the drives (quartiles, whiskers at 5 and 95%) on a logarithmic scale.
 
-    ``all_rows`` includes methods without this measure.
+    If ``all_rows`` is True, methods without this measure have empty rows.
     """
     rows = [s for s in quantiles if s.measure == measure and s.high > 0]
     if not rows:
@@ -164,7 +164,7 @@ def convergence_chart(
 
 
 def _draw_course(ax: Axes, results: Results, course: Convergence, *, alone: bool) -> None:
-    """Draw median and middle 80% of the trials; mark the generation ``stable`` of `Convergence`."""
+    """Draw the median and the middle 80% of the trials; mark the generation `Convergence.stable`."""
     key = f"{course.protocol}-{course.method}"
     color = STUDY_STYLES[key].color if key in STUDY_STYLES else GREEN
     whole, settles = course.group == ALL, course.stable
@@ -176,8 +176,8 @@ def _draw_course(ax: Axes, results: Results, course: Convergence, *, alone: bool
     name = "median" if alone else results.label(course.method) if whole else course.group
     curve(ax, x, middle, Look(color, 2.0), name)
     diamond = Look(color, 1.2, NO_LINE, "D", 6.75).line
-    label = f"within 1% of its last value from generation {settles} (paper: {theirs})" if alone else ""
-    hover = hover_id(f"within 1% of its last value from generation {settles} onward")
+    label = f"from generation {settles} within 1% of the last value (paper: {theirs})" if alone else ""
+    hover = hover_id(f"from generation {settles} onward within 1% of the last value")
     ax.plot(settles, middle[settles - 1], **diamond, gid=hover, label=label)
 
 
@@ -193,7 +193,7 @@ def curve_charts(results: Results) -> tuple[Chart, ...]:
                 mean, low, high = np.array([(p.mean, *p.interval) for p in own], np.float64).T
                 band(ax, x, low, high, Look(look.color, opacity=0.15))
                 curve(ax, x, mean, Look(look.color, 2.0, look.style, "o"), results.label(own[0].method))
-            ax.set(xlabel="minutes of training data; 0: the filter alone", ylim=(0.0, None))
+            ax.set(xlabel="minutes of training data; 0: filter without network", ylim=(0.0, None))
 
         return Chart(results.measures[measure], draw, broad=True)
 

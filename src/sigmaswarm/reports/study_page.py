@@ -58,7 +58,7 @@ def _sections(record: StudyRecord) -> Iterator[Section]:
         yield _tracks(record)
     yield _comparisons(results)
     if rivals := tuple(tables.rivals_tables(results, record.rival_times).values()):
-        text = "Each trial trains the networks on its training drives, for its own filter."
+        text = "In each trial, the networks are trained on the training drives of the trial, for its tuned filter."
         notes = dict.fromkeys(table.note for table in rivals)
         yield Section("Rivals", (text, *notes), rivals, curve_charts(results))
     conditions = tables.conditions_table(results, POSITION, CONDITION_VARIANTS)
@@ -136,8 +136,8 @@ def _remarks(results: Results, protocol: str) -> Iterable[str]:
     ]
     if unsure:
         yield (
-            f"{main}: the difference of the position RMSE from that of {'; '.join(unsure)} may be due to chance "
-            "(p above 0.05)"
+            f"{main}: the position RMSE may differ only by chance (p above 0.05) from that of these methods: "
+            f"{'; '.join(unsure)}"
         )
 
 
@@ -210,7 +210,7 @@ def _comparisons(results: Results) -> Section:
         f"{results.label(MAIN_METHOD)} compared with every other method, drive by drive. Improvement (equation 5): the "
         "relative reduction of the mean error, with a bootstrap interval over drives.",
         "p: Wilcoxon's signed-rank test, with Holm's correction over the methods. The rank-biserial correlation is the "
-        "effect size: 1 means better on every drive, -1 worse on every drive.",
+        "effect size: 1 if the PSO-UKF is better on every drive, -1 if it is worse on every drive.",
     )
     pairs = product(reversed(results.protocols), ERRORS)
     comparisons = (tables.comparison_table(results, *pair) for pair in pairs)

@@ -51,7 +51,7 @@ INTERVALS_NOTE = (
     "the drives. It contains the mean over new drives in only 45 to 91% of simulated studies. The other two intervals "
     "are for new drives. The bootstrap interval contains this mean in 94 to 95% of full studies, and in 85 to 95% of "
     "small studies. The interval of the corrected t-test contains this mean at least as often; if the results of the "
-    "optimizer vary much, it is too wide."
+    "optimizer vary much, this interval is too wide."
 )
 EFFORT_NOTE = (
     "Labeled: driving time with truth, for tuning. Learned: driving time without truth, for training a "
@@ -59,8 +59,8 @@ EFFORT_NOTE = (
     "outages, with the 95% interval for new drives (bootstrap over drives and trials); -: no drive is long enough."
 )
 TIMES_NOTE = (
-    "Training: processor time of a trial (for a network, excluding the tuning of its filter). Per sample: processor "
-    "time per IMU sample of a run over a whole drive from Python."
+    "Training: mean processor time of a trial (for a network, excluding the tuning of its filter). Per sample: "
+    "processor time of a run over a whole drive, called from Python, divided by the number of IMU samples."
 )
 Row = tuple[Cell, ...]
 
@@ -209,9 +209,9 @@ def runtime_table(results: Results, live: Times) -> Table:
     for title in ("ours, per IMU sample", "ours, per IMU sample with a fix"):
         columns += [_figures(title, 4), _figures("95% of the calls", 4, joined=True)]
     note = (
-        "Median times of calls of the live filter from Python over one drive, on the machine that ran the study. In "
-        "brackets: range of 95% of the calls. Tuning does not change these times. The paper's limit for real time is "
-        f"{results.paper['real_time_limit_ms']:g} ms."
+        "Median times of calls of the live filter from Python, measured over one drive on the machine that ran the "
+        "study. In brackets: range of 95% of the calls. Tuning does not change these times. The paper's limit for "
+        f"real time is {results.paper['real_time_limit_ms']:g} ms."
     )
     return Table("Table III, run time: ms per update", tuple(columns), tuple(rows), note=note)
 

@@ -63,7 +63,8 @@ class PassOptions:
 
     - ``outages``: a pass with outages of ``outage_length`` s.
     - ``forecasts``: a pass in which fixes are hidden in windows of 3 to 5 s.
-    - ``as_recorded``: for drives that are not prepared, see `PreparedDrive`.
+
+    ``as_recorded``: see `PreparedDrive`; has no effect on drives that are already prepared.
     """
 
     outages: bool = False
@@ -219,7 +220,7 @@ def _scores_by(divisors: Mapping[str, Array], sums: Mapping[str, KernelSums]) ->
 
 
 def _no_numbers(n_drives: int, n_sets: int) -> Array:
-    """Return undefined scores. The sets of a drive are adjacent in memory, since the rounding of sums depends on it."""
+    """Return undefined scores. The sets of a drive are adjacent in memory: the order affects the rounding of sums."""
     numbers = np.full((len(NAMES), n_drives, n_sets), np.nan).swapaxes(1, 2)
     numbers[-1] = 0.0
     return numbers

@@ -134,14 +134,14 @@ Kind = Literal[
 
 - ``optimistic``: larger than their covariances predict (overconfident).
 - ``pessimistic``: smaller than their covariances predict.
-- ``alike``: smaller, and consecutive innovations are nearly equal; without truth, the position error is unknown.
+- ``alike``: smaller, and consecutive innovations are strongly correlated; only without truth.
 - ``lasting``: smaller, since predictions contain the errors of the fixes; errors against truth agree with the
   covariances.
 - ``correlated``: as large as their covariances predict, but correlated; only without truth.
 - ``optimistic_position``: not larger than predicted, but position errors against truth are larger than the covariance
   predicts.
 """
-EQUAL_CORRELATION = 0.5  # lag-1 correlation above which consecutive innovations are nearly equal
+EQUAL_CORRELATION = 0.5  # lag-1 correlation above which consecutive innovations are strongly correlated
 MAX_CORRELATION = 0.2  # lag-1 correlation above which a mean NIS of 2 does not prove consistency
 FORECASTS = "This result is for predictions of the fixes; without truth, position errors can't be checked"
 
@@ -164,7 +164,7 @@ VERDICTS: dict[Kind, str] = {
     "consistent": "is consistent: its innovations agree with their covariances",
     "optimistic_position": (
         "is overconfident about its position: the standard deviations are {nees_size}. NIS does not show this, since "
-        "the fixes and the predictions have these errors in common"
+        "the predictions contain errors of the fixes, which cancel in the innovations"
     ),
     "unknown": "had too few fixes to determine its consistency",
 }
@@ -212,7 +212,7 @@ def _size(mean_squares: Sequence[float], what: str) -> str:
 
 
 def describe_ratio(ratio: float) -> str:
-    """Describe a ratio of standard deviations to correct values, for example as ``20% too small``."""
+    """Describe a ratio of standard deviations to the correct values, for example as ``20% too small``."""
     size = "large" if ratio > 1 else "small"
     if 0.5 < ratio < 2:
         return f"{100 * abs(ratio - 1):.0f}% too {size}"

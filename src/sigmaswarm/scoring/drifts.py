@@ -60,7 +60,7 @@ class OutageDrifts:
         *,
         monitored: bool = True,
     ) -> None:
-        """Run methods with hidden fixes, without storing the estimates.
+        """Run methods over the drive with the outages, without storing the estimates.
 
         If ``monitored`` is True, a filter is reset after divergence. Otherwise all ``filters`` run as one batch.
         ``also``: functions that run further methods.
@@ -73,7 +73,7 @@ class OutageDrifts:
     def _run_placed(
         self, seed: Seed, filters: Mapping[str, FilterParameters], also: RunFactories, *, monitored: bool
     ) -> None:
-        """Run one set of outages, in a separate function that frees its memory before the next set."""
+        """Run methods with one set of outages; when this function returns, its memory is freed for the next set."""
         outages = outage_pass(self._ready, length=self._length, seed=seed)
         ends = self._ends[self.seeds.index(seed)]
         if monitored:

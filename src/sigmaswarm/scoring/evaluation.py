@@ -89,7 +89,7 @@ class EvaluationOptions:
     outage_seed : int
         Seed of the outages; all methods have the same outages.
     as_recorded : bool
-        Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
+        Run without preprocessing, for diagnosis: use stale fixes, and treat IMU gaps as ordinary steps.
     smooth : bool
         Also evaluate the smoothed estimates, which use fixes after an outage: see `sigmaswarm.smooth`.
     bank : bool
@@ -212,7 +212,7 @@ class Evaluation:
         return next((key for key, name in self.names.items() if name == method), method)
 
     def improvement(self, over: str = BASELINE, measure: str = "position_rmse_m") -> float | None:
-        """Return the improvement over a method, 100 (method - tuned) / method, %, of means (the paper's equation 5)."""
+        """Return the improvement of a mean over a method, 100 (method - tuned) / method, % (the paper's equation 5)."""
         other, tuned = self.mean(over, measure), self.mean("tuned", measure)
         return None if not other or tuned is None else 100 * (other - tuned) / other
 
@@ -223,7 +223,10 @@ class Evaluation:
 
     @property
     def is_worse_than_untuned(self) -> bool:
-        """True if the baseline or the fixes alone are over 10% more accurate in position RMSE or most measures."""
+        """True if the baseline or the fixes alone are over 10% more accurate than the tuned filter.
+
+        This must hold for the position RMSE or for more than half of the measures.
+        """
         return is_worse_than_untuned(self.record, self.measures)
 
     @property
@@ -296,7 +299,7 @@ class Evaluation:
         return self.view.to_html()
 
     def save(self, folder: Path) -> list[Path]:
-        """Write scores.json, scores.csv, evaluation.json, tracks.npz and a filter ``against``; return the paths."""
+        """Write scores.json, scores.csv, evaluation.json, tracks.npz and, if known, ``against``; return the paths."""
         paths = [folder / name for name in (SCORES_FILE, "scores.csv", EVALUATION_FILE, TRACKS_FILE)]
         write_json(paths[0], self.to_dict())
         write_atomically(paths[1], self._frame({m: m for m in self.names}).write_csv())

@@ -53,7 +53,7 @@ def method_names(
 
 def in_sentence(method: str, name: str) -> str:
     """Return the display name of a method for use within a sentence."""
-    return {FIXES: "the filter of the fixes alone", "raw_gps": name}.get(method, f"the {name}")
+    return {FIXES: "the filter that uses only the fixes", "raw_gps": name}.get(method, f"the {name}")
 
 
 def baseline_note(tuned: str) -> str:

@@ -1,7 +1,7 @@
 """Compute the radius within which a position error lies with a given probability, and its coverage.
 
-The filter's covariance may not include the variance of correlated fix errors, which do not average out. The total
-variance per axis is estimated as
+The filter's covariance does not always include the variance of correlated fix errors, which do not average out. The
+total variance per axis is estimated as
 
     sigma^2 = P + max(s^2 - w^2 - min(g s^2, P), 0)
 
@@ -36,7 +36,8 @@ class RadiusRecord(BaseModel):
     """Median radii of a filter's position on a drive, and the fraction of errors inside the radii.
 
     ``n``: number of errors; if there is no truth, number of estimates. ``sigma_ratio``: RMS of the filter's standard
-    deviation divided by the RMS error, per axis. ``lasting_m``: RMS of the correlated fix errors, m per axis.
+    deviation divided by the RMS error, per axis. ``lasting_m``: RMS of the correlated fix errors that the filter's
+    covariance does not include, m per axis.
     """
 
     n: int

@@ -51,7 +51,7 @@ class ScoresRecord(BaseModel):
     stale_fixes: dict[str, int] = Field(default_factory=dict)
 
     def describe_drift(self, measure: str) -> str:
-        """Describe the outages of the tuned filter's drift, and its range over placements; return "" if unknown."""
+        """Describe the outages, and the range of the tuned filter's drift over placements; return "" if unknown."""
         drifts = [by_measure[measure] for by_measure in self.drifts.values() if measure in by_measure]
         drawn = [one.each.get("tuned", []) for one in drifts]
         count = min(map(len, drawn), default=0)

@@ -36,7 +36,7 @@ def restarted(scores: ScoresRecord) -> tuple[str, ...]:
 
 
 def describe_training_drives(drive: DriveRecord) -> str:
-    """Return a sentence on the part of a drive that the tuning used; name the training drives if their names differ."""
+    """Return a sentence on the part of a drive that the tuning used; name training drives that have another name."""
     used, whole = drive.seen_s or 0.0, drive.duration_s or 0.0
     part = "all" if round(used) >= round(whole) else f"{used:.0f}"
     others = [name for name in drive.seen_in if name != drive.name]
@@ -67,8 +67,8 @@ def other_sensors(drive: DriveRecord, training: Sequence[DriveRecord]) -> str:
         return ""
     return (
         f"the sensors or surroundings of {drive.name} differ from those of the training drives "
-        f"({', '.join(differences)}). On such drives the filter can be far less accurate; tune on such drives, and "
-        "compare with --against"
+        f"({', '.join(differences)}). The filter can be far less accurate there than on the training drives; tune on "
+        "drives with these sensors, and compare with --against"
     )
 
 
@@ -124,7 +124,7 @@ def _is_worse(worse: Collection[str], known: int) -> bool:
 def _worse_measures(
     scores: ScoresRecord, shown: Mapping[str, Measure], method: str
 ) -> tuple[dict[str, tuple[float, float]], int]:
-    """Return the means (tuned, method) of measures over 10% lower for the method, and the number of all measures."""
+    """Return the means (tuned, method) of measures that are over 10% lower for the method; also count all measures."""
     known = {
         m: (tuned, other)
         for m in ("position_rmse_m", "heading_rmse_deg", *DRIFTS)

@@ -84,7 +84,7 @@ class PieceErrors:
         self._heading_errors: list[Array] = []
 
     def add(self, time: Array, mean: Array, variance: Array | None = None) -> None:
-        """Add times, s, (r,), state means (r, n), and optional position variances, m2, (r,)."""
+        """Add times (r,), s, state means (r, n) and, optionally, position variances (r,), m2."""
         truth, first = self._truth, self._next
         self._next = int(np.searchsorted(truth.time, time[-1], side="right"))
         at, nodes = slice(first, self._next), np.concatenate([[self._time], time])

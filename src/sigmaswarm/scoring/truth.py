@@ -48,8 +48,8 @@ def root_mean(squares: Array, weights: Array | None = None) -> float:
 def truth_offset(drive: Drive) -> str:
     """Return a sentence on a constant offset of the fixes from truth, with a remedy; "" if there is no offset.
 
-    The offset is constant in the map frame (east, north) or in the vehicle frame (forward, left): in the frame in which
-    the medians of `N_BLOCKS` parts of the drive agree better.
+    The offset is constant in the map frame (east, north) or in the vehicle frame (forward, left). The function chooses
+    the frame in which the medians of `N_BLOCKS` parts of the drive agree better.
     """
     gps, truth = drive.gps, drive.truth
     if truth is None or len(truth) < 2 or not np.any(used := is_known(truth, gps.time)):
@@ -71,7 +71,7 @@ def truth_offset(drive: Drive) -> str:
     )
     length = arm + body
     lever = (
-        "if the antenna is not at the position of the truth, write "
+        "if the antenna is not at the point to which the truth refers, write "
         f"gps_lever_arm_m = [{length.real:.2f}, {length.imag:.2f}, 0.0] into drive.toml"
     )
     causes = [
@@ -80,9 +80,9 @@ def truth_offset(drive: Drive) -> str:
         if clear > MIN_OFFSET_SIGMAS and clear > other / 2  # a straight road does not distinguish the frames
     ]
     return (
-        f"the fixes of {drive.name} have a constant offset of {abs(offset):.2f} m from the truth, which all position "
-        f"errors contain. It is {world.real:+.2f} m east and {world.imag:+.2f} m north, or {body.real:+.2f} m "
-        f"forward and {body.imag:+.2f} m left. Remedy: {'; '.join(causes)}"
+        f"the fixes of {drive.name} have a constant offset of {abs(offset):.2f} m from the truth; all position "
+        f"errors contain this offset. It is {world.real:+.2f} m east and {world.imag:+.2f} m north, or "
+        f"{body.real:+.2f} m forward and {body.imag:+.2f} m left. Remedy: {'; '.join(causes)}"
     )
 
 

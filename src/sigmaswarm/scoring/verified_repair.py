@@ -23,8 +23,8 @@ VERIFIED = CLOCKS | {"rotate", "gyro", "accelerometer", "turn", "level"}
 MAX_ERROR_RATIO = 1.05
 """Largest accepted ratio (after / before) of forecast errors.
 
-If only a rotation is repaired, the limit applies to the geometric mean of four ratios: after the rotation of a tilted
-phone, one error of planar8, which does not model tilt, was 10% larger, and three errors were 28 to 58% smaller.
+If only a rotation is repaired, the limit applies to the geometric mean of four ratios: the rotation of a tilted phone
+increased one error of planar8, which does not model tilt, by 10%, and reduced the three other errors by 28 to 58%.
 """
 DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
 """Noise densities of planar8's states, unit of the state per sqrt(s).

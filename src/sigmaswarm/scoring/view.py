@@ -169,7 +169,10 @@ class EvaluationView:
             text = f"The tuned filter {what.format(f'{tuned:.3g}')}{compared} on {drives}."
             return f"{text}{self._not_better()}{f' {described}.' if described else ''}"
         if any(mean_of("tuned", measure) is not None for measure in DRIFTS):
-            return f"On {drives}, no outage of {self.setup.outage_length_s:g} s fits; use a longer part of a drive."
+            return (
+                f"On {drives}, there is no time for an outage of {self.setup.outage_length_s:g} s; use a longer part "
+                "of a drive."
+            )
         return f"On {drives}, the tuned filter failed, or there is no truth, so scores are missing."
 
     def _not_better(self) -> str:
@@ -194,7 +197,7 @@ class EvaluationView:
         data = self.setup.data
         late = [f"{t:.0f} s into {d.name}" for d in data if (t := d.scored_from_s or 0.0) > LATE_START]
         without_truth = [drive.name for drive in data if drive.has_truth is False]
-        sentences = [f"Filters and scores start {', '.join(late)}: at {START_RULE}."] if late else []
+        sentences = [f"Filters and scores start {', '.join(late)}, at {START_RULE}."] if late else []
         sentences += map(_sentence, partly_scored(data))
         sentences += [f"{', '.join(without_truth)}: {NO_TRUTH}."] if without_truth else []
         sentences += map(_sentence, estimate_position_errors(self.scores, data))
@@ -345,9 +348,9 @@ def explained_radius() -> str:
     return (
         "The position error should lie within this radius with a probability of 95% or 99.9% (median over the drive). "
         "The variance per axis is the sum of the filter's variance and the variance of correlated fix errors. The "
-        "latter is the total variance of the fixes minus that of their white noise and of errors that the filter "
-        "models. The total is the square of the stated standard deviation (if none is stated, of the white noise or, "
-        "if this is small, 2.1 m). The radii are "
+        "latter is the total variance of the fixes minus the variances of their white noise and of the errors that the "
+        "filter models. The total is the square of the stated standard deviation. If none is stated, it is the square "
+        "of the white noise or, if this noise is small, of 2.1 m. The radii are "
         f"{factors[0]:.2f} and {factors[1]:.2f} standard deviations, from Student's t with {DOF:g} degrees of freedom, "
         "since a training drive determines a covariance from few independent errors. Covariances in estimates and "
         "exports are those of the filter, without correlated fix errors."

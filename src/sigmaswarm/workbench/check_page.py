@@ -214,7 +214,11 @@ class CheckPage(Page):
                     with line():
                         for label, cut, icon in (
                             ("Keep only this part", lambda: self.add({"keep": span()}), "content_cut"),
-                            ("Remove this part (two drives)", lambda: self.leave_out(*span()), "call_split"),
+                            (
+                                "Remove this part (makes two drives)",
+                                lambda: self.leave_out(*span()),
+                                "call_split",
+                            ),
                         ):
                             button(label, cut, icon).set_enabled(not self.waiting)
                 show_map(drive, "Map of the drive", 340)

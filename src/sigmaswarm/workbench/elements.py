@@ -1,4 +1,4 @@
-"""Base class of the pages, with work in the background, and elements of pages."""
+"""Base class of the pages, which runs work in the background, and elements of pages."""
 
 import asyncio
 import json

@@ -90,7 +90,7 @@ class LogPage(OpenLog):
         files, dropped = event.files, await ui.run_javascript("window.nameOfDrop()")
         if invalid := [file.name for file in files if not NAME.fullmatch(file.name)]:
             self.wrong = (
-                f"{invalid[0]}: this name can't be used; rename the file with letters, digits, - and _ only"
+                f"{invalid[0]}: this name can't be used; rename the file, with letters, digits, dots, - and _"
             )
             self.status.refresh()
             return

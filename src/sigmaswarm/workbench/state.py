@@ -43,7 +43,7 @@ class Workbench:
         write_json(self._file, self.choices)
 
     def path(self, kind: str, name: str) -> Path:
-        """Return the folder of a drive, tuning, ... by name; raise `InputError` if the name is not valid or a link."""
+        """Return the folder of a drive, tuning, ...; raise `InputError` if the name is invalid or it is a link."""
         path = self.folder / kind / name
         if kind not in KINDS or not NAME.fullmatch(name) or path.is_symlink():
             raise InputError(f"{name!r} is not a valid name; use letters, digits, - and _")
@@ -62,7 +62,7 @@ class Workbench:
 
     @property
     def drives(self) -> list[str]:
-        """Names of the drives for tunings: those with a checked copy are left out, and the copy is included."""
+        """Names of the drives for tunings; a checked copy replaces the drive of which it is a copy."""
         names = self.drive_names
         return [name for name in names if name + CHECKED not in names]
 

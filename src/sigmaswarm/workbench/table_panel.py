@@ -1,4 +1,4 @@
-"""Panel for a table of a log: its columns, with small plots and their uses."""
+"""Panel for a table of a log: its columns, with their uses and small plots."""
 
 from functools import partial
 from typing import Any

@@ -162,7 +162,7 @@ class TunePage(Page):
         self._reasoning.refresh()
 
     def _drives(self) -> tuple[list[Drive], list[Drive]]:
-        """Return training and validation drives; write the parts of drives that are split, like `sigmaswarm split`."""
+        """Return the training and validation drives; split drives and write their parts, as `sigmaswarm split` does."""
         drives: list[Drive] = []
         held_back: list[Drive] = []
         for name, what in self.plan.items():
