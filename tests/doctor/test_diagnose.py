@@ -547,7 +547,7 @@ def test_the_options_follow_from_the_log():
     x = drive.gps.x.copy()
     x[200] += 40.0
     outlier = replace(drive, gps=replace(drive.gps, x=x))
-    assert found_of(outlier, "use") == f"{six}1 fix lies far off the path, and {tilts}"
+    assert found_of(outlier, "use") == f"{six}1 fix lies far from the path, and {tilts}"
     for std in (8.0, 30.0):
         blind = states(replace(drive, truth=None), np.full(n, std))
         assert found_of(blind, "use") == six + tilts + (lasting if n >= 250 else few)

@@ -121,7 +121,7 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
 
 
 def _turning(drive: Drive, course: Course, moving: Mask) -> Agreement:
-    """Compare the integral of gz without bias with the course; parts between stops are shifted to agree on average."""
+    """Compare the integral of gz minus its bias with the course, which is shifted between stops to agree on average."""
     imu, at = drive.imu, course.time[moving]
     track = np.unwrap(np.angle(course.velocity[moving]))
     turned = np.interp(at, imu.time, integral(imu.time, imu.gz))

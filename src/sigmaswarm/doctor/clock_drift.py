@@ -28,10 +28,10 @@ class ClockDrift:
 
 
 def clock_drift(evidence: Evidence) -> ClockDrift | None:
-    """Fit delay(t) = a + b t of the fixes, with which the gyro follows the course in all turns; None without a drift.
+    """Fit the delay a + b t of the fixes with which the gyro follows the course in all turns; None without a drift.
 
-    With the residual r of the course in windows and the yaw rate w at the delayed time, -r = w (da + t db). Windows are
-    the units of the standard deviation.
+    With the residual r of the course in windows and the yaw rate w at the delayed time, -r = w (da + t db). The
+    standard deviation is from a jackknife over windows.
     """
     course, fit, yaw, imu = evidence.course, evidence.yaw_fit, evidence.yaw, evidence.drive.imu
     if course is None or fit is None or not yaw.known or fit.course_change < MIN_GAIN_TURN:
@@ -80,9 +80,9 @@ def clock_drift(evidence: Evidence) -> ClockDrift | None:
 
 
 def _solve(residual: Array, slopes: Array, trust: Array) -> tuple[Array, Array]:
-    """Return the correction of a and b (2,), and its covariance (2, 2) with windows as units.
+    """Return the correction of a and b (2,), and its covariance (2, 2) from a jackknife over windows.
 
-    The covariance is that of the jackknife: the fit reduces the residuals of a window with a large leverage.
+    Otherwise it would be too small, since the fit reduces the residuals of a window with a large leverage.
     """
     weighted = trust[:, :, None] * slopes
     inverse = np.linalg.inv(np.einsum("wni,wnj->ij", weighted, slopes) + 1e-9 * np.eye(2))

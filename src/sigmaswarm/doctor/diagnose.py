@@ -47,7 +47,7 @@ _cache: dict[tuple[str, str], Diagnosis] = {}
 
 
 def diagnose(drive: Drive) -> Diagnosis:
-    """Find the faults of a drive. Of its truth only the clock is checked.
+    """Find the faults of a drive. Of the truth, only the clock is checked.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def _contradicted(finding: Finding) -> Finding:
 
 
 def _of_part(found: Sequence[Finding], whole: str) -> Iterator[Finding]:
-    """Replace the remedies of repairs, since a part that is repaired alone would differ from the other part."""
+    """Replace the remedies of repairable faults, since a part repaired alone would differ from the other part."""
     for finding in found:
         remedy = f"if the whole drive {printable(whole)} has this fault, repair that drive and split it again"
         remedy += f" ({finding.remedy})"
@@ -113,7 +113,7 @@ def finding_sentences(drive: Drive) -> tuple[str, ...]:
         found = diagnose(drive).findings
     except DriveError:
         return ()
-    named = {"serious": "finds a SERIOUS fault in", "warning": "warns of"}
+    named = {"serious": "finds a SERIOUS fault in", "warning": "warns of a fault in"}
     return tuple(
         f"the doctor {named[f.severity]} {drive.name} [{f.code}]: {f.what}. Remedy: {f.remedy}"
         for f in found

@@ -46,7 +46,7 @@ def with_exchanged_axes(drive: Drive) -> Drive | None:
 
 
 def with_reversed_east(drive: Drive) -> Drive | None:
-    """Reverse x of fixes in degrees, as the opposite sign of the longitudes does; None for fixes in meters."""
+    """Reverse x, as a wrong sign of the longitudes does; None for fixes recorded in meters."""
     return replace(drive, gps=replace(drive.gps, x=-drive.gps.x)) if drive.frame == "wgs84" else None
 
 

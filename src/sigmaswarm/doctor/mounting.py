@@ -352,7 +352,7 @@ def _confidence(seen: _Round) -> tuple[Confidence, str]:
         (seen.yaw_fit.course_change < MIN_GAIN_TURN, "the course hardly changes"),
         (not _follows(seen.yaw_fit), "the gyro does not follow the course"),
         (seen.spread > MAX_GRAVITY_CHANGE, "the direction of gravity is not constant"),
-        (seen.mirrored > MIN_LEAD, "the accelerometers' axes are a mirror image"),
+        (seen.mirrored > MIN_LEAD, "the accelerometers' axes are left-handed"),
         (
             seen.margin < MIN_RIVAL_LEAD,
             "the car's speed hardly changes, so it does not show the forward direction",

@@ -1,4 +1,4 @@
-"""Repair the faults in a diagnosis. The given drive is not changed; in the copy, only the truth's clock may differ."""
+"""Repair the faults in a diagnosis. The given drive is not changed, and positions of the truth are never changed."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -63,8 +63,8 @@ def _applied(drive: Drive, repairs: Sequence[Repair]) -> Drive:
 def _rotation(drive: Drive, repairs: Sequence[Repair]) -> Array | None:
     """Return the total rotation (3, 3) of repairs of the IMU's axes; None if they are not a rotation.
 
-    The repairs are applied to unit vectors as samples; factors (units, scales) are ignored. If the IMU lacks one of the
-    six axes, only ax, ay and gz are used; they can be rotated about z or exchanged.
+    The repairs are applied to samples that are unit vectors; factors (units, scales) are ignored. If the IMU lacks
+    one of the six axes, only ax, ay and gz are used; they can be rotated about z or exchanged.
     """
     names = [n for n in ("ax", "ay", "az", "gx", "gy", "gz") if getattr(drive.imu, n) is not None]
     columns = {name: np.eye(3)["xyz".index(name[1])] for name in names}

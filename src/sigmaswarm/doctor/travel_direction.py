@@ -4,8 +4,9 @@ A car's velocity lies along its x axis e. In the axes that the IMU has at the st
 
     velocity = C (speed e + rate x lever) = v0 + g t + integral of C force
 
-C is the gyro's integral, to first order in roll and pitch; the fixes give the speed. Each window has unknown v0 and g
-(gravity, slope, bias). Components perpendicular to e have more weight, since the speed's errors do not affect them.
+C is the rotation integrated from the gyro, to first order in roll and pitch; the fixes give the speed. Each window has
+unknown v0 and g (gravity, slope, bias). Components perpendicular to e have more weight, since the speed's errors do not
+affect them.
 """
 
 from typing import Any

@@ -58,7 +58,7 @@ class Yaw:
 
 
 def yaw_of(fit: YawFit | None, imu: Imu) -> Yaw:
-    """Find column, sign and unit of the gyro by the course.
+    """Find column, sign and unit of the gyro from the course.
 
     If the course does not show them, the result is gz in rad/s. A factor that no unit explains is accepted only if the
     column clearly follows the course, the gain hardly depends on the delay, and the axes are level, since a tilt

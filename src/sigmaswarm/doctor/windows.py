@@ -121,7 +121,7 @@ def _solve(
 def pinv(gram: Array) -> Array:
     """Invert a symmetric matrix (k, k); the result is 0 in directions that the matrix does not determine.
 
-    `numpy.linalg.pinv` returns the same bits, and takes twice as long for matrices of this size.
+    `numpy.linalg.pinv` has the same result, but takes twice as long for matrices of this size.
     """
     values, vectors = np.linalg.eigh(gram)
     order = np.argsort(np.abs(values))[::-1]

@@ -27,7 +27,7 @@ DELAYS = np.arange(-2.5, 2.51, 0.1)  # s, delays of the fixes to try
 
 @dataclass(frozen=True, eq=False)
 class YawFit:
-    """Fit of the course to the integral of a gyro column: course = gain x turned, delayed by ``delay``."""
+    """Fit of the course to the integral of a gyro column: course = gain x integral, delayed by ``delay``."""
 
     column: str
     gain: float  # 1 for the yaw rate of the car in rad/s
@@ -71,7 +71,7 @@ def yaw_windows(course: Course) -> NDArray[np.intp]:
 def fit_column(
     drive: Drive, course: Course, column: str, rows: NDArray[np.intp], tried: Array = DELAYS
 ) -> YawFit:
-    """Fit course = gain x (turned until ``delay`` s ago) + a straight line in each window."""
+    """Fit course = gain x (integral until ``delay`` s ago) + a straight line in each window."""
     time = drive.imu.time
     rate: Array = getattr(drive.imu, column)
     rate = rate - np.median(rate)

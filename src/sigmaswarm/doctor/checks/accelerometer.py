@@ -51,7 +51,7 @@ def _axes(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
             what = "the accelerometers report minus the specific force: ax, ay and az have the wrong sign"
         elif not all(mount.known):
             what = f"{what} (the drive shows only {'forward' if mount.known[0] else 'sideways'} acceleration)"
-        remedy = f"read ax as {forward} and ay as {left}" + (" and change the sign of az" if opposite else "")
+        remedy = f"use {forward} as ax and {left} as ay" + (" and change the sign of az" if opposite else "")
         if (opposite and evidence.mounted) or (evidence.yaw.factor < 0 and np.linalg.det(axes) < 0):
             remedy += "; check the fixes first, since exchanged x and y (lat and lon) have the same effect"
         yield Finding(
@@ -133,7 +133,7 @@ def _gravity(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _leveled(imu: Imu, leak: Array) -> Repair:
-    """Rotate six axes level if a tilt explains the offsets of ax and ay; otherwise subtract constants."""
+    """Level all six axes by a rotation if a tilt explains the offsets of ax and ay; otherwise subtract constants."""
     if imu.az is not None and imu.gx is not None and imu.gy is not None:
         up = np.append(leak, np.median(imu.az))
         if abs(float(np.linalg.norm(up)) - GRAVITY) < abs(float(up[2]) - GRAVITY):

@@ -112,12 +112,12 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
         severity = "warning" if abs(bias) > BIAS_LIMITS[1] else "note"
         what = f"the gyro's bias is about {np.degrees(bias):.2f} deg/s"
         model = suggest_filter([evidence.drive]).model
-        remedy = f"no action is needed, since the filter of tune (--model {model}) estimates the bias"
+        remedy = f"no action is needed, since the default filter of tune (--model {model}) estimates the bias"
         yield Finding("gyro-bias", severity, what, where, span, 0.95, remedy)
 
 
 def _whole_gain(evidence: Evidence) -> float:
-    """Return the ratio of the course's turns to the gyro's turns, fitted to whole windows without a bias.
+    """Return the ratio of the course's turns to the gyro's turns, fitted without a bias to the turns in whole windows.
 
     In steady circles, changes within windows are small, and lever arm and slip have the effect of a scale error.
     """
@@ -130,7 +130,7 @@ def _whole_gain(evidence: Evidence) -> float:
 
 
 def _only_yaw_is_wrong(evidence: Evidence) -> bool:
-    """Return True if the roll of gravity shows that gx has the correct scale, which differs from that of gz."""
+    """Return True if gravity shows in roll that the scale of gx is correct, although that of gz is wrong."""
     course, unit = evidence.course, abs(evidence.yaw.factor)
     if course is None or unit == 1 or evidence.yaw.column != "gz":
         return False
@@ -167,7 +167,7 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
             "gyro-tilt", "warning",
             f"the direction of gravity shows that the roll rate is in {roll} and the pitch rate in {pitch}",
             "imu.csv, gx, gy", span, confidence_of(min(axis[2] for axis in seen) / 2),
-            f"read gx as {roll} and gy as {pitch}", Repair("tilt-rates", (0.0, seen[0][1], seen[1][1], 0.0)),
+            f"use {roll} as gx and {pitch} as gy", Repair("tilt-rates", (0.0, seen[0][1], seen[1][1], 0.0)),
         )  # fmt: skip
         return
     if wrong := [axis for axis in seen if axis[1] < 0]:
@@ -239,11 +239,11 @@ def _regressions(
     others: Sequence[Array] = (),
     used: Mask | None = None,
 ) -> list[tuple[Array, Array]]:
-    """Fit the change of the force's direction y and x within ``lag`` s to the turns about x and y; [] for few samples.
+    """Fit changes of the force's direction (y, x) within ``lag`` s to the turns about x and y; [] for few samples.
 
-    Return the two coefficients and their standard deviations. Further regressors are the turn about z, which changes
-    the direction if the sensor is tilted or the car corners, and the changes of ``others`` (k, n). ``used`` (n,):
-    samples between which changes are used, by default all.
+    Return two coefficients and their standard deviations for y and for x. Further regressors are the turn about z,
+    which changes the direction if the sensor is tilted or the car corners, and the changes of ``others`` (k, n).
+    ``used`` (n,): samples between which changes are used, by default all.
     """
     interval = float(np.median(np.diff(time)))
     count, step = (max(round(seconds / interval), 1) for seconds in (MEAN_WINDOW, lag))

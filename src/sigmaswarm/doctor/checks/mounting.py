@@ -41,7 +41,7 @@ MIN_SLOPE_SIGMAS, MIN_SLOPE = 3.0, 0.4
 
 
 def check_mirrored(evidence: Evidence) -> Iterator[Finding]:
-    """Report a mirror image of the fixes. The other checks refer to the corrected fixes."""
+    """Report mirrored fixes. The other checks use the corrected fixes."""
     if not evidence.mirrored:
         return
     drive, places = evidence.drive, "lat and lon" if evidence.drive.frame == "wgs84" else "x and y"
@@ -53,8 +53,8 @@ def check_mirrored(evidence: Evidence) -> Iterator[Finding]:
             "the longitudes or latitudes of the fixes lack a minus sign, or the IMU's axes are left-handed"
         )
     what = (
-        f"{fault}, so the track is a mirror image. Relative to the fixes, gz and ay have the wrong sign, but ax has "
-        "the correct sign and az points up"
+        f"{fault}, so the track is mirrored relative to the IMU. Relative to the fixes, gz and ay have the wrong sign, "
+        "but ax has the correct sign and az points up"
     )
     remedy = (
         f"if gz and ay have the correct signs, exchange {places}: "
@@ -64,7 +64,7 @@ def check_mirrored(evidence: Evidence) -> Iterator[Finding]:
         west = 'with --map "gps.lon=-(COLUMN_OF_LON)" if the drive was west of Greenwich'
         south = '"gps.lat=-(COLUMN_OF_LAT)" if it was south of the equator'
         signs = " ".join(f'"imu.{name}=-(COLUMN_OF_{name.upper()})"' for name in ("ay", "gx", "gz"))
-        remedy = f"import {west}, {south}, or {signs} if the coordinates are correct, so the IMU's axes are left-handed"
+        remedy = f"import {west}, {south}, or {signs} if the coordinates are correct and the IMU's axes left-handed"
     # Otherwise there is no repair: a truth may be mirrored too, and the exchange changes the scale of degrees.
     repair = Repair("exchange-fixes", ()) if drive.frame == "enu" and drive.truth is None else None
     where = f"gps.csv, {first}, {second}"
@@ -81,8 +81,8 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
             if moved
             else "the direction of the vehicle's acceleration in ax and ay"
         )
-        backward = ", or the vehicle drives backward" if not moved and angle > BACKWARD else ""
-        what = f"the IMU was moved at t = {time:.0f} s: {seen} changes by {math.degrees(angle):.0f} deg{backward}"
+        backward = ", or the vehicle drives backward from then on" if not moved and angle > BACKWARD else ""
+        what = f"the IMU was moved at t = {time:.0f} s{backward}: {seen} changes by {math.degrees(angle):.0f} deg"
         remedy = (
             f"split the drive at this time: sigmaswarm split DRIVE --at {time:.0f} --out parts; the two parts "
             "have different mountings"
@@ -101,7 +101,7 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
     whole = name_of_whole(evidence.drive)
     if mounting.needed and (angle > SERIOUS or not whole):
         given = ",".join(f"{degrees:g}" for degrees in evidence.drive.mounting or ())
-        instead = f" instead of {given}, which it includes" if given else ""
+        instead = f" instead of {given} (that rotation is included)" if given else ""
         roll, pitch, yaw = roll_pitch_yaw(mounting.repair, 1)
         yield Finding(
             "mounting", "serious" if angle > SERIOUS else "warning",
@@ -127,9 +127,9 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
 def find_turn(evidence: Evidence) -> tuple[float, float] | None:
     """Find the time, s, at which the IMU was turned about the vertical, and the angle, rad; None if it was not turned.
 
-    For a part of the drive, S is the sum of a conj(u), where u = ax + i ay is measured and a is the vehicle's
-    acceleration, both minus their means. The angle of S is the angle of the IMU. The time of the turn maximizes the sum
-    of |S| of the parts before and after it.
+    For a part of the drive, S is the sum of a conj(u), where u = ax + i ay is the measured force and a the
+    acceleration of the vehicle, each minus its mean. The angle of S is the angle of the IMU. The time of the turn
+    maximizes the sum of |S| of the parts before and after it.
     """
     course, imu, yaw = evidence.course, evidence.drive.imu, evidence.yaw
     if course is None or not yaw.known:
@@ -187,7 +187,7 @@ def find_movement(drive: Drive) -> tuple[float, float] | None:
 
 
 def _means(time: Array, columns: Sequence[Array], step: float) -> tuple[Array, Array]:
-    """Return the beginnings (n,) of intervals of ``step`` s with samples, and the mean values (n, k) in them."""
+    """Return the starts (n,) of intervals of ``step`` s that contain samples, and the means (n, k) of their samples."""
     edges = np.arange(time[0], time[-1], step)
     rows = np.searchsorted(time, edges)
     sums = np.array([np.append(0.0, np.cumsum(v)) for v in columns])

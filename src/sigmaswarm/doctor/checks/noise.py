@@ -75,8 +75,8 @@ def _disturbed(evidence: Evidence) -> Iterator[Finding]:
     )
     span = float(course.time[fixes[0]]), float(course.time[fixes[-1]])
     remedy = (
-        "none for the default filter of tune, which reduces the weight of such fixes (robust). To leave this stretch "
-        f"out: sigmaswarm split DRIVE --at {span[0]:.0f} {span[1]:.0f} --out parts"
+        "no action is needed for the default filter of tune, which reduces the weight of such fixes (robust). To leave "
+        f"them out: sigmaswarm split DRIVE --at {span[0]:.0f} {span[1]:.0f} --out parts"
     )
     yield Finding("gps-disturbed", "warning", what, "gps.csv, positions", span, 0.99, remedy)
 

@@ -62,7 +62,7 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
     ):
         return (
             f"the course changes by {change:.0f} deg (RMS) within 20 s, and no column of the gyro follows this change",
-            f"check the gyro's unit and the clocks; offsets beyond {MAX_OFFSET:.0f} s are not searched",
+            f"check the gyro's unit and the clocks; offsets beyond {MAX_OFFSET:.0f} s are not searched for",
         )
     if np.ptp(course.angle[moving]) > CIRCLE:
         steady = (
@@ -74,7 +74,7 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
 
 
 def check_use(evidence: Evidence) -> Iterator[Finding]:
-    """Report the default filter of `tune` with its reasons, and possible additions."""
+    """Report the default filter of `tune`, the reasons for this choice, and possible additions."""
     drive = evidence.drive
     if not evidence.drives or part_of(drive) == "test":
         return
@@ -87,7 +87,7 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
             f"the receiver's standard deviations range from {stated[0]:.2g} to {stated[1]:.2g} m"
         )
     if count := int(np.count_nonzero(evidence.outlying)):
-        reasons["robust"] = f"{count_of(count, 'fix')} {'lie' if count > 1 else 'lies'} far off the path"
+        reasons["robust"] = f"{count_of(count, 'fix')} {'lie' if count > 1 else 'lies'} far from the path"
     if chosen.model == "tilted12":
         reasons["model"] = "the IMU has az, gx and gy, which distinguish slopes from acceleration"
     because = ", and ".join(filter(None, reasons.values()))

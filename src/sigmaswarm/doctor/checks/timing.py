@@ -52,7 +52,7 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
             f"{100 * drift.std:.3f}%): the delay of the fixes in turns changes by {drift.change:.2f} s over the drive"
         )
         factor, begin = 1 / (1 - drift.rate), float(evidence.drive.imu.time[0])
-        remedy = f"multiply the times of IMU and odometer, from the first sample on, by {factor:.6f}"
+        remedy = f"multiply the times of IMU and odometer since the first IMU sample by {factor:.6f}"
         repair = Repair("stretch-imu", (factor, begin))
         confidence = confidence_of(drift.rate / drift.std)
         yield Finding("clock-drift", "serious", what, "imu.csv, t", span, confidence, remedy, repair)
@@ -137,7 +137,7 @@ def _gaps(sensor: str, gaps: GapSummary | None, remedy: str) -> Iterator[Finding
 
 
 def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
-    """Find intervals without data of both sensors, in which the logger paused or its clock jumped."""
+    """Find intervals in which both IMU samples and fixes are missing: the logger paused, or its clock jumped."""
     interval, fix_interval = np.diff(imu), np.diff(gps.time)
     usual, fix_usual = float(np.median(interval)), float(np.median(fix_interval))
     for i in np.flatnonzero(interval > max(IMU_GAP[0] * usual, IMU_GAP[1])):

@@ -31,8 +31,8 @@ def check_truth(evidence: Evidence) -> Iterator[Finding]:
     if truth is None or delay is None or _moves_with_fixes(delay, -evidence.moved):
         return
     size, way = f"{abs(delay):.2f} s", "late" if delay > 0 else "early"
-    what = f"the truth's clock is {size} {way}: with this offset, its velocity equals that of the fixes"
-    leap = "; GPS time is 18 s ahead of UTC" if abs(abs(delay) - 18) < 1 else ""
+    what = f"the truth's clock is {size} {way}: without this offset, the velocities of truth and fixes agree"
+    leap = " (GPS time is 18 s ahead of UTC)" if abs(abs(delay) - 18) < 1 else ""
     remedy = f"{'subtract' if delay > 0 else 'add'} {size} {'from' if delay > 0 else 'to'} the truth's times{leap}, "
     remedy += f"or import the log with --truth-offset {-delay:.2f}"
     span = float(truth.time[0]), float(truth.time[-1])
@@ -59,10 +59,11 @@ def _delay(drive: Drive) -> float | None:
 
 
 def truth_delay(time: Array, fixes: Positions, truth_time: Array, truth: Positions) -> float | None:
-    """Find the delay of the truth's clock, s, from its positions (m,) and the fixes (n,), east + i north, m.
+    """Find the delay of the truth's clock, s, from the truth (m,) and the fixes (n,), east + i north, m.
 
-    Return None if the delay is small, or if no delay, or several delays, explain the velocities. The difference of the
-    velocities is the sum of |v - w|^2 over that of |v|^2 + |w|^2, in the time that both cover at a delay.
+    Return None if the delay is small, or if no delay, or several delays, explain the velocities. The relative
+    difference of the velocities v and w is the sum of |v - w|^2 divided by the sum of |v|^2 + |w|^2, over the time that
+    both cover at a delay.
     """
     if min(len(time), len(truth_time)) < 3:
         return None
@@ -97,7 +98,7 @@ def truth_delay(time: Array, fixes: Positions, truth_time: Array, truth: Positio
 
 
 def _velocities(time: Array, position: Positions, usual: float) -> tuple[float, Positions, Array]:
-    """Return velocities on a grid of `STEP` (k,), m/s, its first time, and 1 where the velocity is known, else 0.
+    """Return velocities (k,), m/s, at intervals of `STEP`, their first time, and 1 where the velocity is known, else 0.
 
     ``usual``: the longer of the usual intervals of fixes and truth, s.
     """
