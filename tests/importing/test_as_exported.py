@@ -936,7 +936,7 @@ def test_rows_without_a_fix_are_no_missing_fixes(tmp_path: Path):
     fixes = {n: np.where(lost, np.nan, v) for n, v in FIXES.items()}
     write(tmp_path, gps=fixes, gps_clock=lambda t: 0 * t)
     notes = " / ".join(imported(tmp_path, maps=[f"gps.t=row/{1 / (time[1] - time[0]):g}"]).notes)
-    assert "since a cell is empty" in notes and "much longer than the steps around" not in notes
+    assert "since a cell is empty" in notes and "much longer than the adjacent steps" not in notes
 
 
 def test_fixes_that_are_corrected_each_second_are_not_interpolated(tmp_path: Path):
@@ -970,7 +970,7 @@ def test_missing_fixes_with_times_from_row_numbers_are_named(tmp_path: Path, beg
     write(tmp_path, gps={n: v[kept] for n, v in FIXES.items()}, gps_clock=lambda t: 0 * t[kept])
     rate = 1 / (time[1] - time[0])
     notes = " / ".join(imported(tmp_path, maps=[f"gps.t=row/{rate:g}"]).notes)
-    assert ("much longer than the steps around" in notes) == (end > begin)
+    assert ("much longer than the adjacent steps" in notes) == (end > begin)
     assert "gps: gps.csv: times from row numbers do not show gaps" in notes
 
 

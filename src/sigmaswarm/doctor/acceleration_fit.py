@@ -143,7 +143,7 @@ class _Fit:
         self.bias = np.zeros((len(rows), 2))
 
     def at(self, delay: float, rounds: int = 4) -> Regression:
-        """Solve for M, row by row, and the corrections of ``delay`` and of the mean bias."""
+        """Solve for the rows of M, and for corrections of ``delay`` and of the mean bias."""
         position, columns, own = self._terms(delay)
         one = np.ones((len(self._rows), 1), dtype=np.complex128)
         # One more row per window is a prior on its bias: the mean of all windows.

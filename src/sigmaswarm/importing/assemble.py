@@ -160,7 +160,7 @@ def _in_same_period(
 ) -> dict[Role, Nanoseconds]:
     """Shift tables by whole periods of a wrapping clock, so that they overlap the IMU in time.
 
-    Of several possible shifts, use the shift with which the table ends nearest to the end of the IMU samples.
+    Of several possible shifts, use the one with which the table ends nearest to the end of the IMU samples.
     """
     moved, imu = dict(times), times["imu"]
     clocks = {role: (parts[0].part.columns["t"], parts[0].period) for role, parts in gathered.items()}
@@ -177,8 +177,8 @@ def _in_same_period(
         if len(best) > 1 and role in ("gps", "truth", "odometer"):
             other = (best[1] - best[0]) / SECOND
             message = (
-                f"the clock wraps every {period / SECOND:.6g} s, and several shifts fit the IMU; the shift is used "
-                "with which the table ends nearest to the last IMU sample"
+                f"the clock wraps every {period / SECOND:.6g} s, so several shifts fit the IMU; with the shift used, "
+                "the table ends nearest to the last IMU sample"
             )
             say(f"{role}: {message}. If this is wrong, add --{role}-offset {other:.10g}")
     return moved
@@ -208,7 +208,7 @@ def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, st
 def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[PartColumns]]) -> str:
     """Return a remedy if times of IMU and fixes have the same unit but were read in different units; otherwise "".
 
-    For example, an IMU at 100 Hz has steps of 1 in hundredths of a second, which are read as ms.
+    For example, an IMU at 100 Hz with times in hundredths of a second has steps of 1, which are read as ms.
     """
     both: tuple[Role, ...] = ("imu", "gps")
     texts = {role: gathered[role][0].part.columns["t"] for role in both if gathered.get(role)}
@@ -274,7 +274,7 @@ def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Ro
     for role in ROLES:
         offset = getattr(recipe, f"{role}_offset_s", 0.0)
         if not abs(offset) < 4e9:  # 126 years; after larger offsets, times in ns could exceed 64 bits
-            raise InputError(f"--{role}-offset {offset:g}: must be above -4e9 and below 4e9 s")
+            raise InputError(f"--{role}-offset {offset:g} is out of range; specify a value between -4e9 and 4e9 s")
         if role in times:
             moved[role] = times[role] + round(offset * SECOND)
     # If a wrong stamp, years before the others, were the origin, rounding would remove the last digits of the others.

@@ -268,7 +268,7 @@ def _stated(request: Request, role: Role, column: str) -> bool:
 def _with_tick_rates(
     request: Request, roles: Mapping[Role, tuple[Part, ...]], guesses: Guesses
 ) -> dict[Role, tuple[Part, ...]]:
-    """Use the rates of counters that follow from a known clock, also for other tables with the IMU's counter."""
+    """Use the counter rates that a known clock shows, also for other tables with the IMU's counter."""
     rates = _tick_rates(guesses)
     counter = guesses[request.source].ticks.get("imu", "")
     changed = dict(roles)
@@ -319,7 +319,7 @@ def _with_rate_of_ticks(
 ) -> list[str]:
     """Replace the remedy of a counter of unknown unit by the rate that the motion, or the duration, shows.
 
-    A counter that IMU and fixes share has also an unknown unit if its unit would differ.
+    The unit of a counter that IMU and fixes share is also unknown if they would read it in different units.
     """
     counter = guessed_counter(request, guesses)
     unknown = [fault for fault in faults if UNKNOWN_TICK in fault]
@@ -335,7 +335,7 @@ def _with_rate_of_ticks(
 
 
 def _trial(counter: Counter, request: Request, logs: Mapping[Path, Log], recipe: Recipe) -> str:
-    """Read a counter at a rate with possible steps, and return the remedy that follows; "" if none does."""
+    """Read a counter at the first rate with possible steps; return the remedy that follows, or "" without one."""
     for trial in TRIAL_RATES:
         maps = [f"{r}.t={time_of_ticks(counter.text, trial)}" for r in ("imu", "gps")[: 1 + counter.shared]]
         plain = replace(recipe, roles=with_maps(recipe.roles, maps, {}), mount="")

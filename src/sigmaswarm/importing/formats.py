@@ -51,13 +51,13 @@ NOT_READ = {
     ".mf4 .mdf": "an ASAM measurement file; export it as CSV, for example with asammdf",
     ".sbf": "a Septentrio stream; convert it to NMEA with sbfconvert or RxTools",
     ".rtcm .rtcm3 .obs "
-    ".rnx": "raw measurements; compute fixes with RTKLIB (convbin, rnx2rtkp), and import the .pos file",
+    ".rnx": "a file of raw measurements; compute fixes with RTKLIB (convbin, rnx2rtkp), and import the .pos file",
     ".gpx .kml .kmz .fit": "a track; convert it to CSV, for example from GPX with: gpsbabel -i gpx -f FILE -o unicsv "
     "-F track.csv",
     ".json .jsonl .ndjson": "JSON without objects; write a list with an object for each sample",
     ".sql": "a database dump; export its tables as CSV, for example with COPY ... TO 'log.csv' CSV HEADER",
-    ".npy .npz .pkl": "Python arrays; make a drive with sigmaswarm.Drive.from_arrays, or save them as CSV",
-    ".h5 .hdf5": "HDF5; write its tables as CSV, for example with pandas.read_hdf(...).to_csv",
+    ".npy .npz .pkl": "a file of Python arrays; make a drive with sigmaswarm.Drive.from_arrays, or save them as CSV",
+    ".h5 .hdf5": "an HDF5 file; write its tables as CSV, for example with pandas.read_hdf(...).to_csv",
     ".gz .bz2 .xz .zst .7z .tar .tgz": "a compressed file or an archive; unpack it",
     ".db .sqlite": "a database; export its tables as CSV (a ROS 2 bag has the suffix .db3)",
     ".vbo": "a Racelogic file; export it as CSV, with the channels of the IMU",
@@ -66,10 +66,10 @@ NOT_READ = {
     ".novatel": "a NovAtel log; convert the fixes to NMEA with NovAtel Convert, and the IMU to CSV",
     ".mtb": "an Xsens recording; export it as text with MT Manager, with UTC time and position",
     ".mp4 .mov .insv": "a video; extract the telemetry of its IMU and GPS as CSV, for example with gopro-telemetry",
-    ".echo": "printed by rostopic echo or ros2 topic echo; import the bag, or print its messages as CSV: rostopic echo "
-    "-b BAG -p TOPIC > imu.csv (ROS 1), ros2 topic echo --csv TOPIC > imu.csv (ROS 2)",
+    ".echo": "a text printed by rostopic echo or ros2 topic echo; import the bag, or print its messages as CSV: "
+    "rostopic echo -b BAG -p TOPIC > imu.csv (ROS 1), ros2 topic echo --csv TOPIC > imu.csv (ROS 2)",
     ".mavtext": "a dataflash log printed by mavlogdump.py; import the log itself (.bin)",
-    ".pcap .pcapng": "network packets; decode them with the sensor's own program, and export CSV",
+    ".pcap .pcapng": "a capture of network packets; decode them with the sensor's own program, and export CSV",
 }
 # Patterns of the first bytes of these formats
 _MAGIC = {
@@ -144,7 +144,7 @@ def format_of(path: Path) -> str:
 
 
 def unsupported_format(path: Path) -> str:
-    """Return a description of a file's format, by suffix or first bytes, if it is known but not supported, or ""."""
+    """Return a description of a known but unsupported format, found by suffix or first bytes; otherwise ""."""
     if not path.is_file():
         return ""
     head = first_bytes(path, 256)

@@ -26,7 +26,7 @@ from sigmaswarm.wording import list_names, printable, quoted
 ROW = "row"  # column of row numbers, from 0, in tables without a column of this name
 # Largest number of rows without a time that are taken for lines of a header or a footer
 MAX_TIMELESS_ROWS = 10
-# Of a placeholder from the median of the other values, in units of their 1% to 99% range
+# Smallest distance of a placeholder from the median of the other values, in units of their 1% to 99% range
 MIN_PLACEHOLDER_DISTANCE = 10
 
 
@@ -125,7 +125,7 @@ class PartColumns:
         return times.is_null() if few else None
 
     def _without_placeholders(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Set placeholders such as -999 to null if they are far from the other values, or are in both coordinates."""
+        """Set placeholders such as -999 to null if they are far from the other values, or equal in both coordinates."""
         used = {n: e.numbers for n, e in self.expressions.items() if n not in ("t", "keep")}
         names = [c for c in sorted(set().union(*used.values())) if not frame.schema[c].is_nested()]
         numbers = frame.select(pl.col(names).cast(pl.Float64, strict=False))

@@ -67,8 +67,8 @@ def tilted_mount(recipe: Recipe, rows: Mapping[str, pl.DataFrame], *, downward: 
         return "", ""
     values = ", ".join(f"{name} {value:.3g}" for name, value in zip(FORCES, force, strict=True))
     note = (
-        f"the specific force is {math.degrees(tilt):.0f} deg from +z, so the IMU is rotated relative to the vehicle "
-        f"(medians of the first rows: {values} m/s2); --mount {AUTO} estimates the rotation from the log"
+        f"the specific force points {math.degrees(tilt):.0f} deg away from +z, so the IMU is rotated relative to the "
+        f"vehicle (medians of the first rows: {values} m/s2); --mount {AUTO} estimates the rotation from the log"
     )
     return AUTO, note
 

@@ -207,7 +207,7 @@ def _complete_rows(
     full = _finite(values, len(time)).all(axis=0)
     if not full.any():
         raise InputError(
-            f"{role}: no row has all of {', '.join(values)}; leave a column out with --map {role}.NAME="
+            f"{role}: no row has values of all of {', '.join(values)}; leave a column out with --map {role}.NAME="
         )
     sparse = role == "gps" and np.mean(placed) < 0.5
     if (left := int(np.count_nonzero(~full))) and not sparse:

@@ -174,7 +174,7 @@ def calibrate(heading: Array, field: Array) -> Calibration:
 
 
 def _near_steel(time: Array, size: Array, off: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark samples (n,) near a field with an unusual magnitude, or an unusual direction relative to the heading."""
+    """Mark samples (n,) close in time to a field of unusual magnitude, or unusual direction relative to the heading."""
     odd = _odd(size / float(np.median(size[moving])), moving) | (moving & _odd(off, moving))
     wrong = time[odd]
     return np.searchsorted(wrong, time - MARGIN) < np.searchsorted(wrong, time + MARGIN, side="right")

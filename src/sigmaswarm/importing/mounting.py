@@ -24,7 +24,8 @@ def find_mount(drive: Drive) -> tuple[Drive, str, str]:
     mounting = evidence.mounting
     if evidence.mirrored:
         raise InputError(
-            "mount auto: the track of the fixes is a mirror image; exchange x and y, or lat and lon, with --map"
+            "mount auto: the track of the fixes is a mirror image of the IMU's motion; exchange x and y, or lat and "
+            "lon, with --map"
         )
     if mounting is None or mounting.confidence == "no":
         required = "required: ax, ay, az with gravity, gx, gy, gz, and a moving vehicle"
@@ -87,7 +88,7 @@ def _from_axes(text: str, parts: list[str]) -> Array:
     matrix = np.array([rows[axis] for axis in _AXES])
     if round(float(np.linalg.det(matrix))) != 1:
         raise InputError(
-            f"mount {text!r} is a mirror image or uses an axis twice; use each axis once, with signs by the "
+            f"mount {text!r} is left-handed or uses an axis twice; use each axis once, with signs by the "
             "right-hand rule"
         )
     return matrix

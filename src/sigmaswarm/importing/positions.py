@@ -25,8 +25,8 @@ MIN_SPEED = 1.0  # m/s, lowest speed at which the course equals the heading
 RADIUS_68 = 1.515
 # A phone's x points right and y to its top edge (Android's SensorEvent), so forward is y and left is -x
 FLAT_NOTE = (
-    "the phone is assumed to lie flat with the screen up and the top edge forward; otherwise add --mount, or "
-    "--mount auto"
+    "the phone is assumed to lie flat with the screen up and the top edge forward; otherwise "
+    "specify its rotation with --mount, or add --mount auto"
 )
 
 
@@ -63,7 +63,7 @@ def valid_positions(time: NDArray[np.int64], values: Values, role: str, say: Say
 def coarse_degrees(values: Values) -> str:
     """Describe latitudes and longitudes with too few decimals, with the remedy; else "".
 
-    Whole degrees are presumably next to columns of minutes.
+    If the values are whole degrees, other columns presumably contain the minutes.
     """
     places = [values[name] for name in ("lat", "lon") if name in values]
     for decimals in (0, 1, 2, 3, 4):

@@ -194,7 +194,7 @@ def _maps(columns: Columns, role: Role, whats: Sequence[str], form: str) -> str:
 
 
 def in_units(frame: pl.DataFrame, role: Role, texts: Mapping[str, str]) -> dict[str, str]:
-    """Convert proposed columns to a drive's units, like recognized names; after a fault, as its remedy proposes."""
+    """Convert proposed columns to a drive's units, like recognized columns; after a fault, as in its remedy."""
     columns, signs = Columns(frame), {what: "-" * text.startswith("-") for what, text in texts.items()}
     quoted_names = {quoted_column(column): column for column in frame.columns}
     for what, text in texts.items():

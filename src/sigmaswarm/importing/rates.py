@@ -1,4 +1,4 @@
-"""Find the unit of angular rates without a stated unit from the changes of course of the fixes."""
+"""Find the unit of angular rates, if it is not stated, from the course changes of the fixes."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -106,7 +106,7 @@ def _wrong_clock(ratio: float, columns: str, times: Mapping[Any, str]) -> str:
 
 
 def turn_ratio(drive: Drive) -> tuple[float, float]:
-    """Return the fraction of the variance of course changes that the rates explain, and their ratio to the rates."""
+    """Return the explained fraction of the variance of course changes, and their ratio to the integrated rates."""
     time, x, y, imu = drive.gps.time, drive.gps.x, drive.gps.y, drive.imu
     axes = np.array([v for v in (imu.gx, imu.gy, imu.gz) if v is not None])
     steps = 0.5 * (axes[:, 1:] + axes[:, :-1]) * np.diff(imu.time)
@@ -130,7 +130,7 @@ def _fitted(measured: Array, turns: Array, lasted: Array) -> tuple[float, float]
     """Fit measured angles (n, axes) to turns (n,), rad; return explained fraction and factor, 0 and 0 for few turns.
 
     ``lasted`` (n,): durations, s. The axes have different biases, so angles proportional to the duration are removed;
-    otherwise a linear combination of the axes with large factors would remove them.
+    otherwise the fit would cancel the biases by a combination of the axes with large factors.
     """
     share, ratio = 0.0, 0.0
     for _ in range(4):

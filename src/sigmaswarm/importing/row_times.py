@@ -38,7 +38,7 @@ def gaps_by_clock(gathered: Mapping[Role, Sequence[PartColumns]]) -> list[str]:
             if lost > MIN_LOST:
                 notes.append(
                     f"{where}: according to column {name}, rows for {lost:.3g} s are missing, for example after row "
-                    f"{row}, so the times {text} are too early after these; instead, write --map "
+                    f"{row}, so the later times {text} are too early; instead, write --map "
                     f'"{role}.t={name}*{unit:.6g}"'
                 )
                 break  # another clock may count rows without gaps
@@ -81,6 +81,6 @@ def gaps_by_distance(drive: Drive) -> str:
     lost = float(np.sum(np.abs(inner[gaps]) / usual[gaps] - 1))
     return (
         f"gps: {count_of(len(gaps), 'step')} from fix to fix, for example after fix {gaps[0] + NEIGHBORS + 1}, "
-        f"{'is' if len(gaps) == 1 else 'are'} much longer than the steps around, so about {lost:.0f} fixes are "
-        "probably missing, and the times from row numbers are too early after these; use the receiver's time instead"
+        f"{'is' if len(gaps) == 1 else 'are'} much longer than the adjacent steps, so about {lost:.0f} fixes are "
+        "probably missing, and later times from row numbers are too early; use the receiver's time instead"
     )

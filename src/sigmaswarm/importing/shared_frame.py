@@ -125,7 +125,7 @@ def assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, or
         move = np.append(np.mean(apart(best), axis=0), 0.0)[None]
         lat, lon, _ = enu_to_geodetic(move, best)[0]
         best = float(lat), float(lon), origin[2]
-    state = f"specify it: --origin {best[0]:.8f},{best[1]:.8f},{best[2]:.3f} fits the fixes best"
+    state = f"specify the origin: --origin {best[0]:.8f},{best[1]:.8f},{best[2]:.3f} fits the fixes best"
     if np.all(np.abs([east, north]) < 5 * spread):
         return f"{message}; {state}"
     return f"{message}, but then the fixes lie {east:.2f} m east and {north:.2f} m north of the truth (mean); {state}"

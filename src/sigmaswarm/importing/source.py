@@ -42,8 +42,8 @@ class Limits:
     def check_unpacked(self, count: int, path: Path) -> None:
         if count > self.unpacked_mb * 1_000_000:
             raise InputError(
-                f"{path}: would unpack at least {count / 1e6:.0f} MB at once, more than {self.unpacked_mb} MB; unpack "
-                "it yourself, or raise --max-unpacked-mb"
+                f"{path}: at least {count / 1e6:.0f} MB would be unpacked at once, more than {self.unpacked_mb} MB; "
+                "unpack it yourself, or raise --max-unpacked-mb"
             )
 
     def first_columns(self, names: Iterator[str], path: Path) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ MAX_RATIO_ERROR = 0.2
 
 @dataclass(frozen=True)
 class DurationRate:
-    """Rate of a counter, ticks per s, with which IMU and fixes have the same duration; 0 if they have it anyway."""
+    """Rate of a counter, ticks per s, at which IMU and fixes have the same duration; 0 if no other rate is needed."""
 
     rate: float = 0.0
     factor: float = 1.0  # of the times of the IMU
@@ -32,7 +32,7 @@ class DurationRate:
 
 
 def wrong_tick(drive: Drive, counter: Counter, recipe: Recipe, other: DurationRate) -> str:
-    """Describe a wrong guess of the unit of a counter, with which IMU and fixes show another motion; else return "".
+    """Describe a wrongly guessed unit of a counter, with which the motions of IMU and fixes differ; else return "".
 
     A counter of the IMU alone is refused only if the motion agrees at the rate of the durations, since an IMU may also
     record longer than the receiver, or shorter.
@@ -59,7 +59,7 @@ def wrong_tick(drive: Drive, counter: Counter, recipe: Recipe, other: DurationRa
 
 
 def rate_by_motion(drive: Drive) -> float | None:
-    """Return the factor of all times with which turns and accelerations agree with the fixes; None if it is unclear.
+    """Return the factor of all times at which turns and accelerations agree with the fixes; None if it is unclear.
 
     At a wrong rate, turns differ by the factor and accelerations by its square, unlike with a wrong unit of the gyro.
     A receiver has a usual rate, so a counter that IMU and fixes share has few possible rates.
@@ -91,7 +91,7 @@ def _agrees(drive: Drive) -> bool:
 def rate_by_duration(
     counter: Counter, gathered: Mapping[Role, Sequence[PartColumns]], recipe: Recipe
 ) -> DurationRate:
-    """Return the other rate of a counter with which the duration of the IMU differs from that of the fixes."""
+    """Return the rate of a counter at which IMU and fixes have the same duration, if the guessed rate differs."""
     scaled = scaled_column(recipe.roles["imu"][0].columns.get("t", ""))
     if not counter.text or counter.shared or scaled is None or "gps" not in gathered:
         return DurationRate()

@@ -210,7 +210,7 @@ def spread_stamps(time: Nanoseconds, role: Role, where: str) -> tuple[Nanosecond
     place = place - (size[group] - 1 if batches else 0.0)
     fine = time + np.round(place / size[group] * length[group]).astype(np.int64)
     until = ", with the stamp at the last of them" * batches
-    return fine, f"{usual:g} rows share a stamp of {step / SECOND:g} s and are spread evenly{until}"
+    return fine, f"{usual:g} rows share one stamp every {step / SECOND:g} s and are spread evenly{until}"
 
 
 def sorted_times(

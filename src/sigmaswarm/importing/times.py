@@ -124,7 +124,7 @@ def time_of_rows(
     """Find the time of a role in a table whose rows contain only some of the sensors.
 
     ``keys``: a column that is filled in the rows of each role; ``rows_of``: role whose usual rate determines the unit.
-    Header stamps have priority over a clock that is filled in the rows of all roles, if each role has one.
+    If each role has header stamps, these have priority over a clock that is filled in the rows of all roles.
     """
     known = frame.with_columns(pl.selectors.float().fill_nan(None))
     rows = {of: some for of, key in keys.items() if len(some := known.drop_nulls(key))}
@@ -149,7 +149,7 @@ def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
 def rising_time(frame: pl.DataFrame, role: Role) -> str:
     """Return the first column without a known name that increases from row to row, in s; otherwise "COLUMN".
 
-    A counter of rows, which increases by 1, is no time.
+    A counter of rows, which increases by 1, is not a time.
     """
     for name in read_names(frame.columns):
         steps = column_numbers(frame[name.column]).diff().drop_nulls()
@@ -396,10 +396,10 @@ def date_time(columns: Sequence[str], frame: pl.DataFrame) -> TimeExpression:
         whole = f"utc({called}, '{form}')" if form else f"utc({called})"
         message = (
             f"column {quoted(columns[0])}: {quoted(left)} has a format different from that of {most} of "
-            f"{len(texts)} rows"
+            f"{len(texts)} texts"
         )
         return TimeExpression(
-            "", fault=f'{message}; correct these rows, or leave them out with --time "{whole}"'
+            "", fault=f'{message}; correct rows like this, or leave them out with --time "{whole}"'
         )
     orders = [(word, f) for word in ("day", "month", "year") for f in fitting if f.startswith(f"%{word[0]}/")]
     if len(orders) > 1:

@@ -1,4 +1,4 @@
-"""Check axes, signs, unit and scale of ax and ay, the mounting angle, gravity in ax and ay, and the magnitude of az."""
+"""Check axes, signs, unit and scale of ax and ay, the mounting angle, gravity in ax and ay, and az."""
 
 import math
 from collections.abc import Iterator

@@ -101,5 +101,6 @@ def _guess(columns: Wanted) -> Guess:
         parts.append(("imu", acceleration[0], {"t": t, "ax": y, "ay": f"-{x}", "az": z}))
         parts.append(("imu", gyro[0], {"t": t, "gx": q, "gy": f"-{p}", "gz": r}))
     lacking = [kind for kind, names in columns.items() if _CLOCK not in names]
-    notes = (f"{', '.join(lacking)}: no {_CLOCK}, so all times are UTC in milliseconds",) if lacking else ()
+    note = f"{', '.join(lacking)}: the column {_CLOCK} is missing, so all times are UTC in milliseconds"
+    notes = (note,) if lacking else ()
     return Guess(roles_of(parts, columns), notes, flat=FLAT_NOTE)

@@ -87,7 +87,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _require_known_elements(path: Path, limits: Limits) -> None:
-    """Refuse elements with invalid types or too deep nesting, since they crash SciPy's compiled code."""
+    """Refuse elements that have invalid types or are nested too deeply, since they crash SciPy's compiled code."""
     from scipy.io.matlab import matfile_version
 
     if matfile_version(path)[0] != 1:  # formats before version 5 have no elements

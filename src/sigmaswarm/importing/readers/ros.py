@@ -59,7 +59,8 @@ def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence
 def _define(reader: Any, definitions: Sequence[Path], typesys: Any) -> None:
     """Add the definitions in .msg files to those of a bag.
 
-    A file defines the bag's types of its name. If there are none, the folder that contains ``msg/`` names the package.
+    A file defines the bag's types with the file's name. If the bag has none, the folder that contains
+    ``msg/`` names the package.
     """
     kinds = {c.msgtype for c in reader.connections}
     for given in definitions:

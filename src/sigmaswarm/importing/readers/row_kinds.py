@@ -66,7 +66,7 @@ def _codes(rows: Sequence[Sequence[str]], place: int) -> set[str]:
 
 
 def _are_cut(rows: Sequence[Sequence[str]], place: int) -> bool:
-    """Return True if rows with a flag of 0 are the first cells of the other rows: numbers in the range of theirs."""
+    """Return True if rows with a flag of 0 contain the first cells of the other rows, with numbers in their range."""
     short = [row for row in rows if row[place].strip() == "0" and len(row) > KIND_CELLS]
     long = [row for row in rows if row[place].strip() != "0" and len(row) > KIND_CELLS]
     width = max(map(len, short), default=0)

@@ -59,6 +59,6 @@ def _acceleration(log: Log, notes: list[str]) -> dict[str, dict[str, str]]:
     if not isinstance(down, float):
         raise InputError(f"{log.path / _GRAVITY}: contains no numbers; export it again")
     turned = "; the signs of both are reversed, as on iOS" if down < 0 else ""
-    notes.append(f"Gravity.csv is added to Accelerometer.csv{turned}")
+    notes.append(f"the values of Gravity.csv and Accelerometer.csv are summed{turned}")
     axes = {"ax": "-y", "ay": "x", "az": "-z"} if down < 0 else {"ax": "y", "ay": "-x", "az": "z"}
     return {_MOVED: axes, _GRAVITY: {f"+{name}": text for name, text in axes.items()}}
