@@ -274,7 +274,9 @@ def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Ro
     for role in ROLES:
         offset = getattr(recipe, f"{role}_offset_s", 0.0)
         if not abs(offset) < 4e9:  # 126 years; after larger offsets, times in ns could exceed 64 bits
-            raise InputError(f"--{role}-offset {offset:g} is out of range; specify a value between -4e9 and 4e9 s")
+            raise InputError(
+                f"--{role}-offset {offset:g} is out of range; specify a value between -4e9 and 4e9 s"
+            )
         if role in times:
             moved[role] = times[role] + round(offset * SECOND)
     # If a wrong stamp, years before the others, were the origin, rounding would remove the last digits of the others.

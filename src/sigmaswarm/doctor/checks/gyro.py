@@ -35,14 +35,14 @@ MIN_SIGNIFICANCE = 7.0
 MIN_SIGNIFICANCE_RATIO = 2.0  # smallest ratio of the significance of a column to that of the other column
 OUTLIER_SIGMAS = 3.0  # standard deviations; larger changes are outliers
 
-# s; on eleven drives with correct scales, the estimated scale of the roll rate was 0.96 to 2.1 and 0.54 to 1.24
+# s; on eleven drives with correct scales, the estimates for the roll rate were 0.96 to 2.1 and 0.54 to 1.24
 SCALE_LAGS = (1.0, 2.0)
 # Logarithm of an estimated scale; on flat roads, the lean of the body gives scales above 10
 MAX_LOG_SCALE = 0.8
 MAX_SCALE_ERROR, MIN_SCALE_LEAD = (
     0.25,
     0.1,
-)  # of the estimate, relative; of one scale over another, in the logarithm
+)  # largest relative error of the estimate; smallest lead of one scale over another, in the logarithm
 
 # Column that a direction follows (0: gx, 1: gy), its sign, and its significance in standard deviations
 RateMatch = tuple[int, float, float]
