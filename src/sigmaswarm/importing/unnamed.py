@@ -25,7 +25,7 @@ MAX_DEGREES = 2.0  # largest range of latitude and longitude in a log
 
 
 def columns_by_values(frame: pl.DataFrame, role: Role) -> dict[str, str]:
-    """Return the expressions of a role's columns in a table whose names are numbers or letters; {} if unclear."""
+    """Return the expressions of a role's columns in a table with numbers or letters as names; {} if unclear."""
     if role == "imu" and (found := _letters(frame)):
         return found
     names = [name for name in frame.columns if UNNAMED.fullmatch(name)]
