@@ -113,7 +113,11 @@ def with_magnetometer(
     turn = _turn(calibration, recipe.declination_deg)
     heading, known = _at(drive.gps.time - late, time, vector, near_steel)
     say(_in_words(calibration, recipe.declination_deg))
-    when = f" Each applies {late:.2f} s before the time of its fix, since the fixes have this delay." if late else ""
+    when = (
+        f" Each applies {late:.2f} s before the time of its fix, since the fixes have this delay."
+        if late
+        else ""
+    )
     none = f"{np.count_nonzero(~known)} of {len(known)} fixes have no heading (steel nearby, or no sample)"
     say(f"mag: the headings have a standard deviation of {np.degrees(std):.1f} deg.{when} {none}")
     heading = np.where(known, wrap_angle(heading + turn), 0.0)
