@@ -80,7 +80,7 @@ def test_a_counter_of_another_rate_is_unwrapped(tmp_path: Path, rate: int, bits:
 def test_a_counter_that_wraps_between_fixes_is_refused(tmp_path: Path):
     gps = {"tick": counted(GPS.time, 72e6, 24), **CLOCKS["unix"]}
     folder = write(tmp_path, {"tick": counted(IMU.time, 72e6, 24)}, gps)
-    with pytest.raises(InputError, match="faster than rows follow each other"):
+    with pytest.raises(InputError, match="too fast for the rate of the rows"):
         imported(folder)
 
 

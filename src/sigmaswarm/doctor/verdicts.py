@@ -82,7 +82,7 @@ def yaw_of(fit: YawFit | None, imu: Imu) -> Yaw:
 
 
 def _units_of(gain: float) -> list[float]:
-    """Return the unit and sign, as a factor to rad/s, that explain a gain; empty if no unit does."""
+    """Return the factors to rad/s (units with sign) that explain a gain; empty if no unit does."""
     return [f for f in (1.0, -1.0, DEGREE, -DEGREE) if 1 / FACTOR_TOLERANCE < gain / f < FACTOR_TOLERANCE]
 
 

@@ -44,7 +44,7 @@ class YawFit:
 
     @property
     def delay_prior(self) -> tuple[float, float]:
-        """The delay and its standard deviation, s, as a prior of other fits."""
+        """The delay and its standard deviation, s, as a prior for other fits."""
         return self.delay, math.hypot(self.delay_std, MIN_DELAY_STD)
 
 

@@ -174,7 +174,7 @@ def without_column(role: Role, name: str) -> str:
 def _complete_rows(
     time: Nanoseconds, values: Values, role: Role, required: Sequence[str], say: Say, invalid: str = ""
 ) -> tuple[Nanoseconds, Values]:
-    """Leave out mostly empty columns, then rows with an empty cell.
+    """Leave out optional columns with more than 10% empty cells, then rows with an empty cell.
 
     ``invalid``: column in which a speed of -1 is invalid. The positions of these rows are valid, so the rows remain.
     """
@@ -238,8 +238,8 @@ def _resolution(values: Array) -> float:
 def _interpolated(position: Sequence[Array]) -> NDArray[np.int64] | None:
     """Return the rows of the fixes between which a logger interpolated linearly; None if it did not interpolate.
 
-    The path has corners only at the fixes, at a constant number of rows, and is straight between them, except for
-    rounding.
+    The path has corners only at the fixes, which are a constant number of rows apart, and is straight between them,
+    except for rounding.
     """
     bends = [np.abs(np.diff(p, n=2)) for p in position[:2]]
     # If every third row is a fix, two of three rows are next to one.

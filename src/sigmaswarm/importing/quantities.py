@@ -136,7 +136,7 @@ def _web_mercator(columns: Columns, role: Role) -> str:
 def _without_unit(columns: Columns, what: str, role: Role) -> TimeExpression:
     """Read accelerations as g or mg if their magnitude then equals gravity, and rates above 5 as deg/s.
 
-    Other values are read in SI units, or as raw counts if they are too large for a car or if rates are whole numbers.
+    Other values are read in SI units, or refused as raw counts if they are too large for a car or whole (rates).
     """
     text, letter = columns.text(what), what[0]
     axes = [a for a in (f"{letter}{i}" for i in "xyz") if a in columns and columns.names[a].unit is None]

@@ -93,14 +93,14 @@ def unwrap(time: Nanoseconds, tick: float = 0.0) -> tuple[Nanoseconds, int, str]
 
 
 def require_unwrappable(time: Nanoseconds, tick: float, where: str) -> None:
-    """Refuse a counter that wraps faster than rows follow each other; ``tick``: its unit, s, or 0."""
+    """Refuse a counter that wraps too fast for the rate of the rows; ``tick``: its unit, s, or 0."""
     backwards = float(np.mean(np.diff(time) < 0)) if len(time) > MIN_ROWS else 0.0
     span = int(np.ptp(time)) / SECOND if len(time) else 0.0
     period = next((2**bits * tick for bits in BITS if 0.9 < span / max(2**bits * tick, 1e-12) < 1.001), None)
     if backwards >= MAX_DECREASING_SHARE and period and int(time.min()) >= 0:
         raise InputError(
-            f"{where}: the counter of the time wraps every {period:.3g} s, which is faster than rows follow each "
-            "other, so their times are ambiguous; specify another time column"
+            f"{where}: the counter of the time wraps every {period:.3g} s, which is too fast for the rate of the rows, "
+            "so their times are ambiguous; specify another time column"
         )
 
 

@@ -91,8 +91,8 @@ def _stretches(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the first and the last rows of stretches in which the position moves clearly and steadily.
 
-    A stretch is longer than 3 m and ten times the noise between rows, and has at least five positions. No single step
-    may make up most of the length, since a jump of a parked vehicle's fixes is not motion.
+    A stretch is longer than 3 m and than ten times the noise between rows, and has at least five positions. No single
+    step may make up most of the length, since a jump of a parked vehicle's fixes is not motion.
     """
     # repeated positions count once
     rows = np.flatnonzero(np.append(True, (np.diff(x) != 0) | (np.diff(y) != 0)))
