@@ -172,7 +172,7 @@ def test_fixes_that_come_late_get_the_heading_at_their_positions(tmp_path: Path)
     got = imported(folder, choice=TABLE, recipe=Recipe(gps_offset_s=0.5))
     off, known = errors_of(got.drive, heading)
     assert np.quantile(np.abs(off[known]), 0.95) < 3.0
-    assert any("s before the times of the fixes" in note for note in got.notes)
+    assert any("s before the time of its fix" in note for note in got.notes)
 
 
 def test_without_a_choice_a_magnetometer_changes_nothing(tmp_path: Path):
