@@ -70,7 +70,7 @@ def test_a_rejected_repair_ends_in_no_circle(sigmaswarm, sick: Path, monkeypatch
     assert ended.code == 0 and "[gyro-sign] imu.csv, gz" in ended.out
     assert "Rejected repair: change the sign of gz" in ended.out
     remedies: list[tuple[str, Path | None]] = []
-    with pytest.warns(SigmaswarmWarning, match="the doctor warns of a fault in gyro-sign"):
+    with pytest.warns(SigmaswarmWarning, match="the doctor warns of gyro-sign"):
         read_datasets(["mended/urban-clear-00"], remedies=remedies)
     assert not remedies
 
