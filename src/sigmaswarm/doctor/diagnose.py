@@ -113,7 +113,7 @@ def finding_sentences(drive: Drive) -> tuple[str, ...]:
         found = diagnose(drive).findings
     except DriveError:
         return ()
-    named = {"serious": "finds a SERIOUS fault in", "warning": "warns of a fault in"}
+    named = {"serious": "finds a SERIOUS fault in", "warning": "gives a warning about"}
     return tuple(
         f"the doctor {named[f.severity]} {drive.name} [{f.code}]: {f.what}. Remedy: {f.remedy}"
         for f in found
