@@ -49,7 +49,7 @@ def import_log(
     name : str, optional
         Name of the drive; by default the name of the log.
     say : callable, optional
-        Called with each note; by default, notes are warnings.
+        Called with each note; by default, notes become warnings.
     **settings
         ``gps``, ``truth``, ``odometer``: logs of these sensors, if ``log`` does not contain them. ``format``, ``maps``
         ({"ax": "acc_x*g"}), ``tables`` ({"imu": "/imu/data"}), ``time``, ``recipe`` (a file) and settings of a recipe,
@@ -68,8 +68,8 @@ def import_log(
     Warns
     -----
     SigmaswarmWarning
-        If ``say`` is not given: for each note, for example on an assumption, or on times that only the IMU or only the
-        fixes cover.
+        If ``say`` is not given, for each note, for example about an assumption, or about times that only the IMU or
+        only the fixes cover.
     """
     from sigmaswarm.importing.convert import import_drive, request_of
 
@@ -268,7 +268,8 @@ def report(results: Any, out: str | Path | None = None) -> str:
         text = page(tuning_report(results.record, history_of(results.trials) if results.trials else None))
     else:
         raise InputError(
-            f"a {type(results).__name__} has no page; pass an Evaluation, a Tuning or a folder of results"
+            f"an object of type {type(results).__name__} has no page; pass an Evaluation, a Tuning or a folder of "
+            "results"
         )
     if out is not None:
         write_atomically(Path(out), text)
@@ -309,5 +310,5 @@ def plot(what: Any, drive: str | None = None) -> "Figure":
     if isinstance(what, Comparison):
         return comparison_figure(what)
     raise InputError(
-        f"a {type(what).__name__} has no figure; pass a Drive, an Evaluation, a Tuning or a Comparison"
+        f"an object of type {type(what).__name__} has no figure; pass a Drive, an Evaluation, a Tuning or a Comparison"
     )

@@ -61,7 +61,7 @@ class FunctionRecipe:
 
 
 def cached(function: Callable[..., Any] | FunctionRecipe | None = None, **options: Any) -> Any:
-    """Compile with `numba.njit`, and cache the machine code if there is a folder to which no other user can write."""
+    """Compile with `numba.njit`, and cache the machine code if there is a folder that no other user can access."""
     if function is None:
         return lambda function: cached(function, **options)
     if config.DISABLE_JIT:
@@ -136,7 +136,7 @@ def _folder() -> tuple[Path | None, str]:
 
 
 def _is_private(folder: Path) -> bool:
-    """Return True if other users can neither access nor replace a folder, or on systems without user ids."""
+    """Return True if other users can neither access nor replace a folder, and on systems without user ids."""
     if not hasattr(os, "getuid"):
         return True
     own, above = folder.stat(), folder.parent.stat()

@@ -27,7 +27,7 @@ class ClusterError(SigmaswarmError):
 
 @dataclass(frozen=True, eq=False)
 class Cluster:
-    """A Dask client, and the requests of this library to its cluster."""
+    """A Dask client, and the requests that this library sends to its cluster."""
 
     client: "Client"
 
@@ -41,7 +41,7 @@ class Cluster:
         return str(scheduler.address if scheduler is not None else "?")
 
     def workers(self) -> dict[str, int]:
-        """Return the number of threads of each present worker, by address."""
+        """Return the number of threads of each connected worker, by address."""
         if self.client.status != "running":
             raise self.lost_scheduler()
 
@@ -56,7 +56,7 @@ class Cluster:
         return {address: int(worker["nthreads"]) for address, worker in identities.items()}
 
     def version_errors(self, addresses: list[str]) -> dict[str, ClusterError]:
-        """Return an error for each worker whose software versions may give other results."""
+        """Return an error for each worker whose software versions may lead to different results."""
         try:
             run: Any = self.client.run
             answers: dict[str, Any] = run(versions, workers=addresses, on_error="return") if addresses else {}
@@ -92,7 +92,7 @@ def connected(address: str) -> Generator["Client"]:
     """Connect to the cluster at an address until the block ends.
 
     The address is ``tcp://host:8786`` (or another protocol without certificates, such as ws), the path of a scheduler
-    file, or ``local:4`` for 4 processes of one thread on this machine.
+    file, or ``local:4`` for four single-threaded processes on this machine.
 
     Raises
     ------

@@ -76,7 +76,7 @@ class Assignment:
             self.owners = assign_drives(self.sizes, self.workers, self.owners)
 
     def _usable_workers(self) -> dict[str, int]:
-        """Return the workers with the client's software versions; at the start, raise an error if there are others."""
+        """Return the workers with the client's software versions; at the start, raise an error if a version differs."""
         present = self.cluster.workers()
         new = [address for address in present if address not in {*self.workers, *self._refused}]
         for address, error in self.cluster.version_errors(new).items():
@@ -87,7 +87,7 @@ class Assignment:
         return {address: threads for address, threads in present.items() if address not in self._refused}
 
     def submit(self, worker: str, call: bytes, drives: Sequence[int], *, with_sources: bool = False) -> Any:
-        """Submit a task to a worker; sources are sent only after the worker has asked for them."""
+        """Submit a task to a worker; sources are sent only if the worker has requested them."""
         from dask import config
         from distributed.protocol.pickle import dumps
 
@@ -98,7 +98,7 @@ class Assignment:
             return self.cluster.client.submit(run_task, call, sources, worker, **where)
 
     def result(self, worker: str, call: bytes, drives: Sequence[int], task: Any) -> Any:
-        """Wait for the answer of a task; None if the worker is lost."""
+        """Wait for the result of a task and return it; return None if the worker is lost."""
         while True:
             try:
                 answer = task.result(timeout=POLL_INTERVAL)
@@ -121,7 +121,7 @@ class Assignment:
 def assign_drives(sizes: Sequence[float], threads: Mapping[str, int], before: Sequence[str]) -> list[str]:
     """Assign drives of given sizes to workers in proportion to their threads.
 
-    A drive stays with its worker ``before`` unless this worker would then exceed its part by more than 5%.
+    A drive stays with its previous worker, ``before``, unless this worker would then exceed its share by more than 5%.
     """
     share = sum(sizes) / sum(threads.values())
     load, assigned = dict.fromkeys(threads, 0.0), [""] * len(sizes)
@@ -171,8 +171,8 @@ class RemoteDataset:
             if lost > MAX_RETRIES:
                 need = in_gb(sum(assignment.sizes[i] for i in self.indices))
                 raise ClusterError(
-                    f"all workers with these drives died, {lost} times; the drives need about {need} of memory; "
-                    "increase the memory of the workers, or start more workers"
+                    f"all workers with these drives died {lost} times in a row; the drives need about {need} of "
+                    "memory; increase the memory of the workers, or start more workers"
                 )
         return answers
 
@@ -187,7 +187,7 @@ class RemoteDataset:
         return results_in_order(self.call(apply_to_each, partial(_with_drive, function)))
 
     def imap(self, function: Callable[[Drive], T]) -> Iterator[T]:
-        """Apply a function to one drive after another, in tasks of one drive each; the next tasks run in advance."""
+        """Apply a function to one drive after another, with one task per drive; the next tasks run in advance."""
 
         def one(index: int) -> T:
             return self.subset([index]).map(function)[0]
