@@ -583,7 +583,7 @@ def test_a_file_in_place_of_a_drive_is_answered_with_its_folder(sigmaswarm: Comm
         assert f"sigmaswarm import {log} --out drives/{Path(log).stem}\n" in said
     said = sigmaswarm("tune", "raw", "--out", "t").err
     assert said.index("sigmaswarm import raw") < said.index(
-        "if its tables have the columns of a drive, write"
+        "if the tables in the folder have the columns of a drive, write"
     )
 
 

@@ -339,7 +339,11 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
         "split good --out parts --train-fraction 0.5 --at 9",
         ["--at", "--train-fraction", "not both"],
     ),
-    "split-elsewhere": (nothing, "split good --out parts --at 1e6", ["leaves no drive", "t = 0 to"]),
+    "split-elsewhere": (
+        nothing,
+        "split good --out parts --at 1e6",
+        ["fewer than two IMU samples", "t = 0 to"],
+    ),
     "split-out-is-a-file": (file("parts"), "split good --out parts", ["parts", "folder"]),
     "demo-elsewhere": (folder("d"), "demo --out d", ["d:", "not empty", "--out"]),
     "demo-out-is-a-file": (file("d"), "demo --out d", ["d", "--out"]),

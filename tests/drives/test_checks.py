@@ -129,13 +129,13 @@ def test_gaps_in_each_file():
     drive = make_drive(duration=60.0, truth=True)
     one = without(drive, "imu", 20.0, 20.5)
     message = only(without(one, "imu", 40.0, 41.5))
-    assert "imu.csv: 2 gaps, the longest 1.51 s after t = 39.99 s (usual interval 0.010 s)" in message
+    assert "imu.csv: 2 gaps, the longest of 1.51 s after t = 39.99 s (usual interval 0.010 s)" in message
     assert "uses the mean of the samples before and after the gap, and increases its covariance" in message
-    assert "imu.csv: 1 gap, the longest 0.51 s after t = 19.99 s" in only(one)
-    assert "gps.csv: 1 gap, the longest 3.20 s after t = 9.90 s (usual interval 0.200 s)" in only(
+    assert "imu.csv: 1 gap, the longest of 0.51 s after t = 19.99 s" in only(one)
+    assert "gps.csv: 1 gap, the longest of 3.20 s after t = 9.90 s (usual interval 0.200 s)" in only(
         without(drive, "gps", 10.0, 13.0)
     )
-    assert "truth.csv: 1 gap, the longest 3.01 s" in only(without(drive, "truth", 10.0, 13.0))
+    assert "truth.csv: 1 gap, the longest of 3.01 s" in only(without(drive, "truth", 10.0, 13.0))
 
 
 def test_a_drive_s_gaps_are_told_in_one_sentence():
@@ -218,7 +218,7 @@ def test_the_log_as_recorded_shows_its_faults():
     messages = sorted(str(w.message) for w in caught)
     assert len(messages) == 2
     assert "column az has median -9.61" in messages[0]
-    assert "the integral of column gz exceeds the turns of the course, as if gz were in deg/s" in messages[1]
+    assert "the integral of column gz exceeds the changes of course, as if gz were in deg/s" in messages[1]
 
 
 @needs_shared
@@ -227,7 +227,7 @@ def test_real_gaps_are_all_that_is_said_of_sound_drives(name: str):
     with pytest.warns(SigmaswarmWarning) as caught:
         drive = read_drive(DRIVES / name)
     (message,) = [str(w.message) for w in caught]
-    assert f"the longest {np.diff(drive.imu.time).max():.2f} s" in message
+    assert f"the longest of {np.diff(drive.imu.time).max():.2f} s" in message
 
 
 @needs_shared

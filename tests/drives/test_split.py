@@ -75,7 +75,7 @@ def test_at_a_moment_of_the_drive_s_own_clock():
     train, test = split_time(replace(DRIVE, imu=replace(DRIVE.imu, time=DRIVE.imu.time + 100.0)), at=103.0)
     assert train.imu.time[-1] < 103.0 <= test.imu.time[0]
     assert train.imu.time[-1] > 102.98
-    with pytest.raises(DriveError, match=r"leaves no drive; choose times within t = 0 to"):
+    with pytest.raises(DriveError, match=r"fewer than two IMU samples; choose times within t = 0 to"):
         split_time(DRIVE, at=103.0)
 
 
@@ -117,7 +117,9 @@ def test_one_drive_can_not_be_split_whole():
 
 @pytest.mark.parametrize(("start", "end"), [(50.0, 60.0), (5.0, 5.0), (6.0, 5.0), (5.0, 5.001)])
 def test_a_clip_with_nothing_in_it(start: float, end: float):
-    with pytest.raises(DriveError, match=r"synthetic: .* leaves no drive; choose times within t = 0 to 20 s"):
+    with pytest.raises(
+        DriveError, match=r"synthetic: .* fewer than two IMU samples; choose times within t = 0 to 20 s"
+    ):
         clip(DRIVE, start, end)
 
 

@@ -20,8 +20,8 @@ def found(*drives) -> list[str]:
 @pytest.mark.parametrize(
     ("rates", "first", "second", "said"),
     [
-        ({"imu_rate": 60.0}, {}, {}, ["the IMU of a has 100 Hz, and the IMU of b 60 Hz"]),
-        ({"gps_rate": 1.0}, {}, {}, ["the receiver of a has 5 Hz, and the receiver of b 1 Hz"]),
+        ({"imu_rate": 60.0}, {}, {}, ["the rate of the IMU is 100 Hz in a but 60 Hz in b"]),
+        ({"gps_rate": 1.0}, {}, {}, ["the rate of the receiver is 5 Hz in a but 1 Hz in b"]),
         ({"imu_rate": 80.0, "gps_rate": 4.0}, {}, {}, []),
         ({}, {KEY: [0, 0, 90]}, IMPORTED, ["the mountings of the IMU in a and b differ by 90 deg"]),
         (
@@ -52,5 +52,7 @@ def test_simulated_drives_of_one_grade_have_the_same_sensors():
 @pytest.mark.usefixtures("undiagnosed")
 def test_tune_warns_in_python_too():
     drives = [make_drive(duration=20.0, name=name, imu_rate=rate) for name, rate in (("a", 100), ("b", 60))]
-    with pytest.warns(SigmaswarmWarning, match="different vehicles or sensors: the IMU of a has 100 Hz"):
+    with pytest.warns(
+        SigmaswarmWarning, match="different vehicles or sensors: the rate of the IMU is 100 Hz in a"
+    ):
         tune(drives, model="planar5", particles=2, generations=1)

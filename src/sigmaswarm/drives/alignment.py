@@ -62,11 +62,11 @@ class StartFailure:
 def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     """Find the first time at which position, speed and heading are known.
 
-    The start is the first fix that follows 20 m of forward driving in 4 to 6 s (12 km/h or faster), with at least
-    four fixes in that time. On a slower drive, it is the first fix after 10 m of travel in up to 90 s, or after
-    more travel if the fixes are noisy. If the metadata have ``heading_deg`` (degrees counter-clockwise from east, at
-    the first IMU sample), the start is the first fix. If the fixes have a column ``heading``, the start is at the
-    latest the first fix with a heading. The state depends only on samples up to the start.
+    The start is the first fix that follows 20 m of forward driving in 4 to 6 s (12 km/h or faster), with at least four
+    fixes in that time. On a slower drive, it is the first fix after 10 m of travel in up to 90 s, or after more travel
+    if the fixes are noisy. If the metadata have ``heading_deg`` (degrees counter-clockwise from east, at the first IMU
+    sample), the start is the first fix. If the fixes have a column ``heading``, the start is not later than the first
+    fix with a heading. The state depends only on samples up to the start.
 
     Parameters
     ----------
@@ -193,29 +193,26 @@ class Alignments:
         if self._many.any():
             if np.any(self._chord[self._many] >= MIN_TRAVEL):
                 return StartFailure(
-                    f"its fixes move {travel} within {time}, but the motion never agrees with the IMU, so the "
-                    "heading can't be found; the fixes scatter or jump, or an axis, a unit or the clock of the "
+                    f"the fixes move {travel} within {time}, but the motion never agrees with the IMU, so the "
+                    "heading can't be determined; the fixes scatter or jump, or an axis, a unit or the clock of the "
                     "IMU is wrong",
                     f"{REPAIR_FINDINGS}, or {STATE_HEADING}",
                 )
             return StartFailure(
-                f"the vehicle never travels {travel} within {time}, and within {SLOW_DURATIONS[-1]:g} s never far "
-                "enough relative to the noise of the fixes, so the heading can't be found",
+                f"the vehicle never travels {travel} within {time}, and its travel within {SLOW_DURATIONS[-1]:g} s is "
+                "always too short relative to the noise of the fixes, so the heading can't be determined",
                 f"use a longer or a faster drive ({3.6 * MIN_TRAVEL / MAX_DURATION:.0f} km/h for "
                 f"{time}), or {STATE_HEADING}",
             )
         every = float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
         if every > MAX_DURATION / (ALIGNMENT_FIXES - 1):
-            what = f"its fixes come every {every:.3g} s, but the heading needs {ALIGNMENT_FIXES} fixes within {time}"
+            what = f"the fixes come every {every:.3g} s, but a heading needs {ALIGNMENT_FIXES} fixes within {time}"
             return StartFailure(f"no filter can start, since {what}", "record fixes at 1 Hz or faster")
         span = float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
-        usable = f"{len(self.time)} of {len(self._drive.gps.time)} fixes can be used, {span:.3g} s from first to last"
-        needs = (
-            f"the heading needs {ALIGNMENT_FIXES} fixes within {time}, "
-            f"at least {MIN_DURATION:g} s from first to last"
-        )
+        usable = f"the usable fixes ({len(self.time)} of {len(self._drive.gps.time)}) span {span:.3g} s"
+        needs = f"a heading needs {ALIGNMENT_FIXES} fixes within {time} that span at least {MIN_DURATION:g} s"
         return StartFailure(
-            f"no filter can start, since only {usable}, and {needs}",
+            f"no filter can start, since {usable}, but {needs}",
             "use a longer drive with fixes at 1 Hz or faster, without gaps or repeated positions",
         )
 
@@ -229,7 +226,7 @@ class Alignments:
         return fit.state() if usable else None
 
     def _fitted_slow(self, k: int) -> InitialState | None:
-        """Fit the gyro's bias, too; do not use the accelerometer, since the error due to its bias grows with time."""
+        """Also fit the gyro's bias; do not use the accelerometer, since the error due to its bias grows with time."""
         first = int(self._first[k])
         interval = float(self.time[k] - self.time[first]) / (k - first)
         rows = np.arange(k, first - 1, -max(1, round(SLOW_INTERVAL / interval)))[::-1]
@@ -250,7 +247,7 @@ class Alignments:
 
     @cached_property
     def _integrals(self) -> dict[str, Array]:
-        """Integrals of the IMU's axes since the first sample."""
+        """Time integrals of the IMU's measurements since the first sample, by axis."""
         imu = self._drive.imu
         rates = {axis: getattr(imu, axis) for axis in ("gz", "ax", "gx", "gy", "ay")}
         return {axis: _integrated(imu.time, rate) for axis, rate in rates.items() if rate is not None}
@@ -278,5 +275,5 @@ class Alignments:
 
 
 def _integrated(time: Array, rate: Array) -> Array:
-    """Return the integral of a rate since the first IMU sample, at the IMU's times."""
+    """Return the time integral of a rate since the first IMU sample, at the IMU's times."""
     return np.concatenate([[0.0], np.cumsum(rate[1:] * np.diff(time))])

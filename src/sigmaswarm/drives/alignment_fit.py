@@ -45,14 +45,14 @@ BY_SPEED, BY_SLOPE, BY_GAINS, ARM, BY_BIAS, COLUMNS = range(0, 12, 2)
 Each quantity has two columns, forward and left in the body frame at the last fix.
 
 The first quantities are the path per m/s of speed at the last fix (s), the path per m/s2 of b (s2), and the path due to
-the measured acceleration (m). Then follows the position of the antenna relative to the IMU (m). The fit writes the
+the measured acceleration (m). The next one is the position of the antenna relative to the IMU (m). The fit writes the
 derivative of the path with respect to the gyro's bias (m s) to the last two columns.
 """
 EAST, NORTH, YAW, SPEED, SLOPE, TRAVEL, MISFIT, YAW_BIAS, YAW_VARIANCE, RESULTS = range(10)
 """Indices of a fit.
 
-The unknowns are first: position (m), heading (rad) and speed (m/s) at the last fix, and b (m/s2). Then follow travel
-(m; 0 if backward), largest residual (m), remaining gyro bias (rad/s) and its variance.
+The first values are the unknowns: position (m), heading (rad) and speed (m/s) at the last fix, and b (m/s2). The others
+are travel (m; 0 if backward), largest residual (m), remaining gyro bias (rad/s) and its variance.
 """
 RESIDUAL = 5  # column of the residuals in the two equations of a fix, after the derivatives by the unknowns
 
@@ -91,7 +91,7 @@ class AlignmentFit:
     yaw_bias, yaw_std, bias_std : gyro bias about the vertical, its standard deviation, and the part of the standard
         deviation that is due to the residuals of the fit, rad/s
     travel, misfit : length of the path, and largest residual of a fix, m
-    heading_std : standard deviation of the heading without slip, rad
+    heading_std : standard deviation of the heading if there is no slip, rad
     span : time from the first to the last fix, s
     """
 
@@ -100,7 +100,7 @@ class AlignmentFit:
     ) -> None:
         """Fit to the fixes ``time`` (s) and ``position`` (m), without a gyro bias.
 
-        ``integrals``: integrals of the IMU's axes since its first sample.
+        ``integrals``: time integrals of the IMU's measurements since the first sample, by axis.
         """
         imu, end = drive.imu, time[-1]
         inside = slice(*np.searchsorted(imu.time, [time[0]], side="right"), *np.searchsorted(imu.time, [end]))
@@ -146,7 +146,7 @@ class AlignmentFit:
         return float(np.sqrt(self._covariance[YAW, YAW]))
 
     def add_bias_variance(self, variance: float) -> None:
-        """Add the effect of a variance of the gyro's bias, (rad/s)^2, to the covariance of position, heading, speed."""
+        """Add the effect of a gyro bias variance, (rad/s)^2, to the covariance of position, heading and speed."""
         self._covariance[:SLOPE, :SLOPE] += variance * np.outer(self._turns[:SLOPE], self._turns[:SLOPE])
 
     def state(self, *, tilts: bool = True) -> InitialState:
@@ -178,7 +178,7 @@ class AlignmentFit:
 
 
 def _integral_at(imu: Imu, axis: str, integrals: Mapping[str, Array], time: Array) -> Array:
-    """Return the integral of an axis at times (s) up to a fix; 0 if ``integrals`` does not contain the axis.
+    """Return the integral for an axis at times (s) up to a fix; 0 if ``integrals`` does not contain the axis.
 
     The integral at the fix is extrapolated from the last sample before it, since a live filter has no later sample.
     """

@@ -165,7 +165,7 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
         what, remedy = f"column az has median {az:.2f}, as if in g", f"multiply ax, ay, az by {GRAVITY}"
     elif az < -0.7 * GRAVITY:
         what = f"column az has median {az:.2f} m/s2, but specific force is +9.8 at rest with z up"
-        remedy = "rotate the axes, or change the signs of ax, ay, az if the sensor reports minus the specific force"
+        remedy = "rotate the axes, or change the signs of ax, ay, az if the sensor reports the negated specific force"
     elif abs(az) < 0.2 * GRAVITY:
         remedy = "check its unit and axis, or leave the column out if gravity was already subtracted"
     elif abs(az - GRAVITY) > 0.2 * GRAVITY:
@@ -178,8 +178,8 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
 def gaps_in(time: Array, limit: tuple[float, float], imu: Array | None = None) -> GapSummary | None:
     """Find the gaps of ``time`` (n,) in s with a limit such as `IMU_GAP`; None if there are none.
 
-    If the IMU's times ``imu`` (s) are given, a gap that is mostly also a gap of the IMU is not counted, since the
-    logger paused.
+    If the IMU's times ``imu`` (s) are given, a gap that coincides mostly with a gap of the IMU is not counted, since
+    the logger paused.
     """
     interval = np.diff(time)
     usual = float(np.median(interval)) if interval.size else 0.0
@@ -207,7 +207,7 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
     gaps_by_table: list[tuple[str, str, str]] = []
     for name, table, limit, remedy in sensors:
         if g := gaps_in(table.time, limit, imu.time if name == "gps" else None):
-            longest = f"the longest {g.length:.2f} s after t = {g.start:.2f} s"
+            longest = f"the longest of {g.length:.2f} s after t = {g.start:.2f} s"
             what = f"{count_of(g.count, 'gap')}, {longest} (usual interval {g.usual:.3f} s)"
             gaps_by_table.append((name, what, remedy))
     if gaps_by_table:
@@ -241,7 +241,7 @@ def unshared_times(imu: Array, gps: Array) -> Remark | None:
 
 
 def _seen_by_fixes(imu: Imu, gps: Gps, body_rate: Array) -> tuple[NDArray[np.complex128], Array, Array]:
-    """Return the mean velocity of the fixes in windows, and changes from window to window.
+    """Return the mean velocity of the fixes in each window, and the changes from window to window.
 
     The first array is the velocity (k,), m/s east + i north. The other arrays (k - 1,) are the integral of
     ``body_rate`` and the change of course, rad, between the middles of consecutive windows. Windows without fixes are
@@ -274,7 +274,7 @@ def _angular_rate(imu: Imu, gps: Gps) -> Iterator[Remark]:
     else:
         degrees = impossible_rate(imu.gz)
     if degrees:
-        what = "the integral of column gz exceeds the turns of the course, as if gz were in deg/s"
+        what = "the integral of column gz exceeds the changes of course, as if gz were in deg/s"
         yield Remark("gyro-unit", "imu.csv", "gz", what, "multiply gx, gy, gz by pi/180")
 
 

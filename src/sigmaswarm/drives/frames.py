@@ -20,7 +20,7 @@ _TIMES = ("t", "time")
 def tables_from_frames(
     frames: Mapping[str, Any], renamed: Mapping[str, str], origin: Origin | None
 ) -> tuple[dict[str, Any], dict[str, Any], list[SigmaswarmWarning]]:
-    """Return tables, other arguments of `Drive`, and warnings of ignored columns."""
+    """Return tables, other arguments of `Drive`, and warnings about ignored columns."""
     arrays = {name: _columns_of(frame, name, renamed) for name, frame in frames.items()}
     start = _to_seconds(arrays)
     frame: Frame = "wgs84" if "x" not in arrays["gps"] else "enu"
@@ -60,7 +60,7 @@ def _columns_of(table: Any, name: str, renamed: Mapping[str, str]) -> dict[str, 
         rows = np.shape(columns["t"])
         for key, values in columns.items():
             if values.ndim != 1 or values.shape != rows:
-                what = f"column {quoted(key)} has shape {values.shape}, the times {rows}"
+                what = f"column {quoted(key)} has shape {values.shape}, but the times have {rows}"
                 raise DriveError(f"{name}: {what}; pass arrays of one dimension and equal length")
     return columns
 

@@ -1,9 +1,9 @@
 """Estimate of the gyro bias from the last few seconds before a start, and its use by filters.
 
-A cheap gyro may start with a bias of 20 deg/s. With this bias, the curvature of the gyro's path differs from that of
-the fixes, and the integrated roll and pitch drift. These effects determine the bias with an accuracy of about 1 deg/s,
-which is far better than the prior of a cheap gyro. The prior of a good gyro is narrower (``bias_std`` below 1 deg/s),
-so the evidence hardly changes the estimate.
+A cheap gyro may start with a bias of 20 deg/s. With this bias, the path computed from the gyro is curved differently
+from that of the fixes, and the integrated roll and pitch drift. These effects determine the bias with an accuracy of
+about 1 deg/s, which is far better than the prior of a cheap gyro. The prior of a good gyro is narrower (``bias_std``
+below 1 deg/s), so the evidence hardly changes the estimate.
 """
 
 from collections.abc import Sequence
@@ -18,9 +18,10 @@ from sigmaswarm.compilation import cached
 UP = 2  # axis of the rate about the vertical
 CONTRADICTS = 5.0  # standard deviations; an alignment subtracts a larger bias about the vertical axis
 OUTLIER_PROBABILITY = 1e-5
-"""Prior probability that the gyro is far worse than in the training drives; a bias of five sigmas confirms this.
+"""Prior probability that the gyro is far worse than in the training drives.
 
-If this probability were 1e-3, the standard deviation of a good gyro's bias would increase by 0.07 deg/s.
+A bias above about five standard deviations makes this likely. If this probability were 1e-3, the standard deviation of
+a good gyro's bias would increase by 0.07 deg/s.
 """
 OUTLIER_STD = 0.2  # rad/s, standard deviation of such a gyro's bias; an MPU-6050 may have 20 deg/s
 YAW_STD = np.radians(1.0)  # rad/s, smallest std of a fitted bias, since cars slip and receivers smooth
@@ -52,8 +53,8 @@ class GyroBiasEvidence:
     def update(self, mean: Array, covariance: Array, indices: Sequence[int], std: float) -> None:
         """Update ``mean`` (n,) and ``covariance`` (n, n) of the states at the start, in place.
 
-        ``std``: prior standard deviation of the biases, rad/s. ``indices``: index of the state that is the bias of each
-        axis, negative if there is none.
+        ``std``: prior standard deviation of the biases, rad/s. ``indices``: for each axis, the index of the state that
+        is its bias; negative if there is none.
         """
         bias, variance, used = np.zeros(3), np.zeros(3), np.array(indices, dtype=np.int64)
         mix_biases(self.bias, self.variance, used, std, bias, variance)

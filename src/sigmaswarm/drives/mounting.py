@@ -20,7 +20,7 @@ NO_ROTATION = (0.0, 0.0, 0.0)
 def with_rotation(metadata: Mapping[str, Any], rotation: Array | None) -> dict[str, Any]:
     """Return a drive's metadata after a further rotation (3, 3) of its IMU.
 
-    ``rotation`` is None if the axes were changed in another way than by a rotation. In this case the keys of axes and
+    ``rotation`` is None if the change of the axes was not a rotation. In this case the keys of axes and
     mounting are removed, since no rotation relates the samples to the sensor's axes.
     """
     if rotation is not None and np.allclose(rotation, np.eye(3), rtol=0, atol=1e-12):

@@ -13,7 +13,7 @@ SLOW = 0.5  # m/s; a lower mean may be too low, so the square of this speed is a
 LARGEST_AGE = 1.0  # s; an older reading does not show whether the wheels turn
 
 WHEEL_SPEED, WHEEL_AGE, WHEEL_NOISE = range(3)
-"""Columns of a measurement: mean of the readings (m/s), mean age of the readings (s), and addition to R (m2/s2)."""
+"""Columns of a measurement: mean of the readings (m/s), their mean age (s), and variance added to R (m2/s2)."""
 
 
 @cached

@@ -11,7 +11,7 @@ SECONDS_PER_OUTAGE = 15.0  # s of driving per window in `random_windows`
 
 
 def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> Mask:
-    """Return True for fixes, times (n,) in s, in an outage, windows (k, 2) in s, including both ends.
+    """Mark the fixes, at times (n,) in s, that lie in an outage: windows (k, 2) in s, including both ends.
 
     Drift is measured at the end of an outage, without a fix at this time.
     """
@@ -40,8 +40,8 @@ def random_windows(
     shortest, longest = length if isinstance(length, tuple) else (length, length)
     if not (0 < shortest <= longest and first_after >= 0 and apart >= 0):
         raise InputError(
-            f"outages of length {length} s, first_after {first_after:g} s, apart {apart:g} s can't be drawn; "
-            "use a positive length, or two in ascending order, and first_after and apart of 0 or more"
+            f"outages with length = {length} s, first_after = {first_after:g} s, apart = {apart:g} s can't be drawn; "
+            "use a positive length, or two lengths in ascending order, and first_after and apart of 0 or more"
         )
     available = end - start - first_after
     wanted = max(round(available / SECONDS_PER_OUTAGE), 1) if count is None else count

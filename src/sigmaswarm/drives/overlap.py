@@ -1,4 +1,4 @@
-"""Find the part of a drive that other drives contain, also if they are renamed, cut or repaired copies.
+"""Find the part of a drive that other drives contain, even if they are renamed, cut or repaired copies.
 
 Landmarks are equal in all copies of a drive and differ in all other drives: positions with the receiver's noise, and
 yaw rates with the gyro's noise. Each pair of equal landmarks votes for an offset between the clocks of two drives (as
@@ -109,7 +109,7 @@ def overlap_of(drive: Landmarks, others: Iterable[Landmarks]) -> Overlap:
 
 
 def known_overlap(drive: Landmarks, others: Sequence[Landmarks]) -> Overlap | None:
-    """Return `overlap_of`; None (unknown) if it is empty but parts of some other drives can't be recognized."""
+    """Return `overlap_of`; None (unknown) if no overlap is found but parts of some other drives can't be recognized."""
     overlap = overlap_of(drive, others)
     recognizes_parts = all(max(len(other.fixes), len(other.rates)) >= MIN_MATCHES for other in others)
     return overlap if overlap or recognizes_parts else None
@@ -182,7 +182,7 @@ def _equal(a: Array, b: Array, tolerance: float) -> tuple[Integers, Integers]:
 def save_landmarks(
     seen: Iterable[Landmarks], path: Path, names: Sequence[tuple[str, str]] | None = None
 ) -> None:
-    """Save landmarks of drives; with ``names`` (name, fingerprint), a generator can compute them one by one."""
+    """Save landmarks of drives; if ``names`` (name, fingerprint) are given, ``seen`` may be a generator."""
     if names is None:
         seen = list(seen)
         names = [(marks.name, marks.sha256) for marks in seen]
@@ -202,7 +202,7 @@ def save_landmarks(
 
 @dataclass(frozen=True)
 class SavedLandmarks(Sequence[Landmarks]):
-    """Landmarks in a file, which are read when they are used."""
+    """Landmarks in a file; each is read when it is used."""
 
     path: Path
     names: tuple[tuple[str, str], ...]

@@ -103,7 +103,7 @@ def read_with_warnings(location: Location) -> tuple[Drive, list[SigmaswarmWarnin
     if not is_url(location):
         folder, about = Path(location), Path(location) / "drive.toml"
         if folder.is_dir() and not (about.exists() or _drives_in(folder)) and any(folder.iterdir()):
-            own = f"if its tables have the columns of a drive, {WRITE_IT}"
+            own = f"if the tables in the folder have the columns of a drive, {WRITE_IT}"
             raise DriveError(f"{about} is missing; {import_remedy(folder)}; {own}")
         return _read_folder(folder)
     url = str(location).rstrip("/")
@@ -179,7 +179,7 @@ def _read_folder(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
 
 
 def import_remedy(log: Path) -> str:
-    """Return the command that imports a log of another format, or the folder of the log, as the remedy of an error."""
+    """Return the command that imports a log, or the whole folder of the log, as the remedy of an error."""
     log = _whole_log(log)
     out = Path("drives") / log.resolve().name.removesuffix(log.suffix)
     return f"to make a drive from a log: sigmaswarm import {quote(str(log))} --out {quote(str(out))}"

@@ -1,4 +1,4 @@
-"""Properties of logs that determine a filter; compare the vehicles and sensors of logs."""
+"""Determine the properties of logs on which the default filter depends, and compare their vehicles and sensors."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ FIXES_FOR_FIX_ERROR = 250
 """Smallest number of fixes, over all drives, for fix-error when tuning without truth.
 
 On eight simulated M8 drives of 142 s at 1 Hz, fix-error increased the 30 s drift on six drives, on one of them to 1319
-m. With 300 and 600 fixes, the mean drift did not change, and the position error was 3 to 6% smaller.
+m. With 300 and 600 fixes, fix-error did not change the mean drift, and reduced the position error by 3 to 6%.
 """
 
 MAX_RATE_RATIO = 1.5  # largest ratio of the sampling rates of two drives with the same sensors
@@ -53,7 +53,7 @@ class LogProperties:
         `has_white_errors`, `has_lasting_errors` and `receiver_std`
     odometer, accuracy, velocity, heading : True if the drive has wheel speeds; stated standard deviations; speeds and
         courses; headings
-    driven : time from the first fix more than 20 m away from the start to the last fix, s; 0 if there is none
+    driven : time between the last fix and the first fix that is more than 20 m from the start, s; 0 if there is none
     fixes : number of fixes within the IMU's time
     noise, true_std : white noise of the fixes, and their standard deviation from the truth (NaN without truth), m per
         axis; the latter only for objectives that use truth
@@ -221,7 +221,7 @@ def differences(logs: Sequence[LogProperties]) -> Iterator[str]:
         fast, slow = min(logs, key=interval), max(logs, key=interval)
         high, low = 1 / interval(fast), 1 / interval(slow)
         if high > MAX_RATE_RATIO * low:
-            yield f"the {sensor} of {fast.name} has {high:.3g} Hz, and the {sensor} of {slow.name} {low:.3g} Hz"
+            yield f"the rate of the {sensor} is {high:.3g} Hz in {fast.name} but {low:.3g} Hz in {slow.name}"
     pairs = [*combinations((log for log in logs if log.mounting), 2)]
     for one, other in sorted(pairs, key=lambda pair: -_angle(*pair))[:1]:
         if (angle := _angle(one, other)) > MAX_ANGLE:

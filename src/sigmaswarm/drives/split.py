@@ -61,7 +61,8 @@ def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | 
     if len(inside["imu"]) < 2:
         span = f"t = {drive.imu.time[0]:.12g} to {drive.imu.time[-1]:.12g} s"
         raise DriveError(
-            f"{drive.name}: {start:.12g} <= t < {end:.12g} leaves no drive; choose times within {span}"
+            f"{drive.name}: {start:.12g} <= t < {end:.12g} contains fewer than two IMU samples; choose times "
+            f"within {span}"
         )
     begins = inside["imu"].time[0] == drive.imu.time[0]  # a stated heading refers to the first sample
     changes: dict[str, Any] = {k: v if len(v) or k == "gps" else None for k, v in inside.items()}

@@ -39,7 +39,7 @@ def classify_fixes(gps: Gps) -> Array:
 
 
 def stale_fixes(gps: Gps) -> NDArray[np.bool_]:
-    """Mark the stale fixes, (n,), which no filter uses as positions."""
+    """Mark the stale fixes, (n,); no filter uses their positions."""
     return classify_fixes(gps) >= STALE
 
 
