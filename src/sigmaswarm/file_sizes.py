@@ -84,7 +84,7 @@ def read_toml_text(path: Path) -> str:
     content = read_bounded(path, MAX_TOML_BYTES)
     if match := _LONG_KEY.search(content):
         row = content.count(b"\n", 0, match.start()) + 1
-        raise InputError(f"{path}, row {row}: a key of more than 64 parts; correct or delete the line")
+        raise InputError(f"{path}, row {row}: a key has more than 64 parts; correct or delete the line")
     return content.decode("utf-8-sig")
 
 

@@ -147,7 +147,7 @@ def atomic_folder(path: Path, *, replace: bool = False) -> Generator[Path]:
 
 
 def earlier_result(folder: Path, kind: str, mark: str = "", *, alone: bool = True) -> frozenset[str] | None:
-    """Return the files of an earlier result of the same kind in a folder; an empty set if there is no earlier result.
+    """Return the files of an earlier result of the same kind in a folder; empty if there is no earlier result.
 
     Return None if the result has the file ``mark`` but no list of files, as in version 0.3.0. If ``alone`` is False,
     the folder may contain files of the user, for example a program that uses an exported filter.
@@ -195,7 +195,7 @@ def _result_in(folder: Path) -> dict[str, Any]:
 def staged_files(
     folder: Path, kind: str = "", mark: str = "", *, built: Sequence[str] = ()
 ) -> Generator[Path]:
-    """Yield a hidden folder for files; when the block ends, all or none of the files are moved into ``folder``.
+    """Yield a hidden folder for new files; when the block ends, all or none of them are moved into ``folder``.
 
     If this run is killed between two replacements, the next run that writes into the folder restores the old files. If
     ``kind`` is given, the files are a whole result, which replaces an earlier result (see `earlier_result`): files that
@@ -355,7 +355,7 @@ def _flush(folder: Path) -> None:
 
 @cache  # once per folder and process, since each process removes its own files
 def _sweep(folder: Path) -> None:
-    """Remove the files of killed runs: hidden names of this user with a lock file that is not locked."""
+    """Remove the files of killed runs: this user's files with hidden names and an unlocked lock file."""
     _sweep_all(folder, ".*.lock")
 
 

@@ -30,7 +30,7 @@ def number(value: float | None) -> str:
 
 
 def table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return an HTML table whose first column contains the row names; heads have scopes for screen readers."""
+    """Return an HTML table whose first column contains the row names; header cells have scopes for screen readers."""
 
     def cell(value: object) -> str:
         text = number(value) if isinstance(value, float) else str(value)

@@ -35,8 +35,8 @@ def load_record(
 ) -> R:
     """Read a record (a pydantic model or a dataclass) from a file: .json, .npz, or TOML with any other suffix.
 
-    ``remedy`` is the remedy in a message about a damaged file, ``missing`` that about a missing file. NaN and inf in a
-    JSON file become None unless ``infinite`` is True.
+    ``remedy`` is the remedy in a message about a damaged file, and ``missing`` the remedy in one about a missing file.
+    NaN and inf in a JSON file become None unless ``infinite`` is True.
     """
     return to_record(kind, read_content(path, remedy, missing=missing, infinite=infinite), path, remedy)
 

@@ -77,14 +77,14 @@ def reference(
 ) -> Drive:
     """Compute truth from the fixes of a good receiver (RTK) on the same vehicle, and from the drive's IMU.
 
-    A filter is tuned on these fixes, without truth, and its estimates are smoothed. Float solutions, and fixes with a
-    stated standard deviation above ``accuracy``, are omitted, since their errors are correlated. In the resulting gaps
-    the track follows from the IMU.
+    A filter is tuned without truth on these fixes, and its estimates are smoothed. Float solutions, and fixes with a
+    stated standard deviation above ``accuracy``, are omitted, since their errors are correlated. In the resulting gaps,
+    the track is computed from the IMU.
 
     Parameters
     ----------
     drive : Drive
-        Its fixes are not used, and its truth is replaced.
+        The drive; its fixes are not used, and its truth is replaced.
     fixes : path, Drive or Gps
         Fixes of the good receiver: a log in any format that can be imported (RTKLIB, NMEA, UBX, CSV ...), a drive's
         folder, or a `Gps` in the drive's local frame. From RTKLIB, NMEA and UBX only fixed solutions are used.
@@ -93,7 +93,7 @@ def reference(
     lever_arm : (float, float, float), optional
         Vector from the IMU to the good receiver's antenna, m forward, left and up; by default 0.
     offset : float
-        Time to add to the fixes' times (s), so that both are on one clock; 0 by default.
+        Time to add to the fixes' times (s), so that they are on the drive's clock; 0 by default.
     accuracy : float
         Largest standard deviation of the truth per axis, m; rows with a larger standard deviation are omitted. 0.1 by
         default.
@@ -207,8 +207,8 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
     if np.count_nonzero(within) < MIN_SHARED_FIXES:
         there = f"t = {gps.time[0]:.1f} to {gps.time[-1]:.1f} s" if len(gps) else "nothing"
         raise InputError(
-            f"{name}: covers {there} on the drive's clock, but the IMU covers t = {start:.1f} to {end:.1f} s, with "
-            f"{np.count_nonzero(within)} common fixes; convert both to one clock with --offset"
+            f"{name}: covers {there} on the drive's clock, but the IMU covers t = {start:.1f} to {end:.1f} s; "
+            f"{np.count_nonzero(within)} common fixes are too few; convert both to one clock with --offset"
         )
     sure = within & log.sure
     known = sure & np.all(_stated(gps) <= accuracy, axis=0)
@@ -222,7 +222,7 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
 
 
 def _stretch(ready: PreparedDrive, parameters: FilterParameters, rng: np.random.Generator) -> float:
-    """Return the factor, at least 1, for the smoother's standard deviations, so that hidden fixes have `COVERAGE`."""
+    """Return the factor (1 or more) on the smoother's standard deviations with which hidden fixes have `COVERAGE`."""
     gps, start, end = ready.drive.gps, ready.initial.time, float(ready.drive.imu.time[-1])
     off: list[Array] = []
     for _ in range(PLACEMENTS):
@@ -244,7 +244,7 @@ def _stretch(ready: PreparedDrive, parameters: FilterParameters, rng: np.random.
 
 
 def _off(estimate: Estimate, gps: Gps, drive: Drive) -> Array:
-    """Return the distances of hidden fixes from the smoothed antenna along each axis, in standard deviations."""
+    """Return the distances of hidden fixes from the smoothed antenna path along each axis, in standard deviations."""
     gps = gps.select((gps.time > estimate.time[0]) & (gps.time <= estimate.time[-1]))
     antenna = _antenna(estimate.mean, drive)
     variance = np.diagonal(estimate.covariance, axis1=1, axis2=2)

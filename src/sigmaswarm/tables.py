@@ -26,9 +26,9 @@ MAX_REPR_ROWS = 10  # rows in `repr`
 class Column:
     """A column of a table.
 
-    ``number`` formats a number and both ends of a range; the default format has four digits, for the ends of a range
-    three. ``printed`` replaces ``number`` in Markdown, LaTeX and CSV. In these formats, the cell of a ``joined`` column
-    is added to the previous cell: ``1.28 [1.26, 1.30]``.
+    ``number`` formats a number and both ends of a range; the default format has four digits for a number and three for
+    the ends of a range. ``printed`` replaces ``number`` in Markdown, LaTeX and CSV. In these formats, the cell of a
+    ``joined`` column is added to the previous cell: ``1.28 [1.26, 1.30]``.
     """
 
     title: str

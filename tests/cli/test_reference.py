@@ -35,7 +35,7 @@ def test_it_writes_a_drive_with_truth(sigmaswarm: Command, here: Path):
 
     late = sigmaswarm("reference", "cheap", "--fixes", "rtk", "--out", "late", "--offset", "500")
     assert late.code == 2
-    assert "with 0 common fixes; convert both to one clock with --offset" in late.err
+    assert "0 common fixes are too few; convert both to one clock with --offset" in late.err
     arm = sigmaswarm("reference", "cheap", "--fixes", "rtk", "--out", "late", "--lever-arm", "1,2")
     assert "--lever-arm '1,2' is not 3 numbers" in arm.err
     assert not (here / "late").exists()

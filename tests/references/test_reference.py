@@ -105,7 +105,7 @@ def wrong(cheap: Drive, rtk: Gps, tmp_path: Path) -> dict[str, tuple[Drive, obje
     pos = write_pos(tmp_path / "rtk.pos", rtk)
     (tmp_path / "poem.txt").write_text("no log\n")
     return {
-        "no overlap": (cheap, replace(rtk, time=rtk.time + 900), {}, "0 common fixes; convert both to one clock with"),
+        "no overlap": (cheap, replace(rtk, time=rtk.time + 900), {}, "0 common fixes are too few; convert both"),
         "no file": (cheap, tmp_path / "none.pos", {}, "does not exist"),
         "no log": (cheap, tmp_path / "poem.txt", {}, "poem.txt: has only one column"),
         "no accuracy": (cheap, replace(rtk, std_x=None, std_y=None), {}, "contains no standard deviations of its"),

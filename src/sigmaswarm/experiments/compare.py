@@ -86,7 +86,7 @@ def compare(
     out : path, optional
         Folder for all runs, so that a stopped comparison can be resumed.
     resume : bool
-        Continue the comparison in ``out``; except for the times, the result is the same as without interruption.
+        Continue the comparison in ``out``. Except for the times, the result is the same as without interruption.
     cluster : distributed.Client, optional
         Dask cluster whose workers read the drives and run the filters. Drives may then be paths or URLs, and
         ``workers`` is the number of simultaneous tuning runs. The result does not depend on the cluster.
@@ -189,9 +189,9 @@ class _Grid:
 def _grid(options: GridOptions, training: Dataset, held_out: Dataset) -> _Grid:
     seeds = options.get("seeds", SEEDS)
     if seeds < 1:
-        raise InputError(f"seeds = {seeds}: must be at least 1")
+        raise InputError(f"seeds = {seeds} is too small; choose 1 or more")
     for name in set(REJECTED_OPTIONS).intersection(options):
-        raise InputError(f"{name}: {REJECTED_OPTIONS[name]}")
+        raise InputError(f"{name} {REJECTED_OPTIONS[name]}")
     rivals = _contenders(options, [*training.map(log_properties), *held_out.map(log_properties)])
     problem = car_problem(training, rivals[0].config)
     test = problem.on(held_out) if len(held_out) else None

@@ -38,7 +38,7 @@ class Contender:
 
     @property
     def budget(self) -> int:
-        """Largest number of evaluations of a tuning run."""
+        """Largest number of evaluations in a tuning run."""
         return self.config.particles * self.config.generations * self.config.trials
 
     @property
@@ -52,7 +52,7 @@ class Contender:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of one tuning of a comparison, the content of run.json.
+    """Outcome of one tuning run of a comparison: the content of run.json.
 
     Attributes
     ----------
@@ -102,14 +102,14 @@ class Comparison:
     runs : mapping of a contender's label to tuple of Outcome
         One outcome for each seed.
     budget : int
-        Largest number of evaluations of each run.
+        Largest number of evaluations in each run.
     steps_per_set : int
-        Number of filter steps of one evaluation on all training drives.
+        Number of filter steps in one evaluation on all training drives.
     drives, test : tuple of str
         Names of the training and of the held-out drives.
     fixes_alone_rmse : float or None
-        Mean position RMSE, m, on the held-out drives of a filter that uses only the fixes and whose noise is fitted to
-        the training drives.
+        Mean position RMSE (m) of a filter that uses only the fixes, on the held-out drives; its noise parameters are
+        fitted to the training drives.
     """
 
     contenders: tuple[Contender, ...]

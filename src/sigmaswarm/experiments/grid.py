@@ -43,7 +43,7 @@ def run_grid(
     ``run(task, report)`` runs a task of ``rounds`` rounds and calls ``report`` with the number of finished rounds.
     ``processes`` is the number of forks (Linux only); if it is 0, the threads of ``executor`` run the tasks. Kernels
     should be compiled before a fork. Tasks with the largest ``effort`` start first. ``progress`` is called in this
-    thread with the number of finished rounds of all tasks, the total number of rounds, and a task that advanced.
+    thread with the number of finished rounds of all tasks, the total number of rounds, and a task that has advanced.
     """
     done, stop = RawArray("q", len(tasks)), RawArray("b", 1)  # shared with forked processes
 

@@ -48,7 +48,7 @@ class Method:
     - ``protocols``: protocols under which the method is tuned or trained.
     - ``filter``: filter type and model, if fixed.
     - ``paper``: key of the corresponding result of the paper.
-    - ``rival``: True for a method of studies with rivals only.
+    - ``rival``: True for a method that only studies with rivals have.
     """
 
     label: str
@@ -168,13 +168,13 @@ class StudyConfig(BaseModel):
     per_condition: bool = False
     """Tune one filter for each condition instead of one filter for all."""
     racing: bool | None = None
-    """Reject worse candidates after few drives, to save time. --no-racing uses all drives, as in the paper."""
+    """Reject worse candidates after a few drives, to save time. --no-racing uses all drives, as in the paper."""
     rivals: bool = False
     """Also compare a fuzzy filter, Bayesian optimization and networks, and test with other sensors and another car."""
     learn_minutes: float = Field(default=20.0, ge=2)
     """With --rivals: minutes of training data for each network, after the filters' start."""
     elsewhere: tuple[str, ...] = ()
-    """With --rivals: drives with truth from other sensors or another car. Without --drives, simulated by default."""
+    """With --rivals: drives, with truth, of other sensors or another car. Without --drives, simulated by default."""
 
     @property
     def simulated(self) -> dict[str, Any]:
@@ -211,12 +211,12 @@ class StudyConfig(BaseModel):
     @classmethod
     def _of_rivals(cls, value: Any, others: ValidationInfo) -> Any:
         if not others.data.get("rivals"):
-            raise ValueError("is an option of studies with rivals; also set rivals")
+            raise ValueError("only studies with rivals have this option; also set rivals")
         return value
 
     @model_serializer(mode="wrap")
     def _without_defaults(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit None, which TOML does not have, and, without rivals, the options of rivals."""
+        """Omit None, which TOML does not have; without rivals, also omit the options of rivals."""
         values: dict[str, Any] = dump(self)
         left_out = () if self.rivals else RIVAL_OPTIONS
         return {name: value for name, value in values.items() if value is not None and name not in left_out}

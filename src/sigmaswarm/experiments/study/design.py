@@ -107,7 +107,7 @@ class Design:
     def map_prepared(
         self, function: Callable[[PreparedDrive], T], drives: Sequence[int] | None = None
     ) -> list[T]:
-        """Apply a module-level function to prepared drives, local or remote; ``drives``: indices, by default all."""
+        """Apply a module-level function to prepared local or remote drives; ``drives``: indices, by default all."""
         chosen = range(len(self.drives)) if drives is None else drives
         if self.remote is None:
             return [function(self.prepared[i]) for i in chosen]
@@ -121,7 +121,7 @@ class Design:
 
     @cached_property
     def configs(self) -> dict[tuple[ProtocolName, str], TuneConfig]:
-        """Configuration of the tuning of each pair of protocol and method."""
+        """Tuning configuration of each pair of protocol and method."""
         return {(protocol, name): self.tune_config(name, protocol) for protocol, name in self.config.tuned}
 
     def tune_config(self, method: str, protocol: str) -> TuneConfig:
@@ -205,7 +205,7 @@ def make_design(
     else:
         drives = _simulated(config, executor, config.runs)
     if len(drives) < 2:
-        raise InputError(f"a study needs at least 2 drives to split, not {len(drives)}; add drives")
+        raise InputError(f"a study needs at least 2 drives to split, but has {len(drives)}; add drives")
     _require_truth(drives)
     if not config.drives and config.runs < 2 and config.per_condition:
         raise InputError(
@@ -218,7 +218,7 @@ def make_design(
     strata = tuple("-".join(condition) for condition in conditions)
     lonely = [name for name in dict.fromkeys(strata) if strata.count(name) < 2]
     if lonely and config.per_condition:
-        what = f"condition {lonely[0]}: has one drive, which can't be split"
+        what = f"condition {lonely[0]} has only one drive, which can't be split"
         raise InputError(f"{what}; leave per_condition out")
     # If a condition has only one drive, all drives are split as one stratum.
     return Design(tuple(drives), conditions, (ALL,) * len(drives) if lonely else strata, config, remote)

@@ -35,7 +35,7 @@ MIN_DRIVING_TIME = 21.0
 MIN_TIME_OF_ONLY_DRIVE = 80.0
 """Shortest time of a single training drive after the filter's start, s."""
 MIN_DRIVES_TO_SPLIT = 3
-"""Smallest number of drives of which the last third is kept for early stopping and calibration."""
+"""Smallest number of drives at which the last third is held back for early stopping and calibration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +86,8 @@ Networks = Mapping[Task, TrainedNetwork]
 def training_drives(design: Design, trial: int, minutes: float) -> TrainingDrives:
     """Draw ``minutes`` of driving from a trial's training drives: complete drives, and the beginning of one more.
 
-    A larger number of minutes gives the same drives and additional drives. If the drives are too few for training, more
-    drives are drawn, which last longer than ``minutes``.
+    A larger number of minutes gives the same drives and additional drives. If these are too few for training, more
+    drives are drawn, and their total time exceeds ``minutes``.
     """
     remaining, whole, begun, longest, driven = 60.0 * minutes, list[Drive](), list[Drive](), 0.0, 0.0
     order = design.rng(trial, "lessons").permutation(design.split(trial)[0]).tolist()

@@ -86,7 +86,7 @@ class VariantSummary(ScoreStatistics, _Scored):
 
 
 class PairedStatistics(_Part):
-    """Comparison of two methods on the same drives; the value of a drive is the mean over its trials.
+    """Comparison of two methods on the same drives; the value for a drive is the mean over its trials.
 
     Attributes
     ----------
@@ -172,7 +172,7 @@ class ElsewhereSummary(VariantSummary):
 class CurvePoint(_Part):
     """Score of a network that was trained on ``minutes`` of data, on the first trial's test drives.
 
-    0 minutes is the filter without a network. ``interval`` is the bootstrap interval of the mean over drives.
+    ``minutes`` is 0 for the filter without a network. ``interval`` is the bootstrap interval of the mean over drives.
     """
 
     method: str

@@ -249,7 +249,7 @@ def _curve(
     curve: Mapping[str, Array],
     draws: Draws,
 ) -> Iterator[CurvePoint]:
-    """Yield the learning curves of the first trial: without a network, and with networks trained on increasing data."""
+    """Yield the learning curves of the first trial: no network, then networks trained on more and more data."""
     for task, whole in networks.items():
         if task.trial:
             continue

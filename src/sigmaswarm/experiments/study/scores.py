@@ -235,7 +235,7 @@ def _followed(
 def tracked_drives(design: Design, trial: int) -> list[int]:
     """Choose test drives of a trial: one of each condition, or of each maneuver if there are many conditions.
 
-    From the list of each maneuver, a drive at a different position is chosen, so that the environments differ. The
+    The drives are chosen at different positions in the lists of the maneuvers, so that the environments differ. The
     first drive contains turns. If all drives have the same condition, the first test drives are chosen.
     """
     _, test = design.split(trial)

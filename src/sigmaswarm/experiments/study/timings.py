@@ -1,4 +1,4 @@
-"""Durations of a study and of filter updates: the only results that differ between two runs."""
+"""Durations of a study and of filter updates, the only results that differ between two runs."""
 
 import os
 import time
