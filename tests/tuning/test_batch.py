@@ -124,7 +124,7 @@ def test_what_can_not_be_run_is_refused():
             None,
             [DEFAULTS],
             2,
-            r"executor = 2: is not an executor; use concurrent.futures.ThreadPoolExecutor\(2\)",
+            r"executor = 2 is not an executor; use concurrent.futures.ThreadPoolExecutor\(2\)",
         ),
     ],
 )

@@ -212,7 +212,7 @@ def test_another_model_does_not_go_on_with_a_tuning(tmp_path: Path):
     interrupted(LOGS, tmp_path, 2, **SMALL)
     other = replace(PENDULUM, kind="ekf", h=lambda state, p: state[:1] + 0.0)  # it is not compiled
     message = refusal(lambda: tune(LOGS, out=tmp_path, resume=True, **(SMALL | {"model": other})))
-    assert "was started with the model pendulum (" in message
+    assert "the tuning was started with the model pendulum (" in message
     assert len(message) < 300
     nudged = Log(**(vars(LOGS[0]) | {"mean": LOGS[0].mean + 1e-9}))
     assert "a (" in refusal(lambda: tune([nudged, LOGS[1]], out=tmp_path, resume=True, **SMALL))
@@ -235,19 +235,19 @@ def test_what_can_not_be_tuned_is_refused(tmp_path: Path):
         ),
         (
             lambda: tune(LOGS, out=out, use=("gate",), **SMALL),
-            "use = ('gate',): is an option of built-in models; add the sensor to h",
+            "use = ('gate',) is only possible with built-in models; add the sensor to h",
         ),
         (
             lambda: tune(LOGS, out=out, outage_seed=1, **SMALL),
-            "outage_seed = 1: is an option of built-in models; leave",
+            "outage_seed = 1 is only possible with built-in models; leave",
         ),
         (
             lambda: tune(LOGS, out=out, start="t.toml", **SMALL),
-            "start: is an option of built-in models; narrow the b",
+            "start is only possible with built-in models; narrow the b",
         ),
         (
             lambda: tune(LOGS, out=out, paper=True, **SMALL),
-            "paper = True: is an option of built-in models; leave paper",
+            "paper = True is only possible with built-in models; leave paper",
         ),
         (
             lambda: tune(LOGS, out=out, n_trials=2, **SMALL),

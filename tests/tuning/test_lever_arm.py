@@ -182,5 +182,5 @@ def test_a_mistake_is_one_line(urban: Drive):
         estimate_lever_arm([])
     with pytest.raises(InputError, match="the drives contain different gps_lever_arm_m"):
         estimate_lever_arm([urban, other])
-    with pytest.raises(InputError, match="within = 0: must be positive and finite, m"):
+    with pytest.raises(InputError, match="within = 0 m is not positive and finite; specify"):
         estimate_lever_arm(urban, within=0.0)

@@ -29,8 +29,8 @@ from sigmaswarm.wording import printable
 class BatchResult:
     """Costs and scores of parameter sets on drives.
 
-    Drifts and forecasts are NaN unless the objective needs them. Quantiles of position errors and drifts over 1 s and
-    30 s are always NaN; `evaluate` computes them.
+    Drifts over 5 s and forecasts are NaN unless the objective needs them. The drifts over 1 s and 30 s, and the
+    quantiles of the position errors, are always NaN; `evaluate` computes them.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class BatchResult:
     scores : tuple of tuple of Score
         ``scores[i][j]``: set i on drive j.
     failed : ndarray of bool, shape (n_sets,)
-        True for a set with which, on any drive, a covariance became indefinite or a value became NaN.
+        True for a set with which a covariance became indefinite or a value became NaN on any drive.
     """
 
     costs: Array
@@ -91,7 +91,7 @@ def run_batch(
     given: Any = executor
     if given is not None and not isinstance(given, Executor):
         raise InputError(
-            f"executor = {printable(given)}: is not an executor; use concurrent.futures.ThreadPoolExecutor(2), or "
+            f"executor = {printable(given)} is not an executor; use concurrent.futures.ThreadPoolExecutor(2), or "
             "leave executor out"
         )
     goal = parse_objective(objective)
@@ -137,9 +137,9 @@ def require_fit(scorer: BatchScorer, objective: str, seed: int) -> None:
     for drive, initial, hidden in zip(scorer.drives, scorer.initial, scorer.hidden_fixes, strict=False):
         if hidden:
             continue
-        what, drives = f"is too short to hide fixes for 3 to 5 s, which {objective} needs", "longer"
+        what, drives = f"which is too short to hide fixes for 3 to 5 s, as {objective} requires", "longer"
         if len(forecast_windows(drive, initial, seed=seed)):
-            windows = f"the windows of 3 to 5 s in which {objective} hides and forecasts fixes"
-            what, drives = f"contains no fix in {windows}", "other"
-        span = f"the time from the start at {initial.time:g} s to {drive.imu.time[-1]:g} s"
-        raise InputError(f"{drive.name}: {span} {what}; use {drives} drives or innovation-nll")
+            windows = f"the windows of 3 to 5 s in which {objective} hides fixes"
+            what, drives = f"but there are no fixes in {windows}", "other"
+        span = f"a filter runs from {initial.time:g} to {drive.imu.time[-1]:g} s"
+        raise InputError(f"{drive.name}: {span}, {what}; use {drives} drives or innovation-nll")

@@ -113,9 +113,9 @@ class TuneConfig(SearchConfig):
     as_recorded: bool = False
     """Run without preprocessing (for diagnosis and the paper): use stale fixes, treat IMU gaps as ordinary steps."""
     prior: float | None = Field(default=None, ge=0, le=100)
-    """Weight of parameter priors; 0: none.
+    """Weight of priors; 0: none.
 
-    Default: likelihoods without truth 1, tilted12 with fix-error and truth 0.3, otherwise 0.
+    Default: 1 for likelihoods without truth, 0.3 for tilted12 with fix-error and truth, otherwise 0.
     """
     inflation: float | None = Field(default=None, ge=0, le=1)
     """Relative cost increase allowed for inflating process noise; 0 disables it.
@@ -155,7 +155,7 @@ MODEL_REMEDIES = {
     "prior": "narrow the bounds of the parameters of measurement_noise",
     "start": "narrow the bounds of the parameters",
 }
-"""Remedies if options of built-in models are given for a custom model. Options that are not listed must be left out."""
+"""Remedies for options of built-in models that are passed with a custom model. Other such options must be left out."""
 
 
 _PAPER_DEFAULTS = (
@@ -180,7 +180,7 @@ def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:
         if name in PAPER_OPTIONS and (tuple(value) if name == "use" else value) != PAPER_OPTIONS[name]:
             papers = "nothing" if PAPER_OPTIONS[name] in ((), None) else PAPER_OPTIONS[name]
             raise InputError(
-                f"{name} = {value!r}: contradicts the paper's setting, which is {papers}; "
+                f"{name} = {value!r} contradicts the paper's setting, which is {papers}; "
                 f"leave out {name}, or --paper (in Python: paper=True)"
             )
     return {**options, **PAPER_OPTIONS}
@@ -199,7 +199,7 @@ def current_options(
             warn_deprecated(f"the option {name}", RENAMED[name])
         elif config is ModelTuneConfig and name not in known and name in TuneConfig.model_fields:
             remedy = MODEL_REMEDIES.get(name, f"leave {name} out")
-            raise InputError(f"{name} = {value!r}: is an option of built-in models; {remedy}")
+            raise InputError(f"{name} = {value!r} is only possible with built-in models; {remedy}")
         elif name not in known:
             nearest = similar_name(name, [*known, *arguments])
             hint = f"did you mean {nearest}?" if nearest else f"choose from {', '.join(known)}"

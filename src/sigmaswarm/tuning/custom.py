@@ -1,4 +1,4 @@
-"""The tuning of a custom model: its problem and its objectives."""
+"""Tuning of a custom model: the optimization problem and the objectives."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor

@@ -25,8 +25,8 @@ OBJECTIVES_OF_CARS = ("truth-pose + 0.2 nees", "innovation-t")
 FORECAST_OBJECTIVES = ("truth-pose + 0.2 nees + 0.2 forecast-t", "0.5 innovation-t + 0.5 forecast-t")
 """Objectives with and without truth, for a model with roll and pitch, if the fix errors of most drives are white.
 
-With truth, forecasts are added, since truth-pose contains the drift of few outages. After tuning on three simulated
-drives of 120 s, the 5 s drift on other drives was 1.9 m without forecasts and 0.8 m with them.
+With truth, forecasts are added, since truth-pose includes the drift over only a few outages. After tuning on three
+simulated drives of 120 s, the 5 s drift on other drives was 1.9 m without forecasts and 0.8 m with them.
 
 If the fix errors are correlated, a filter that is tuned by forecasts reproduces these errors: with a u-blox M8, its
 position RMSE was 11 m instead of 4 m. For planar models forecasts are not used. Without truth, they overfit the filter
@@ -41,19 +41,19 @@ With a larger weight of truth-pose, the filter overfits to the errors of the tra
 PRIOR_WITH_TRUTH = 0.3
 """Weight of the priors with this objective.
 
-Among parameters of nearly equal costs, the priors select the typical ones. After tuning on four simulated drives with a
-u-blox M8, the 30 s drift was 22 to 118 m without priors, depending on the seed, and 21 to 24 m with this weight. With
-a weight of 1, the position RMSE after tuning on one such drive was 5% larger on average (five drives).
+Among parameter sets with nearly equal costs, the priors select the typical one. After tuning on four simulated drives
+with a u-blox M8, the 30 s drift was 22 to 118 m without priors, depending on the seed, and 21 to 24 m with this weight.
+With a weight of 1 instead, the position RMSE after tuning on one such drive was 5% larger on average (five drives).
 """
 MAX_WHITE_SHARE = 0.7
-"""Largest ratio of the white noise of fixes to their standard deviation from the truth for fix-error.
+"""Largest ratio of the fixes' white noise to their standard deviation from the truth at which fix-error is used.
 
 A log of very accurate fixes that states no accuracy looks like a log with correlated errors. With fix errors of 0.08 m,
 a robot's filter had a position RMSE of 0.93 m with fix-error, and 0.07 m without it. The ratio is 0.2 to 0.6 with a
 u-blox M8.
 """
 MAX_STD_RATIO = 2.0
-"""Largest ratio of the true and the stated (or assumed) standard deviation of fixes at which these priors are used."""
+"""Largest factor between true and stated (or assumed) standard deviation of fixes at which these priors are used."""
 MIN_DRIVEN = 30.0  # s, driving time that each drive must exceed for `FORECAST_OBJECTIVES`
 OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
 """Objectives with and without truth for custom models, which support no other objectives."""
@@ -165,7 +165,7 @@ def _allows_forecasts(cars: Sequence[LogProperties]) -> bool:
 
 
 def complete_config(config: C, data: Sequence[LogProperties | Log]) -> C:
-    """Replace the objective ``auto``, and an unset weight of the priors and process-noise inflation, by defaults."""
+    """Replace the objective ``auto``, and an unset prior weight or process-noise inflation, by defaults."""
     car = isinstance(config, TuneConfig)
     model, use = (config.model, config.use) if car else (PAPER_MODEL, ())
     objective = objective_for(data, config.objective, model, use)
@@ -176,7 +176,7 @@ def complete_config(config: C, data: Sequence[LogProperties | Log]) -> C:
 
 
 def _is_as_stated(cars: Sequence[LogProperties]) -> bool:
-    """Return True if the truth confirms the standard deviations of the receivers, the center of the prior on R."""
+    """Return True if the truth confirms the receivers' standard deviations, on which the prior on R is centered."""
     ratio = _mean(cars, "true_std") / _mean(cars, "receiver_std")
     return 1 / MAX_STD_RATIO < ratio < MAX_STD_RATIO
 

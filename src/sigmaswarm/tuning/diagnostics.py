@@ -161,7 +161,7 @@ def correlation_of(ready: PreparedDrive, parameters: FilterParameters) -> float:
 def correlation_warnings(
     parameters: FilterParameters, correlations: Iterable[float], use: Sequence[str] = ()
 ) -> list[str]:
-    """Warn if innovations are correlated although the filter could model correlated fix errors.
+    """Warn if innovations are correlated, and the filter does not model correlated fix errors although it could.
 
     ``use``: values of ``--use`` in the proposed command.
     """

@@ -47,11 +47,11 @@ REFERENCE_DURATION, TILTED_DURATION = 100.0, 150.0
 """Total driving times (s) up to which the whole cost increase is allowed: planar models, models with roll and pitch.
 
 Twice this time allows half of the increase. On the 72 pairs of drives of `benchmarks/road_matrix.py`, the position RMSE
-of planar8 is 1 to 2% lower and its 5 s drift 3 to 4% lower with 100 s than with 150 s. With roll and pitch, a filter
-was tuned on 200 s of kitti-09-30-0018 and tested on kitti-09-30-0033. With 100 s, 83% of its errors were inside the 95%
-radius, with 150 s 90%; the position RMSE on the training roads differed by less than 1%. Shorter drives do not allow a
-larger increase: after tuning on 60 s of a highway, an increase of 0.086 instead of 0.05 raised the 5 s drift on other
-roads by 20%.
+of planar8 is 1 to 2% lower with 100 s than with 150 s, and its 5 s drift is 3 to 4% lower. With roll and pitch, a
+filter was tuned on 200 s of kitti-09-30-0018 and tested on kitti-09-30-0033. The 95% radius contained 83% of its errors
+with 100 s, and 90% with 150 s; the position RMSE on the training roads differed by less than 1%. Shorter drives do not
+allow a larger increase: after tuning on 60 s of a highway, an increase of 0.086 instead of 0.05 raised the 5 s drift on
+other roads by 20%.
 """
 MIN_BIAS_RATIO = 5.0
 """Smallest ratio bias^2 / variance, averaged over initial alignments and axes, at which gyro biases are significant.

@@ -86,7 +86,7 @@ class LeverArmEstimate:
 
     @property
     def observable(self) -> tuple[bool, bool]:
-        """Observability of forward and left: True if the turns of the drives determine the axis to ``within``."""
+        """Observability of forward and left: True if the turns determine the axis with the accuracy ``within``."""
         forward, left = (1.96 * std <= self.within for std in self.std)
         return forward, left
 
@@ -158,7 +158,7 @@ def estimate_lever_arm(
     if not read:
         raise InputError("there are no drives; pass at least one")
     if not 0 < within < math.inf:
-        raise InputError(f"within = {within:g}: must be positive and finite, m")
+        raise InputError(f"within = {within:g} m is not positive and finite; specify the required accuracy")
     if len({(*drive.lever_arm, *_stated_std(drive)) for drive in read}) > 1:
         raise InputError(
             "the drives contain different gps_lever_arm_m or gps_lever_arm_std_m; pass drives of one vehicle, or one "
@@ -251,8 +251,8 @@ def _deviations(
 ) -> tuple[float, float]:
     """Return the standard deviations of the lever arm, forward and left, m.
 
-    Each is `STD_FACTOR` times the larger of two estimates: that of the model, and the sandwich estimate from blocks of
-    the drives (White, 1980).
+    Each is `STD_FACTOR` times the larger of two estimates: the model-based estimate, and the sandwich estimate from
+    blocks of the drives (White, 1980).
     """
     scatter, inverse = before.copy(), np.linalg.inv(information)
     for time, nu, columns, weight in whitened:

@@ -1,4 +1,4 @@
-"""Types of the options of a tuning run, for type checkers; a test compares them with `tuning.config`.
+"""Types of a tuning run's options, for type checkers; a test compares these types with `tuning.config`.
 
 PEP 692 requires a TypedDict for the types of ``**options``.
 """

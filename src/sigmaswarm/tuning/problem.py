@@ -65,7 +65,7 @@ class Problem(ABC, Generic[P]):
 
     @property
     def described(self) -> list[dict[str, Any]]:
-        """``data`` with additional properties that do not identify a drive, for tuning.toml."""
+        """``data`` for tuning.toml, with additional properties that do not identify a drive."""
         return self.data
 
     @property
@@ -115,11 +115,11 @@ class Problem(ABC, Generic[P]):
         return None
 
     def fixes_alone(self) -> MotionNoise | None:
-        """Fit the noise parameters of a constant-velocity filter that uses only fixes; None for a custom model."""
+        """Fit the noise parameters of a constant-velocity filter for fixes alone; return None for a custom model."""
         return None
 
     def forecasts(self, point: Array, noise: MotionNoise) -> list[DriftComparison]:
-        """Compare the drifts of a filter, the baseline and fixes alone, by outage length."""
+        """Compare the drifts of a filter, the baseline and fixes alone, for each outage length."""
         return []
 
     def starts(self) -> Sequence[InitialState]:

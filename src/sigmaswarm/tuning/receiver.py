@@ -2,7 +2,7 @@
 
 Many receivers smooth their fixes. For smoothed fixes, the likelihood is largest if R corresponds to centimeters, and a
 filter with this R copies the fixes. The prior penalizes an R below the receiver's variance. It penalizes a larger R
-only with fix-error, since in cities receivers state standard deviations that are too small. The prior is counted once
+only with fix-error, since receivers state standard deviations that are too small in cities. The prior is counted once
 per fix. If it were counted once in total, its relative weight would decrease with the number of fixes, as if the errors
 of the fixes were independent.
 """
@@ -39,7 +39,7 @@ STATE_REMEDY = (
 
 
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
-    """Return the penalties of n parameter sets on m drives by the prior on R, nats per fix, shape (n, m).
+    """Return the penalties by the prior on R of n parameter sets on m drives, nats per fix, shape (n, m).
 
     The penalty is 0.5 (log10(R / std^2) / 0.5)^2 if R is smaller than std^2, else 0, averaged over both axes. ``std``,
     shape (m, 2), is the `receiver_std` of each drive, in meters. With the option accuracy, R is that of the median fix.
@@ -88,7 +88,7 @@ def median_stated_std(drive: Drive) -> float:
 def noise_warnings(
     parameters: FilterParameters, drives: Sequence[FixNoise], use: Sequence[str] = ()
 ) -> list[str]:
-    """Warn if R contradicts the fixes of the training drives; ``use``: values of ``--use`` in the proposed command."""
+    """Warn if R contradicts the training drives' fixes; ``use``: values of ``--use`` in the proposed command."""
     if parameters.accuracy_scale is not None or not drives:
         return []
     r = float(np.mean(parameters.measurement_noise)) ** 0.5

@@ -121,7 +121,7 @@ class TuningRecord(BaseModel):
 
     @property
     def unusable(self) -> list[str]:
-        """Warnings of the tuning that state that the filter should not be used."""
+        """Warnings of the tuning according to which the filter should not be used."""
         return [one for one in (self.result.warnings if self.result else ()) if DO_NOT_USE in one]
 
     @property

@@ -35,8 +35,8 @@ HISTORY: dict[str, type] = {"best": np.float64, "median": np.float64, "steps": n
 class Progress:
     """Progress of a tuning run, passed to the callback after every generation.
 
-    ``done`` and ``total`` count the generations of all trials. ``best_cost`` and ``parameters`` are the best of this
-    trial so far; ``parameters`` is None if no cost was finite.
+    ``done`` and ``total`` count the generations of all trials. ``best_cost`` is the lowest cost of this trial so far,
+    and ``parameters`` are the corresponding parameters (None if no cost was finite).
     """
 
     trial: int
@@ -61,7 +61,7 @@ class Trial:
     median : ndarray, shape (generations,)
         Median cost of each generation.
     steps : ndarray of int, shape (generations,)
-        Number of filter steps from the first to this generation.
+        Total number of filter steps after each generation.
     evaluations, failures : int
         Number of evaluated parameter sets, and number of these that failed.
     """

@@ -89,7 +89,7 @@ IMU_DIMENSIONS = (
 ENTRIES = {"imu_gate": ("gate_gyro", "gate_accel")}
 """Names of the dimensions of a field that is a tuple."""
 NOISE_ONLY_OPTIONS = ("lateral", "odometer")
-"""Options of which robot-localization has only the noise variance, and none of the other parameters."""
+"""Options with several parameters, of which robot-localization has only the noise variance."""
 KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
     **dict.fromkeys(
         ("adaptive-ukf", "strong-tracking-ukf"),

@@ -163,7 +163,7 @@ def _require_same(file: Path, config: dict[str, Any]) -> dict[str, float] | None
     if saved != wanted:
         old, new = _difference("", saved, wanted)
         raise InputError(
-            f"{file}: was started with {old}, but this command has {new}; "
+            f"{file}: the tuning was started with {old}, but this command has {new}; "
             "repeat the first command, or choose another --out"
         )
     return center

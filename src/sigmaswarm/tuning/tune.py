@@ -160,7 +160,7 @@ def _search_options(options: dict[str, Any], *, paper: bool) -> dict[str, Any]:
     kind = ModelTuneConfig if isinstance(options.get("model"), Model) else TuneConfig
     options = current_options(kind, options, ARGUMENTS)
     if paper and kind is ModelTuneConfig:
-        raise InputError("paper = True: is an option of built-in models; leave paper out")
+        raise InputError("paper = True is only possible with built-in models; leave paper out")
     return paper_options(options) if paper else options
 
 
@@ -182,7 +182,7 @@ def _problem_of(
     start: FilterParameters | str | Path | None,
     where: "tuple[Executor | None, Client | None]",
 ) -> tuple[Problem[Any], Problem[Any] | None, Array | None, str]:
-    """Return the problems on training and on validation data, the point of the start filter, and `Tuning.choice`."""
+    """Return the optimization problems (training, validation), the start filter's point, and `Tuning.choice`."""
     model: Any = options.get("model")
     executor, cluster = where
     first: Array | None = None
@@ -190,9 +190,9 @@ def _problem_of(
     others: Any
     if isinstance(model, Model):
         if cluster is not None:
-            raise InputError("cluster: a model of your own runs on this machine only; leave cluster out")
+            raise InputError("a custom model runs only on this machine; leave cluster out")
         if start is not None:
-            raise InputError(f"start: is an option of built-in models; {MODEL_REMEDIES['start']}")
+            raise InputError(f"start is only possible with built-in models; {MODEL_REMEDIES['start']}")
         data, others = as_list(drives), as_list(validation)
         stray = [type(thing).__name__ for thing in (*data, *others) if not isinstance(thing, Log)]
         if stray:
@@ -224,7 +224,7 @@ def start_point(space: SearchSpace, given: FilterParameters) -> Array:
     wanted = space.fixed["model"], space.fixed["kind"]
     if (given.model, given.kind) != wanted:
         raise InputError(
-            f"start: is a {given.model} ({given.kind}), but {' ('.join(wanted)}) is tuned; leave --model and --kind out"
+            f"start is a {given.model} ({given.kind}), but {' ('.join(wanted)}) is tuned; leave --model and --kind out"
         )
     return space.point_of(given)
 

@@ -30,7 +30,7 @@ SIGMA_POINTS = {"alpha", "beta", "kappa"}
 
 @dataclass(frozen=True, eq=False)
 class TuningView:
-    """Sentences and tables of a tuning; those of costs need a record with the table [result]."""
+    """Sentences and tables of a tuning; those about costs need a record with the table [result]."""
 
     record: TuningRecord
 
@@ -119,7 +119,7 @@ class TuningView:
         return larger_drifts(self.record.forecasts)
 
     def parameters(self, caption: str = "") -> Table:
-        """Return the table of all parameters, with the range of each in which the cost increases by less than 1%."""
+        """Return the table of all parameters, with the range in which the cost increases by less than 1%."""
         record, ranges = self.record, self.record.within_1_percent_of_the_cost
         touched = {
             bound.parameter: bound.place for bound in (record.result.touched_bounds if record.result else ())

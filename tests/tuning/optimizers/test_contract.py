@@ -221,11 +221,11 @@ def test_costs_of_another_shape_are_refused(name: str):
 @pytest.mark.parametrize(
     ("name", "changes", "said"),
     [
-        ("pos", {}, "optimizer = 'pos': not known; choose one of pso, ga, "),
+        ("pos", {}, "optimizer = 'pos' is unknown; choose one of pso, ga, "),
         (
             "de",
             {"inertia": 0.5},
-            "inertia: not an option of the optimizer de, which has base, scale, crossover",
+            "inertia is not an option of the optimizer de, which has base, scale, crossover",
         ),
         ("random", {"inertia": 0.5}, "which has none"),
         ("pso", {"population": 1}, "population = 1, .* at least 2"),

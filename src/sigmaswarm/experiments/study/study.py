@@ -171,7 +171,7 @@ def _open_folder(out: Path, config: StudyConfig, resume: bool) -> None:
     for name in StudyConfig.model_fields:
         if getattr(saved, name) != getattr(config, name):
             raise InputError(
-                f"{file}: was started with {name} = {getattr(saved, name)!r}, but this command has "
+                f"{file}: the study was started with {name} = {getattr(saved, name)!r}, but this command has "
                 f"{getattr(config, name)!r}; repeat the first command, or name another folder"
             )
 

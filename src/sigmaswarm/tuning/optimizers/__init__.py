@@ -75,7 +75,7 @@ def create_optimizer(
     """
     polish = options.pop("polish", 0)
     if isinstance(name, str) and name not in OPTIMIZERS:
-        raise InputError(f"optimizer = {name!r}: not known; choose one of {', '.join(OPTIMIZERS)}")
+        raise InputError(f"optimizer = {name!r} is unknown; choose one of {', '.join(OPTIMIZERS)}")
     if population < 2 or budget < 1 or not 0 <= polish < budget:
         raise InputError(
             f"population = {population}, budget = {budget}, polish = {polish}: "
@@ -86,5 +86,5 @@ def create_optimizer(
     first = (OPTIMIZERS[name] if isinstance(name, str) else name)(low, high, population, rng, **options)
     for method in ("ask", "tell", "state", "restore"):
         if not callable(getattr(first, method, None)):
-            raise InputError(f"optimizer = {name}: has no method {method}; see sigmaswarm.tuning.optimizers")
+            raise InputError(f"optimizer = {name} has no method {method}; see sigmaswarm.tuning.optimizers")
     return Budgeted(first, low, high, rng, budget=budget, polish=polish)

@@ -64,7 +64,7 @@ class AskTell:
         for option, value in options.items():
             if option not in known:
                 raise InputError(
-                    f"{option}: not an option of the optimizer {self.name}, which has {', '.join(known) or 'none'}"
+                    f"{option} is not an option of the optimizer {self.name}, which has {', '.join(known) or 'none'}"
                 )
             setattr(self, option, value)
         self.low, self.high, self.population, self.rng = low, high, population, rng
@@ -76,7 +76,7 @@ class AskTell:
     def begin_near(self, point: Array) -> None:
         """Begin around a point, shape (d,), which is in the first batch; call this before the first `ask`.
 
-        The other first points of `bo` and `sobol`, which cover the bounds, do not change.
+        The other first points of `bo` and `sobol`, which cover the search space, do not change.
         """
         self.center = point
         self.positions = np.clip(self._begin(), self.low, self.high)

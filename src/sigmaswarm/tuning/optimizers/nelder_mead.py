@@ -26,7 +26,7 @@ class NelderMead(AskTell):
     size: float = 0.05
     """Edge length of the first simplex, in widths of the bounds."""
     parallel: int = 1
-    """Number of worst vertices that are moved at a time, at most half of all vertices."""
+    """Number of worst vertices that are moved at a time; at most half of all vertices."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
