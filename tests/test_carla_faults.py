@@ -100,7 +100,7 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         (
             {"drop_frame": MID_DRIVE},
-            r"frame \d+ of brake-clear-01 is missing: the server went from \d+ to \d+",
+            r"frame \d+ of brake-clear-01 is missing: the server jumped from \d+ to \d+",
         ),
         (
             {"die": MID_DRIVE},

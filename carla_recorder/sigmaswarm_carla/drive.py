@@ -133,7 +133,7 @@ def drive(
     rng: random.Random,
     show: Callable[[float], None],
 ) -> Sensors:
-    """Drive a plan and append the data to `recording`; after a failure, `recording` has the data up to this time."""
+    """Drive a plan and append the data to `recording`; after a failure, it contains the data up to the failure."""
     name, rows = recording.name, recording.rows
     sensors = Sensors(session, car, name, rng)
     driver = Driver(plan, physics.wheelbase, rng)
@@ -148,7 +148,7 @@ def drive(
         frame, now = frame + 1, session.tick()
         if now != frame:
             raise RecorderError(
-                f"frame {frame} of {name} is missing: the server went from {frame - 1} to {now}; disconnect "
+                f"frame {frame} of {name} is missing: the server jumped from {frame - 1} to {now}; disconnect "
                 "other clients"
             )
         t = round((frame - recording.first_frame) * TICK, 6)
@@ -196,7 +196,7 @@ def state_of(session: Session, car: Any, frame: int) -> Row:
 
 
 def check_fixes(recording: Recording, noise: float) -> None:
-    """Raise RecorderError if the fixes are far from the car: server and client then use different geodesies."""
+    """Raise RecorderError if the fixes are far from the car, since server and client then use different geodesies."""
     places = {row.t: row.place for row in recording.rows}
     errors = sorted(math.hypot(x - places[t][0], y - places[t][1]) for t, x, y in recording.fixes)
     if errors and errors[len(errors) // 2] > 3 * noise + 0.5:

@@ -26,13 +26,13 @@ class Control(NamedTuple):
 
 
 class Driver:
-    """Follow a plan at 100 Hz: feedforward of curvature and acceleration, feedback of the errors.
+    """Follow a plan at 100 Hz, with feedforward of curvature and acceleration and feedback of the errors.
 
     Parameters
     ----------
     plan : the plan to follow
     wheelbase : m
-    rng : generator of the random deviations from the plan: RMS 0.07 m to the sides, 0.4% of the speed
+    rng : generator of the random deviations from the plan: RMS 0.07 m to the side and 0.4% of the speed
 
     Attributes
     ----------

@@ -54,11 +54,11 @@ class RecorderError(Exception):
 
 
 class LostConnection(RecorderError):
-    """Error if the server no longer answers."""
+    """Error that is raised if the server no longer answers."""
 
 
 class FailedRun(RecorderError):
-    """Error of one drive; the drive may succeed on another route."""
+    """Failure of one drive, which may succeed on another route."""
 
 
 class Condition(NamedTuple):
@@ -103,7 +103,8 @@ class Options:
         120.0, "Longest time to wait for a new connection after the server has stopped answering, s."
     )
     brake_sweep: bool = _option(
-        False, "First brake with several values of CARLA's tire_friction, and measure the friction of each."
+        False,
+        "First, brake with several values of CARLA's tire_friction, and measure the resulting frictions.",
     )
     resume: bool = _option(False, "Keep existing drives and record the missing drives.")
 

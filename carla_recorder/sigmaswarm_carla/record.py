@@ -1,4 +1,4 @@
-"""Record all drives, and connect again if the connection is lost; measure friction by braking."""
+"""Record all drives, and reconnect if the connection is lost; measure friction by braking."""
 
 from __future__ import annotations
 

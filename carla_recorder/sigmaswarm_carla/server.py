@@ -43,7 +43,7 @@ def import_carla() -> Any:
 
 
 def connect(carla: Any, options: Options) -> Any:
-    """Connect to the server; raise RecorderError if its version differs, since calls could crash this process."""
+    """Connect to the server; raise RecorderError if the client's version differs, since calls could crash."""
     place = f"{options.host}:{options.port}"
     if not reachable(options.host, options.port, options.timeout):
         raise RecorderError(
@@ -209,7 +209,7 @@ class Session:
         self.actors.clear()
 
     def restore(self) -> str:
-        """Restore the world; return a message about failures, or an empty string."""
+        """Restore the world; return a message about failures, or an empty string if there are none."""
         if not reachable(self.options.host, self.options.port, 2.0):
             _KEEP.extend([self, *self.actors])
             return "the server does not answer, so its settings and weather could not be restored"

@@ -243,7 +243,7 @@ def remote_datasets(
 
 
 def source_of(drive: Drive | Location | Source) -> Source:
-    """Return a function that reads a drive, given the drive, its path, its URL, or such a function.
+    """Convert a drive, a path, a URL or a reading function to a function that returns the drive and its warnings.
 
     Paths become absolute, since workers may run in other folders.
     """

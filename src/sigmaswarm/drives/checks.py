@@ -1,6 +1,6 @@
 """Check the plausibility of a drive: amount of data, times, gaps, units and axes.
 
-The doctor checks most of these faults in more detail, with the same messages.
+The doctor checks for most of these faults in more detail, and gives the same messages.
 """
 
 from collections.abc import Callable, Iterator

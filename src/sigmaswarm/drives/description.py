@@ -68,7 +68,7 @@ def cut_of(about: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def ineffective_keys(about: Mapping[str, Any], path: Path) -> Iterator[str]:
-    """Yield a message for each key of drive.toml that seems meant for a filter but has no effect."""
+    """Yield a message for each key of drive.toml that seems intended for a filter but has no effect."""
     for key, value in about.items():
         if isinstance(value, dict):
             for inner in cast("dict[str, Any]", value):

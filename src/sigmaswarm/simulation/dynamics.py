@@ -2,7 +2,7 @@
 
 - Tires have a relaxation length, and their forces stay inside the friction circle (combined slip).
 - Motor, brake, rolling resistance and tire force act on each wheel. Anti-lock and traction control reduce the torques
-  of a wheel whose slip exceeds that of the tire's peak force.
+  of a wheel whose slip exceeds the slip at the tire's peak force.
 - The body moves in the plane under the tire forces and the air drag. Roll and pitch are second-order responses to the
   accelerations; springs and dampers transfer the load.
 
@@ -134,7 +134,7 @@ def _tire(
     friction: float,
     car: Vehicle,
 ) -> tuple[float, float, float, float]:
-    """Return longitudinal and lateral force (N) and normalized longitudinal and combined slip of a tire.
+    """Return the longitudinal and lateral forces (N), and the normalized longitudinal and combined slips, of a tire.
 
     Similarity method [P]: slips are normalized by stiffness over friction and add as vectors. The magic formula,
     applied to the sum, gives the force, which is at most friction x load.

@@ -98,7 +98,7 @@ class HeadingGrade:
     markov_time : float
         Correlation time, s.
     mounting : float
-        Angle of the antennas' baseline (rad), counter-clockwise from forward, unknown to the receiver.
+        Angle of the antennas' baseline (rad), counter-clockwise from forward; unknown to the receiver.
     """
 
     name: str

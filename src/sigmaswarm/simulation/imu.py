@@ -33,7 +33,7 @@ class Triad:
     turn_on : float
         Limit of the constant bias of a drive, uniform within +- this value.
     scale, misalignment : float
-        Limits of relative errors of each axis and each pair of axes, uniform within +- these values.
+        Limits of the relative errors of each axis and each pair of axes, uniform within +- these values.
     reach : float
         Limit of the measured value.
     resolution : float

@@ -1,4 +1,4 @@
-"""Simulate an odometer that counts pulses of the rear wheels in a window, with slip and a wrong tire size."""
+"""Simulate an odometer that counts pulses of the rear wheels in a time window, with slip and a wrong tire size."""
 
 from dataclasses import dataclass
 

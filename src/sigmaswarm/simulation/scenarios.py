@@ -1,7 +1,7 @@
 """Simulate one drive: journey, sensors and truth.
 
 Seed, maneuver, environment, run and the sensor's name determine the random numbers of a sensor. A change of one sensor
-does not change the data of others.
+does not change the data of the others.
 """
 
 import math
@@ -107,8 +107,8 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
         Position of the IMU, m forward, left and up of the center of gravity; (0.2, 0, 0.1) by default. The truth refers
         to this point.
     vibration : float
-        Level of the vibration while driving, 0 by default as in CARLA. 1 is the level in two recordings of real cars,
-        whose noise is much larger than data sheets state.
+        Level of the vibration while driving, 0 by default as in CARLA. 1 is the level in two recordings of real cars;
+        their noise is much larger than the values in data sheets.
     gnss_degradation : bool
         Multiply the errors of the receiver by the environment's factor, which is **an assumption, not a measurement**.
     terrain : str or Terrain

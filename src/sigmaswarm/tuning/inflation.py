@@ -1,8 +1,8 @@
 """Inflate the process noise, so that the filter suits roads and IMUs that the tuning did not use.
 
-Inflation selects the largest noise whose cost is close to the lowest cost, similar to the rule of one standard error
-(L. Breiman et al., Classification and Regression Trees, 1984, section 3.4.3). A longer drive determines the noise
-better, so it allows a smaller cost increase.
+Inflation selects the largest noise whose cost is close to the lowest cost, similar to the one-standard-error rule (L.
+Breiman et al., Classification and Regression Trees, 1984, section 3.4.3). A longer drive determines the noise better,
+so it allows a smaller cost increase.
 
 For a planar model, all process noise is inflated except the random walk of the gyro's bias. The noise of the velocity
 is included, since it represents the tilt of roads. One drive hardly determines the random walk: an inflation to 1e-7
