@@ -106,7 +106,7 @@ def reference(
     Returns
     -------
     Drive
-        The drive with truth at the IMU's times, its standard deviations, and gaps where the truth is not known.
+        The drive with truth and standard deviations at the IMU's times, and with gaps where the truth is not known.
         ``metadata`` describes the computation under ``reference``.
 
     Raises

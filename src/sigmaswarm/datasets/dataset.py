@@ -1,4 +1,4 @@
-"""A dataset: drives in this process or on the workers of a cluster, to which functions are applied."""
+"""A dataset: a sequence of drives, in this process or on a cluster, whose methods apply functions to the drives."""
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence

@@ -57,7 +57,7 @@ class DriveCache:
         self._lock = threading.Lock()
 
     def get(self, sources: Mapping[str, Source | None]) -> list[CachedDrive] | None:
-        """Return the drives with the keys of ``sources``; return None if a drive is neither cached nor has a source.
+        """Return the drives with the keys of ``sources``; return None if a drive is not cached and has no source.
 
         Raises
         ------

@@ -179,7 +179,7 @@ def _read_folder(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
 
 
 def import_remedy(log: Path) -> str:
-    """Return the command that imports a log, or the whole folder of the log, as the remedy of an error."""
+    """Return, as the remedy of an error, the command that imports a log or its whole folder."""
     log = _whole_log(log)
     out = Path("drives") / log.resolve().name.removesuffix(log.suffix)
     return f"to make a drive from a log: sigmaswarm import {quote(str(log))} --out {quote(str(out))}"

@@ -31,7 +31,7 @@ MIN_WHITE_NOISE = 0.25 * UNSTATED_GPS_STD
 If fixes have less white noise, their error is unknown, since the receiver may smooth the fixes.
 """
 FIXES_FOR_FIX_ERROR = 250
-"""Smallest number of fixes, over all drives, for fix-error when tuning without truth.
+"""Smallest number of fixes, over all drives, at which `tune` uses fix-error by default.
 
 On eight simulated M8 drives of 142 s at 1 Hz, fix-error increased the 30 s drift on six drives, on one of them to 1319
 m. With 300 and 600 fixes, fix-error did not change the mean drift, and reduced the position error by 3 to 6%.

@@ -73,7 +73,7 @@ def kind_of(fixes: Array, kinds: Array, k: int) -> int:
 
 @cached
 def _speed_at(fixes: Array, kinds: Array, last: int, now: float) -> float:
-    """Estimate the car's speed (m/s) at the time ``now`` from the new fixes of the seconds up to fix ``last``.
+    """Estimate the car's speed (m/s) at the time ``now`` from the new fixes of the last seconds, up to fix ``last``.
 
     The result is the smaller of the speeds of a fitted line and a fitted parabola, since a car that brakes to a halt
     was fast a second before. In a log that begins with repeated fixes, the result is 0.

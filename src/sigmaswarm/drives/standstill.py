@@ -5,9 +5,9 @@ show a departure late, so the IMU must also be calm. During a gentle departure, 
 changes, so the acceleration must agree with that at the beginning of the stop.
 
 Samples are summed in blocks of 50 ms (count, means, squares), so cost and memory do not depend on the IMU's rate. The
-last second consists of the current block and the 20 before it, the last quarter of a second of the current block and
-the 5 before it. Blocks are merged as in Chan, Golub and LeVeque (Updating formulae and a pairwise algorithm for
-computing sample variances, 1979). Blocks are never subtracted, since rounding errors would accumulate. The last 20
+last second consists of the current block and the 20 before it; the last quarter of a second consists of the current
+block and the 5 before it. Blocks are merged as in Chan, Golub and LeVeque (Updating formulae and a pairwise algorithm
+for computing sample variances, 1979). Blocks are never subtracted, since rounding errors would accumulate. The last 20
 complete blocks form two stacks. When a stack is full, each of its blocks is merged with all later blocks of the stack.
 FRESH is the total of the stack that is being filled.
 """

@@ -47,7 +47,7 @@ def local_copy(url: str) -> Generator[Path]:
     """Copy the files of a drive to a temporary folder, which is removed at the end of the block."""
     if "?" in url:
         raise InputError(
-            f"{without_secrets(url)}?...: a drive has several files, which a signed URL can't name; pass the "
+            f"{without_secrets(url)}?...: a drive has several files, but a signed URL names only one; pass the "
             "URL of their folder"
         )
     with TemporaryDirectory(prefix="sigmaswarm-") as scratch:

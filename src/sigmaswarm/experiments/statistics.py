@@ -203,7 +203,7 @@ def signed_rank(own: Array, theirs: Array) -> float:
 
 
 def rank_biserial(difference: Array) -> float:
-    """Return the rank-biserial correlation, -1 to 1: (ranks of negative - ranks of positive differences) / rank sum.
+    """Return the rank-biserial correlation, -1 to 1: positive if negative differences have the larger rank sum.
 
     D. S. Kerby, Comprehensive Psychology 3, 2014.
     """

@@ -50,9 +50,10 @@ def drive_maneuver(
 
 
 def time_between(speed: Array, slow: float, fast: float, rising: bool) -> float:
-    """Return the shortest time (s) between two speeds (m/s), from the last sample before to the first after the change.
+    """Return the shortest time (s) in which the speed changes from one value to another (m/s).
 
-    The time is NaN if a speed is never reached.
+    The change lasts from the last sample before it to the first sample after it. The time is NaN if a speed is never
+    reached.
     """
     speed = speed if rising else speed[::-1]
     begins, ends = np.flatnonzero(speed <= slow), np.flatnonzero(speed >= fast)

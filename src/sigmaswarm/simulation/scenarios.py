@@ -96,7 +96,7 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
     imu_rate, gps_rate : float
         Sampling rates (Hz), at most 1000; 100 and 5 by default.
     jitter : float
-        Standard deviation of the random errors of the sample times, s; 0 by default. Each error is limited to 0.4 of
+        Standard deviation of the random errors of the sample times, s; 0 by default. Each error is limited to 0.4 times
         the interval.
     duration : float, optional
         Duration of "urban", s; 180 by default.
@@ -104,8 +104,8 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
         Begin with at least 30 m at 5 m/s or more, so that a filter can align (the default). If False, the drive begins
         with the maneuver itself, in motion.
     imu_place : tuple of float
-        Position of the IMU, m forward, left and up of the center of gravity; (0.2, 0, 0.1) by default. The truth refers
-        to this point.
+        Position of the IMU, m forward, left and up from the center of gravity; (0.2, 0, 0.1) by default. The truth
+        refers to this point.
     vibration : float
         Level of the vibration while driving, 0 by default as in CARLA. 1 is the level in two recordings of real cars;
         their noise is much larger than the values in data sheets.

@@ -184,7 +184,7 @@ def _integral(values: Array) -> Array:
 
 
 def _swing(target: Array, frequency: float, damping: float) -> Array:
-    """Return the second-order response to a target, its rate and acceleration (n, 3), from rest at the first target.
+    """Return the second-order response to a target, with the response's rate and acceleration (n, 3), from rest.
 
     The discretization is exact for a target that is linear between samples.
     """

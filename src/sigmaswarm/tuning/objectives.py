@@ -1,4 +1,4 @@
-"""Objectives: functions from the scores of parameter sets on drives to costs, and weighted sums of such functions."""
+"""Objectives: functions that convert scores of parameter sets to costs, and weighted sums of such functions."""
 
 import re
 from collections.abc import Callable

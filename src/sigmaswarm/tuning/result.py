@@ -100,7 +100,7 @@ class Tuning(Generic[P]):
     forecasts : tuple of DriftComparison
         Drifts over outages of 1, 5 and 30 s on the first training drives, compared with fixes alone and the baseline.
     choice : str
-        Model and measurements that `tune` chose, and the reason; empty if they were given, and not in the file.
+        Model and measurements that `tune` chose, and the reason; empty if they were given. Not saved in the file.
     """
 
     parameters: P

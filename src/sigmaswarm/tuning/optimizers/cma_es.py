@@ -1,7 +1,7 @@
 """CMA-ES: a normal distribution that adapts to the costs of its samples.
 
-N. Hansen, The CMA evolution strategy: a tutorial, arXiv:1604.00772v2, 2023; numbers in comments are its equations.
-CMA-ES libraries are not used, since they can save their state only as pickles.
+N. Hansen, The CMA evolution strategy: a tutorial, arXiv:1604.00772v2, 2023; numbers in comments refer to equations in
+this tutorial. CMA-ES libraries are not used, since they can save their state only as pickles.
 
 A sample outside the bounds is drawn once more. If the second sample is also outside, its cost is the cost of its
 projection on the bounds plus a penalty. The penalty is that of N. Hansen et al., IEEE Trans. Evolutionary Computation

@@ -11,7 +11,7 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.tuning.optimizers.asktell import AskTell
 
 CROSSOVER, CROSSOVER_INDEX, MUTATION_INDEX = 0.9, 15.0, 20.0
-"""Probability of crossover, and indices eta of crossover and mutation; higher indices make smaller changes."""
+"""Probability of crossover, and indices eta of crossover and mutation; higher indices cause smaller changes."""
 
 
 class GeneticAlgorithm(AskTell):
