@@ -128,7 +128,7 @@ def _folder() -> tuple[Path | None, str]:
         folder = folder.resolve()
         private = _is_private(folder)
     except OSError:
-        return None, f"{folder} can't be made"
+        return None, f"{folder} can't be created"
     if private:
         return folder, ""
     what = f"other users have access to {folder}, and could put code there"

@@ -190,4 +190,4 @@ def _columns(table: type[Table]) -> tuple[tuple[str, ...], tuple[str, ...]]:
 COLUMNS = {name: _columns(table) for name, table in RECORDS.items()}
 COLUMNS["enu"] = COLUMNS["gps"]
 COLUMNS["wgs84"] = ("t", "lat", "lon"), tuple(c for c in COLUMNS["gps"][1] if c not in ("lat", "lon"))
-"""Required and optional columns of each table, for the table gps also by frame."""
+"""Required and optional columns of each table; those of the table gps depend on the frame."""

@@ -53,7 +53,7 @@ _CURVATURE_SMOOTHING = 10.0  # m, standard deviation of the smoothing of the cur
 
 @dataclass(frozen=True)
 class Terrain:
-    """Statistics of the slopes of a road. Slopes are tangents, lengths m.
+    """Statistics of the slopes of a road. Slopes are tangents; lengths are in m.
 
     Attributes
     ----------
@@ -184,9 +184,10 @@ def _integral(values: Array) -> Array:
 
 
 def _swing(target: Array, frequency: float, damping: float) -> Array:
-    """Return the second-order response to a target, with the response's rate and acceleration (n, 3), from rest.
+    """Return the second-order response to a target, and the rate and acceleration of the response, shape (n, 3).
 
-    The discretization is exact for a target that is linear between samples.
+    The response starts at rest at the first target. The discretization is exact for a target that is linear between
+    samples.
     """
     a, b = [[0.0, 1.0], [-(frequency**2), -2 * damping * frequency]], [[0.0], [frequency**2]]
     system = np.array(a), np.array(b), np.eye(2), np.zeros((2, 1))
