@@ -182,7 +182,7 @@ def test_a_line_for_a_part_belongs_into_the_whole_drive(here: Path):
     for part in split_time(read_drive("logs/car"), 0.5):
         write_drive(part, f"parts/{part.name}")
     here_it_is = "at the top of logs/car/drive.toml (the whole drive); replace "
-    again = "; then run sigmaswarm split logs/car --out parts --overwrite and tune into a new folder"
+    again = "; then run sigmaswarm split logs/car --out parts --overwrite and tune again with a new folder"
     named = name_files(STATE_REMEDY, [Path("parts/car-train")])
     assert here_it_is in named and named.endswith(again)
     assert name_training_files([STATE_REMEDY], ["car-train"], ["parts/car-test"]) == [named]
@@ -197,7 +197,7 @@ def test_a_line_for_a_part_belongs_into_the_whole_drive(here: Path):
     Path("parts/car-train/drive.toml").write_text('repaired = ["x"]\n[cut_from]\ndrive = "lost"\n')
     named = name_files(STATE_REMEDY, [Path("parts/car-train")])
     assert "at the top of drive.toml of the whole drive lost; replace " in named
-    assert named.endswith("; then split and repair this drive again and tune into a new folder")
+    assert named.endswith("; then split and repair this drive again and tune again with a new folder")
 
 
 def test_version(sigmaswarm):

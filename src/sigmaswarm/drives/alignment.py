@@ -106,7 +106,7 @@ def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | Sta
 
 
 def is_slow(drive: Drive) -> bool:
-    """Return True if the fixes rarely move by `MIN_TRAVEL` in `MAX_DURATION`, too slowly for a normal start."""
+    """Return True if the vehicle is too slow for a normal start: fixes rarely move `MIN_TRAVEL` in `MAX_DURATION`."""
     usable = np.isfinite(drive.gps.x + drive.gps.y)
     time, position = drive.gps.time[usable], (drive.gps.x + 1j * drive.gps.y)[usable]
     first = np.searchsorted(time, time - MAX_DURATION)

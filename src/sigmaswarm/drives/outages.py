@@ -11,7 +11,7 @@ SECONDS_PER_OUTAGE = 15.0  # s of driving per window in `random_windows`
 
 
 def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> Mask:
-    """Mark the fixes, at times (n,) in s, that lie in an outage: windows (k, 2) in s, including both ends.
+    """Mark the fixes, at times (n,) in s, that lie in one of the outage windows, (k, 2) in s, including both ends.
 
     Drift is measured at the end of an outage, without a fix at this time.
     """

@@ -25,7 +25,7 @@ class Objective:
     summary : str
         Description for users.
     per_drive : callable
-        Function from scores to costs, shape (n_sets, n_drives).
+        Function that converts scores to costs, shape (n_sets, n_drives).
     needs_truth, needs_outages, needs_forecasts : bool
         True if the scores must contain errors against truth, drifts in outages, or forecasts of hidden fixes.
     scale_free : bool

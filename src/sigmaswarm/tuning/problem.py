@@ -95,7 +95,7 @@ class Problem(ABC, Generic[P]):
         """Return the problem with the same filter and objective on other data."""
 
     def mean(self, each: Array) -> Array:
-        """Return the costs, shape (n,), from the costs on k drives, shape (n, k)."""
+        """Combine the costs on k drives, shape (n, k), to costs of the points, shape (n,)."""
         return mean_cost(each, self.config.worst)
 
     def costs(self, points: Array, executor: Executor | None) -> Array:
@@ -111,11 +111,11 @@ class Problem(ABC, Generic[P]):
         return []
 
     def baseline_point(self) -> Array | None:
-        """Return the point of the filter without tuning, shape (d,); None for a custom model."""
+        """Return the baseline as a point in the search space, shape (d,); None for a custom model."""
         return None
 
     def fixes_alone(self) -> MotionNoise | None:
-        """Fit the noise parameters of a constant-velocity filter for fixes alone; return None for a custom model."""
+        """Fit the noise of a constant-velocity filter that uses only fixes; return None for a custom model."""
         return None
 
     def forecasts(self, point: Array, noise: MotionNoise) -> list[DriftComparison]:
@@ -197,7 +197,7 @@ class CarProblem(Problem[FilterParameters]):
         return car_problem(data, self.config, self.space)
 
     def baseline_point(self) -> Array:
-        """Return the point of the baseline for the first drive, shape (d,)."""
+        """Return the baseline for the first drive as a point in the search space, shape (d,)."""
         model, use = self.config.model, self.config.use
         (parameters,) = self.scorer.dataset.subset([0]).map(partial(baseline_of, model=model, use=use))
         return self.space.point_of(parameters)

@@ -31,7 +31,7 @@ MIN_PRIOR_COST = 0.02  # nats per fix; a larger cost of the prior leads to a rem
 MIN_SCATTER = 0.5  # m per axis; if fixes scatter less, the receiver smooths them or uses RTK
 UNKNOWN = "A log without truth does not show an error that all fixes have in common"
 AT_THE_TOP = "at the top of drive.toml"
-TUNE_AGAIN = "tune into a new folder"
+TUNE_AGAIN = "tune again with a new folder"
 STATE_REMEDY = (
     f"write the line `gps_std_m = 1.5` {AT_THE_TOP}; replace 1.5 by the standard deviation of the receiver's fixes, "
     f"m per axis; then {TUNE_AGAIN}"
@@ -39,7 +39,7 @@ STATE_REMEDY = (
 
 
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
-    """Return the penalties by the prior on R of n parameter sets on m drives, nats per fix, shape (n, m).
+    """Return the penalties of the prior on R, nats per fix, shape (n, m), for n parameter sets and m drives.
 
     The penalty is 0.5 (log10(R / std^2) / 0.5)^2 if R is smaller than std^2, else 0, averaged over both axes. ``std``,
     shape (m, 2), is the `receiver_std` of each drive, in meters. With the option accuracy, R is that of the median fix.

@@ -112,13 +112,13 @@ class SearchSpace(Bounds):
     fixed: dict[str, Any]
 
     def decode(self, points: Array) -> ParameterTable:
-        """Return the parameter sets of points, shape (n, d)."""
+        """Convert points, shape (n, d), to parameter sets."""
         values = self.values(points)
         columns = {name: values[:, indices] for name, indices in self._indices.items()}
         return ParameterTable(self._any, columns, len(points))
 
     def point_of(self, parameters: FilterParameters) -> Array:
-        """Return the point of a parameter set, shape (d,), clipped to the bounds.
+        """Convert a parameter set to a point, shape (d,), clipped to the bounds.
 
         A parameter that is None is replaced by the middle of its bounds.
         """

@@ -182,7 +182,7 @@ def _problem_of(
     start: FilterParameters | str | Path | None,
     where: "tuple[Executor | None, Client | None]",
 ) -> tuple[Problem[Any], Problem[Any] | None, Array | None, str]:
-    """Return the optimization problems (training, validation), the start filter's point, and `Tuning.choice`."""
+    """Return the optimization problems (training, validation), the start filter as a point, and `Tuning.choice`."""
     model: Any = options.get("model")
     executor, cluster = where
     first: Array | None = None
@@ -230,7 +230,7 @@ def start_point(space: SearchSpace, given: FilterParameters) -> Array:
 
 
 def _center(problem: Problem[Any]) -> Array | None:
-    """Return the point of the baseline; None for a custom model, and for the paper's uniform first swarm."""
+    """Return the baseline as a search point; None for a custom model or the paper's uniform first swarm."""
     config = problem.config.model_dump()
     papers = all(config.get(name) == value for name, value in PAPER_OPTIONS.items())
     return None if papers else problem.baseline_point()
