@@ -37,6 +37,9 @@ def test_the_time_constant_is_searched_with_truth_if_the_model_has_roll_and_pitc
     tau = space.names.index("fix_error_time")
     assert (space.lowest[tau], space.highest[tau], space.logarithmic[tau]) == (0.5, 300.0, True)
     assert space.lowest[space.names.index("r_xy")] == 1e-5
+    blind = search_space("tilted12", "log10", kind="ekf", use=USE)
+    assert set(space.names) - set(blind.names) == {"fix_error_time"}
+    assert blind.decode(blind.low[np.newaxis])[0].fix_error_time == 30.0
     planar = [search_space("planar8", "log10", kind="ekf", use=USE, has_truth=each) for each in (True, False)]
     assert planar[0].dimensions == planar[1].dimensions
     drive = make_drive(duration=25.0)
