@@ -85,7 +85,7 @@ def test_inputs_are_those_that_it_fuses(tmp_path: Path):
     )
     with pytest.warns(
         SigmaswarmWarning,
-        match="although the file does not set it; imu0: the yaw is replaced by the heading of the fixes",
+        match="although the file does not set it to true; imu0: the yaw is replaced by the heading of the fixes",
     ):
         assert load(tmp_path, None, text).process_noise == (1e-3,) * 8  # which YAML 1.1 takes for text
 

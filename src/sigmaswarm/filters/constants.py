@@ -15,9 +15,9 @@ consecutive rejections is not limited: during rejections the fixes determine the
 is plausible.
 """
 HEADING_GATE = 9.0
-"""Largest NIS of a heading.
+"""Upper limit of the NIS of a heading.
 
-If the NIS is larger, the variance is increased until the NIS has this value (G. Chang, Robust Kalman filtering based on
+If the NIS would be larger, S is increased until the NIS has this value (G. Chang, Robust Kalman filtering based on
 Mahalanobis distance as outlier judging criterion, Journal of Geodesy 88, 2014). A filter with a wrong heading can
 therefore recover.
 """

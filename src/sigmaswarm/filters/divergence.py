@@ -36,7 +36,7 @@ POSITION_OFF = 20.0  # m, smallest difference of a fix from its prediction
 SUSPECT_HEADING = np.radians(10.0)  # rad, difference from the rough heading that requires an alignment
 SPEED_STD = 10.0  # m/s per axis, standard deviation of the velocity after a reset to the last fix
 CHECKS, SINCE, LAST = range(3)
-"""Columns of a contradiction's record: its number of checks, and the times (s) of its first and last check."""
+"""Columns of the record of a contradiction between filter and fixes: number of checks, first and last time (s)."""
 
 
 @dataclass(frozen=True, eq=False)

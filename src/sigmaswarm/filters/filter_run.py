@@ -137,7 +137,7 @@ class FilterRun:
         self._complete = True
 
     def _run_to(self, stops: Indices, record: Array) -> Mask:
-        """Run to the last of ``stops``, (r,), indices of steps after IMU samples; return `EstimateChunk.lost`, (r,).
+        """Run to the last of the steps ``stops``, (r,), each after an IMU sample; return `EstimateChunk.lost`, (r,).
 
         Stopping the filter at every check would take longer than the steps themselves. Therefore, a filter with a
         constant R runs to the end, and its recorded estimates are checked afterwards. If it diverged, it runs again up

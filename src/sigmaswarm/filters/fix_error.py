@@ -8,8 +8,8 @@ position of the antenna, b the correlated error and v white noise. Between two f
 
 where g and tau are the parameters ``fix_error`` and ``fix_error_time``, and s is the stated standard deviation of the
 later fix or, if none is stated, ``fix_std``. A filter starts at a fix with an estimate of 0 for b. Therefore the error
-of the position is b, and the error of the estimate of b is -b: P_bb = g s^2, P_pp += g s^2, P_pb = -g s^2. Returned
-estimates omit b.
+of the position contains b, and the error of the estimate of b is -b: P_bb = g s^2, P_pp += g s^2, P_pb = -g s^2.
+Returned estimates omit b.
 """
 
 from collections.abc import Callable

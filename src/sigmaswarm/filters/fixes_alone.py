@@ -91,7 +91,7 @@ def fitted_noise(ready: PreparedDrive) -> MotionNoise:
 
 
 class FixesAlone:
-    """Run of this filter over a drive, which yields one piece with estimates at the times of the IMU samples."""
+    """Run of the filter that uses only fixes: an iterator of one piece, with estimates at the IMU samples."""
 
     failure: str | None = None
     restarts: Sequence[float] = ()

@@ -11,11 +11,11 @@ times that of the quick average. The averages give two inputs in (-1, 1), ``rati
     ratio is large, and rises            R g_R      Q           first R grows,
     ratio is large, and does not rise    R g_R      Q g_Q       later also Q
 
-The factors are the mean of the consequents, weighted by the memberships of their rules, which sum to 1. This is the
-inference of T. Takagi and M. Sugeno (Fuzzy identification of systems and its applications to modeling and control, IEEE
-Trans. SMC 15(1), 1985) of order zero, with the product for "and". The ratio follows P. J. Escamilla-Ambrosio and N.
-Mort, Hybrid Kalman filter-fuzzy logic adaptive multisensor data fusion architectures, CDC 2003. The rules, the
-membership functions and the two averages are our own.
+The factors of R and Q are the means of the consequents, weighted by the memberships of the rules, which sum to 1. This
+is the inference of T. Takagi and M. Sugeno (Fuzzy identification of systems and its applications to modeling and
+control, IEEE Trans. SMC 15(1), 1985) of order zero, with the product for "and". The ratio follows P. J.
+Escamilla-Ambrosio and N. Mort, Hybrid Kalman filter-fuzzy logic adaptive multisensor data fusion architectures, CDC
+2003. The rules, the membership functions and the two averages are our own.
 
 The ratio is computed from S before the update. The update uses the new R, and the next predictions use the new Q. With
 gains of 1 the filter equals the unscented filter.

@@ -132,7 +132,7 @@ class KernelArray:
         return constants
 
     def compute_starts(self, initial: Sequence[InitialState]) -> None:
-        """Compute the starts in advance, unless they would need much memory."""
+        """Compute the starts in advance, unless they would need too much memory."""
         unknown = tuple(dict.fromkeys(initial))
         if len(unknown) * len(self._start_std) <= MAX_STARTS:
             self._starts = self._starts_at(unknown, self._start_std)

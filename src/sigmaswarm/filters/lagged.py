@@ -12,7 +12,7 @@ from sigmaswarm.filters.compiled.step_log import logged_rows
 
 LAG_ROUNDING = 1e-6  # s, largest rounding error of a lag
 N_LOGGED = live.N_ALL
-"""Index of the number of logged steps, which follows the state of a live filter; the log follows this number."""
+"""Index of the number of logged steps; this number is stored after the state of a live filter, before the log."""
 STEP_LOG = N_LOGGED + 1
 
 

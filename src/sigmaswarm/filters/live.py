@@ -85,9 +85,9 @@ class LiveFilter:
     s later, both samples are used, as after a gap; otherwise the first sample is dropped and counted in ``time_jumps``.
     The same rule applies to fixes; IMU samples near the time of a fix also confirm it.
 
-    The divergence monitor compares the filter once a second with the latest fixes and resets it if it has diverged
-    (`divergence`). If fixes are delayed, the reset is later than in `run_filter`. Fixes from before a reset count as
-    too late.
+    The divergence monitor compares the filter at most once a second with the latest fixes and resets it if it has
+    diverged (`divergence`). If fixes are delayed, the reset is later than in `run_filter`. Fixes from before a reset
+    count as too late.
 
     The memory has a fixed size. The first filter of a process loads or compiles the code (`compiled.live`,
     `divergence.compile_resets`).

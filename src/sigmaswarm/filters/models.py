@@ -54,7 +54,7 @@ def planar5(state: Array, dt: float, imu: Array) -> Array:
 
 
 def planar8(state: Array, dt: float, imu: Array) -> Array:
-    """Propagate like planar5, with constant biases of accelerometer (x, y) and gyro (z) subtracted from the IMU."""
+    """Propagate like planar5; first subtract constant biases of accelerometer (x, y) and gyro (z) from ``imu``."""
     return np.concatenate([planar5(state[:5], dt, imu - state[5:]), state[5:]])
 
 
@@ -251,7 +251,7 @@ class CarModel:
 
     @cached_property
     def gyro_indices(self) -> tuple[int, ...]:
-        """Indices in the state of the gyro biases about the x, y and z axes; -1 for an axis without a bias."""
+        """State indices of the gyro biases about the x, y and z axes; -1 for an axis without an estimated bias."""
         return tuple(self.gyro_axes.get(f"g{axis}", -1) for axis in "xyz")
 
 

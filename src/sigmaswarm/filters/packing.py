@@ -103,7 +103,7 @@ def definite(covariance: Array) -> Mask:
 
 @cached(nogil=True, error_model="numpy")
 def _find_definite(rows: Array, first: int, n: int, ok: int, definite: Mask) -> None:
-    """Find definite covariances (n, n), packed in rows (m, s, r) from row ``first`` on, as in `_upper`.
+    """Find positive definite covariances (n, n), packed in rows (m, s, r) from row ``first`` on, as in `_upper`.
 
     ``ok``: row that must be 1 (the filter never failed); the state and sums must then also be finite. -1: the rows
     contain only covariances. The results are written to ``definite``, (m, r).

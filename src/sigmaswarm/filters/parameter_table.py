@@ -1,4 +1,4 @@
-"""Many parameter sets as columns of numbers, since building an object for each set takes as long as running a drive."""
+"""Many parameter sets as columns of numbers, since building one object per set takes as long as running the filters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

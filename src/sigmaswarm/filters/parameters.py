@@ -104,7 +104,8 @@ class FilterParameters:
     bias_std : tuple of float, length 2
         planar8, tilted12: standard deviation of the biases at the start, m/s2 and rad/s.
     imu_noise : tuple of float, length 2 or 3
-        robot-localization: variances of gz, (rad/s)2, of ax, (m/s2)2, and of ay, if it is fused, in the IMU's messages.
+        robot-localization: variances in the IMU's messages: gz, (rad/s)2; ax, (m/s2)2; and, if it is fused, ay,
+        (m/s2)2.
     imu_gate : tuple of float, length 2
         robot-localization: largest accepted NIS of gz and of ax; inf: no limit.
     velocity_noise : float or None
@@ -230,7 +231,7 @@ class FilterParameters:
     def scaled(self, factor: float) -> "FilterParameters":
         """Multiply all noise variances by a factor, which hardly changes the estimates.
 
-        The initial standard deviations of the biases are multiplied by the root of the factor. The other initial
+        The initial standard deviations of the biases are multiplied by the square root of the factor. The other initial
         covariances and the covariance that IMU gaps add do not change. The estimates change if a gate or ``robust_dof``
         is set, since these depend on the covariance.
 
@@ -286,7 +287,7 @@ class FilterParameters:
 
     @classmethod
     def from_content(cls, content: dict[str, Any], path: Path) -> "FilterParameters":
-        """Validate the table ``[filter]`` of the content of the file ``path``."""
+        """Validate the table ``[filter]`` in the content of the file ``path``."""
         if not isinstance(content.get("filter"), dict):
             raise InputError(f"{path}: has no [filter] table; name a file written by `sigmaswarm tune`")
         parameters = cls._validated(content["filter"], path)
@@ -353,7 +354,7 @@ def incompatibility(kind: str, use: Collection[str]) -> str | None:
         return "robust and gate can't be combined: robust reduces the weight of fixes that gate rejects; leave out one"
     if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"):
         return (
-            f"robust can't be combined with {kind}, which adapts its noise to outliers; use ukf or ekf, or "
+            f"robust can't be combined with {kind}, which itself adapts to outliers; use ukf or ekf, or "
             "leave robust out"
         )
     if "accuracy" in use and kind == "adaptive-ukf":
@@ -363,7 +364,7 @@ def incompatibility(kind: str, use: Collection[str]) -> str | None:
         )
     if "fix-error" in use and kind not in ("ukf", "ekf"):
         return (
-            f"fix-error can't be combined with {kind}, which adapts its noise; use ukf or ekf, or leave "
+            f"fix-error can't be combined with {kind}, which adapts to the innovations; use ukf or ekf, or leave "
             "fix-error out"
         )
     return None

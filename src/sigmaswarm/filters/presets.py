@@ -59,9 +59,9 @@ HALF_A_WHEELBASE = 1.3  # m from the rear axle to an IMU in the middle of a car
 MODEL_NOISE = {"accel": 0.3, "gyro": 1e-3}
 """Noise density for unmodeled effects (slopes, vibration, scale factors, mounting), m/s2/sqrt(Hz) and rad/s/sqrt(Hz).
 
-Its square is added to the squared density of the sensor. IMUs at standstill have 0.001 to 0.04 m/s2/sqrt(Hz) and 4e-5
-to 2e-4 rad/s/sqrt(Hz). On six drives, a filter with the densities of data sheets alone drifted 1.3 to 60 times as far
-in 5 s as the tuned filter.
+Its square is added to the squared density of the sensor. IMUs at standstill have densities of 0.001 to 0.04
+m/s2/sqrt(Hz) and 4e-5 to 2e-4 rad/s/sqrt(Hz). On six drives, a filter with the densities of data sheets alone drifted
+1.3 to 60 times as far in 5 s as the tuned filter.
 """
 ADDED_VARIANCE = 0.1**2  # m2, added to the stated variance of each fix
 
@@ -135,7 +135,7 @@ def _robot_localization(drive: Drive, like: FilterParameters, plain: FilterParam
 
 
 def filter_for(given: FilterParameters | str | Path, dataset: Dataset) -> FilterParameters:
-    """Load a filter; for an ekf.yaml, use the variances in the messages of the dataset's first drive."""
+    """Load a filter; for an ekf.yaml, use the variances stated in the messages of the first drive's log."""
     if isinstance(given, FilterParameters):
         return given
     parameters = FilterParameters.load(given)
@@ -146,7 +146,7 @@ def filter_for(given: FilterParameters | str | Path, dataset: Dataset) -> Filter
 
 
 def _as_stated(drive: Drive, p: FilterParameters) -> FilterParameters:
-    """Return a robot_localization filter with the variances that are stated in the messages of a drive."""
+    """Return a robot_localization filter with the variances that are stated in the messages of a drive's log."""
     gyro, accel = _stated_imu(drive, p)[:2]
     stated = [gyro, *[accel] * (len(p.imu_noise) - 1)]
     imu = tuple(r if r == NOT_FUSED else variance for r, variance in zip(p.imu_noise, stated, strict=True))

@@ -133,7 +133,7 @@ def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
 
 
 def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float | None:
-    """Return the square of the first Mahalanobis threshold in the file for one of ``names``; None: no limit."""
+    """Return the squared Mahalanobis threshold of the first of ``names`` that has one in the file; None: no limit."""
     keys = [key for name in names or () if (key := f"{name}_rejection_threshold") in block]
     if not keys:
         return None
@@ -148,7 +148,7 @@ def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float |
 
 def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:
     if block.get("two_d_mode") is not True:
-        yield "two_d_mode is assumed, although the file does not set it"
+        yield "two_d_mode is assumed, although the file does not set it to true"
     if block.get("dynamic_process_noise_covariance") is True:
         yield "the setting dynamic_process_noise_covariance is ignored"
     if "alpha" in block:

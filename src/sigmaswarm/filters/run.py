@@ -60,7 +60,7 @@ class Estimate:
     def columns(self, *, std: bool = False) -> dict[str, Array]:
         """Return time and states by name, in the units of ``mean``, each of shape (n,).
 
-        ``std``: also return standard deviations, named ``std_STATE``, if there is a covariance.
+        ``std``: True to also return standard deviations, named ``std_STATE``, if there is a covariance.
         """
         states = MODELS["tilted12"].names  # begins with the returned states of all other models
         named = {"t": self.time} | dict(zip(states, self.mean.T, strict=False))

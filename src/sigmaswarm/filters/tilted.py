@@ -124,7 +124,7 @@ def minus(state: Array, other: Array) -> Array:
 
 
 def nearest(error: Array, near: Array) -> Array:
-    """Add whole turns to the rotation vector of an error (12,), so that it is nearest to that of ``near``."""
+    """Add whole turns to the rotation vector of an error (12,), to bring it as near as possible to that of ``near``."""
     vector, other = error[ATTITUDE], near[ATTITUDE]
     angle = np.sqrt(vector @ vector)
     if not angle > 0:
@@ -281,7 +281,8 @@ def add_tilt_evidence(mean: Array, covariance: Array, seen: Array) -> None:
     """Update mean (12,) and covariance (12, 12) of a level start with `TiltEvidence.numbers`, in place.
 
     The evidence is the mean specific force, forward and left, which gives two Kalman updates. The state of the
-    alignment depends on an assumed distribution of the forward force; here the updated distribution replaces it.
+    alignment depends on an assumed distribution of the forward force; here the updated distribution replaces the
+    assumed one.
     """
     c, s = np.cos(mean[THETA]), np.sin(mean[THETA])
     re, im = GRAVITY * (seen[TURN] * c + seen[TURN + 1] * s), GRAVITY * (seen[TURN + 1] * c - seen[TURN] * s)

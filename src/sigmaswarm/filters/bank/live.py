@@ -55,13 +55,13 @@ class _Snapshot:
 class LiveFilterBank(LiveFilter):
     """Sixteen filters with different parameters for one stream of samples; the estimate is their mixture.
 
-    The weight of a filter depends on the prior of its offsets and on its evidence: the log-likelihood of the fixes,
-    whose weight decays. Filter 0 has the tuned parameters and equals a `LiveFilter`. Filters 1 to 7 have fixed offsets,
-    for larger biases and for other receivers. Every 10 s of driving, the filters with the lowest weights among filters
-    8 to 15 are replaced: one by the result of a search over the last minute, and each of the others by a randomly
-    changed copy of a good filter. Thus the bank adapts to other sensors or reception. On the vehicle of the training
-    drives, the bank is not more accurate than a single filter. If the mixture diverges, filters 1 to 15 are reset; most
-    of them keep the biases of the mixture.
+    The weight of a filter depends on the prior of its offsets and on its evidence: the log-likelihood of the fixes, in
+    which older fixes count less. Filter 0 has the tuned parameters and equals a `LiveFilter`. Filters 1 to 7 have fixed
+    offsets, for larger biases and for other receivers. Every 10 s of driving, the filters with the lowest weights among
+    filters 8 to 15 are replaced: one by the result of a search over the last minute, and each of the others by a
+    randomly changed copy of a good filter. Thus the bank adapts to other sensors or reception. On the vehicle of the
+    training drives, the bank is not more accurate than a single filter. If the mixture diverges, filters 1 to 15 are
+    reset; most of them keep the biases of the mixture.
 
     The interface is that of a `LiveFilter`, without the smoothed state. A copy by `pickle` continues with identical
     results. After a reset, all filters ignore fixes from before the reset.
@@ -82,9 +82,9 @@ class LiveFilterBank(LiveFilter):
     prior : OffsetPrior
         Prior distribution and names of the offsets from the tuned parameters.
     offsets : ndarray, shape (16, d)
-        Offsets of the filters in decades; for the rear axle in m.
+        Offsets of the filters from the tuned parameters, in decades of variance; for the rear axle in m.
     n_searches : int
-        Number of searches with a result.
+        Number of searches whose results were used.
     restarts : list of float
         Times of the resets of filter 0, s; ``bank_restarts`` contains the times for the other filters.
     """
@@ -167,7 +167,7 @@ class LiveFilterBank(LiveFilter):
         return KernelArray(sets).start([start], [self._interval])[0]
 
     def count_only(self, lanes: int) -> None:
-        """Weight only the first ``lanes`` filters, as in an export of ``lanes`` filters; searches must be off."""
+        """Give weights only to the first ``lanes`` filters, as in an export of these filters; searches must be off."""
         self._counted = lanes
         self._numbers[swarm.PENALTY][lanes:] = np.inf
         swarm.weigh(self._filter_state)
@@ -199,7 +199,7 @@ class LiveFilterBank(LiveFilter):
         self._due = now + (SEARCH_DELAY if self._pending else SEARCH_INTERVAL - SEARCH_DELAY)
 
     def _settled_checkpoint(self) -> tuple[int, Array, Array] | None:
-        """Return the last checkpoint that no late fix can change: index in the history, record, and checkpoint."""
+        """Return the last checkpoint that no late fix can change (history index, record, numbers), or None."""
         arrays = self._memory.arrays
         counts, history, checkpoints = arrays.counts, arrays.history, arrays.checkpoints
         n, kept = int(counts[live.N_SAMPLES]), int(counts[live.N_HISTORY])
@@ -243,7 +243,7 @@ class LiveFilterBank(LiveFilter):
         return first >= int(self._numbers[swarm.LOGGED]) - int(self._numbers[swarm.LOG_LENGTH])
 
     def _logged_steps(self, first: int, last: int) -> Array:
-        """Return steps ``first`` to ``last`` - 1, (k, N_LOG_ROW)."""
+        """Return the logged steps ``first`` to ``last`` - 1, (k, N_LOG_ROW)."""
         length = int(self._numbers[swarm.LOG_LENGTH])
         step_log = self._numbers[STEP_LOG:].reshape(length, N_LOG_ROW)
         return step_log[np.arange(first, last) % length]
@@ -336,10 +336,10 @@ class LiveFilterBank(LiveFilter):
         return mean, covariance
 
     def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
-        """Set the biases of reset filters to those of the mixture, except if their offsets assume other initial biases.
+        """Set the biases of reset filters to those of the mixture.
 
-        The filters keep the gyro bias of the alignment if it is more precise than that of the mixture, or if the two
-        contradict each other.
+        Filters whose constant offsets assume larger initial biases do not change. No filter changes if the gyro bias of
+        the alignment is more precise than that of the mixture, or contradicts it.
         """
         gyro = start.gyro
         if gyro is not None:
@@ -414,7 +414,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def settled(self) -> FilterParameters:
-        """Tuned parameters with the mean offsets `moved`, to be saved as the filter of this car."""
+        """Tuned parameters, changed by the mean offsets `moved`, to be saved as the filter of this car."""
         return self.prior.parameters(self.moved)
 
     @property

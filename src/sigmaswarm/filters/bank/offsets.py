@@ -35,9 +35,9 @@ FIXED_OFFSETS = (
 WARNING_OFFSET, WARNING_AXLE_OFFSET = 0.5, 0.5  # largest offsets without a warning, decades and m
 _MEANS = {
     R: "R is {times}, which indicates a different receiver",
-    SCALE: "all variances are {times}; the tuning did not determine this common factor",
+    SCALE: "the common factor of all variances is {times}; the tuning did not determine this factor",
     **dict.fromkeys(
-        NOISE_OF, "the noise of {name} is {times}, which indicates a different vehicle or mounting"
+        NOISE_OF, "the noise variance of {name} is {times}, which indicates a different vehicle or mounting"
     ),
 }
 
@@ -98,7 +98,7 @@ class OffsetPrior:
         return {"the tuning": [0]} | {name: lanes for name, lanes in groups.items() if lanes}
 
     def penalty(self, offsets: Array) -> Array:
-        """Return log-prior penalties (m,) of offsets (m, d): summed negative logs of Student's t, without constants."""
+        """Return log-prior penalties (m,) of offsets (m, d): sums of -log of Student's t density, without constants."""
         relative = offsets / self.std
         r = relative[..., self.names.index(R)]
         r[r < 0.0] *= R_STD / R_DOWN_STD
@@ -145,7 +145,7 @@ class OffsetPrior:
             elif name not in (START, SCALE):
                 is_its_own = abs(offset) > WARNING_OFFSET or abs(common) <= WARNING_OFFSET
                 if is_its_own and abs(offset + common) > WARNING_OFFSET:
-                    usual = "the noise of {name} is {times}, which indicates a different IMU"
+                    usual = "the noise variance of {name} is {times}, which indicates a different IMU"
                     values = {"name": name.removeprefix("q_"), "times": _times(offset + common)}
                     messages.append(_MEANS.get(name, usual).format(**values))
         return tuple(messages)

@@ -156,7 +156,7 @@ class BankRun:
 
     @property
     def innovations(self) -> Innovations:
-        """Innovations of the mixture in the pieces so far, at the IMU sample after each fix."""
+        """Innovations of the mixture in the pieces so far: at each IMU sample after new fixes, that of the last fix."""
         rows = np.array(self._innovations).reshape(-1, 6)
         return Innovations(rows[:, 0], rows[:, 1:3], rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2))
 
@@ -167,7 +167,7 @@ def _rows(columns: Sequence[Array]) -> Iterator[list[float]]:
 
 
 def _events(drive: Drive) -> Iterator[tuple[float, Any, Any]]:
-    """Yield fixes (time, position, (velocity, std, heading)) and readings (time, None, speed), sorted by time."""
+    """Yield fixes (time, position, (velocity, std, heading)) and odometer readings (time, None, speed), by time."""
     gps, wheels = drive.gps, drive.odometer
     velocity, std, (heading, variance) = gps.velocity, gps.std, headings_of(gps)
     columns = [gps.time, gps.x, gps.y, heading, np.sqrt(variance)]

@@ -34,7 +34,7 @@ def build_kernel(
 ) -> Any:
     """Build a filter from a user's functions; the filter is compiled at its first call.
 
-    ``diagonal``: process_noise returns the diagonal of Q. An index out of bounds in a user's function raises
+    ``diagonal``: True if process_noise returns the diagonal of Q. An index out of bounds in a user's function raises
     IndexError.
     """
     user = njit(error_model="numpy", boundscheck=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
@@ -273,8 +273,8 @@ def _limited_share(z, nis, limit, runs):
 def _limited(nis, limit):
     """Return the NIS, as a term of -2 log likelihood; above the limit, return limit (1 + log(NIS / limit)).
 
-    Above the limit, its derivative with respect to the innovation nu is 2 S^-1 nu limit / NIS, as if S were
-    multiplied by NIS / limit.
+    Above the limit, the derivative of the result with respect to the innovation nu is 2 S^-1 nu limit / NIS, as if S
+    were multiplied by NIS / limit.
     """
     return nis if nis <= limit else limit * (1 + math.log(nis / limit))
 

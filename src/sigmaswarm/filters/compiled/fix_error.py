@@ -62,7 +62,10 @@ def move_fix_error(w, *, n, noted):
 
 
 def observe_fix_error(w, *, n):
-    """Include phi times the fix error, and the gained variance, in nu, H P H^T and C of a fix."""
+    """Add the predicted fix error to the measurement model of a fix.
+
+    phi b enters nu, H P H^T and C; the variance that `age_fix_error` computes enters H P H^T.
+    """
     for l in range(LANES):
         phi = w.PHI
         w.N1 -= phi * w[n - 2]

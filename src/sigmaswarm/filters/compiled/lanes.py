@@ -22,7 +22,8 @@ OPTIONS = {"error_model": "numpy", "nogil": True}
 def kernel(function, **known):
     """Return a function as a `Kernel`, with keyword-only parameters bound to ``known`` and vectorized loops over lanes.
 
-    The first parameter of the function is the array of rows ``w``. A function with a lane ``l`` may return a value.
+    The first parameter of the function is the array of rows ``w``. A function with the lane ``l`` as a parameter may
+    return a value.
     """
     return Kernel(function, None if config.DISABLE_JIT else put_loops, **known)
 
@@ -32,7 +33,7 @@ _FLUSH_SUBNORMALS = 0x8040  # bits of an x86 control register that replace subno
 
 @intrinsic
 def _exchange_control(typing_context, control):
-    """Set the floating-point control register and return its old value; -1 adds the bits `_FLUSH_SUBNORMALS`.
+    """Set the floating-point control register and return its old value; for -1, add the bits `_FLUSH_SUBNORMALS`.
 
     Precise measurements reduce covariances to subnormal numbers, and an operation with these takes a hundred cycles.
     The function has no effect on processors other than x86.

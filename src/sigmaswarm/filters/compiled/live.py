@@ -104,10 +104,10 @@ S_MEANS = slice(S_CALM + 1, S_CALM + 5)
 N_RECORD = S_MEANS.stop
 
 TAKEN, IGNORED, LEFT_OUT = 1, 0, -1
-"""Reasons:
+"""Results for a fix or an odometer reading.
 
-IGNORED: repeated, before the start, or waiting; LEFT_OUT: too late, no room, not finite, or a wheel speed whose time is
-far ahead.
+IGNORED: repeated, a fix that is before the start or waits for confirmation, or a reading that is not used. LEFT_OUT:
+too late, no free row, time or speed not finite, or a reading whose time is far ahead.
 """
 DUE = 2  # result of a sample: used, and the divergence monitor is due
 
@@ -117,7 +117,7 @@ _plain = njit(**OPTIONS)  # operations are not reordered: time slots must equal 
 
 @_plain
 def _step_to(step, v, to, u, events, z, wheels):
-    """Compute the step to a time; ``u`` (N_STEP,) contains axes and gap, and DT and Q_SCALE are set here."""
+    """Compute the step to a time; ``u`` (N_STEP,) contains axes and gap; its DT and Q_SCALE are set here."""
     dt = to - v[TIME]
     scale = dt / v[NOMINAL]
     v[SINCE] += scale
@@ -203,7 +203,7 @@ def _process_sample(step, v, counts, fixes, speeds, t, u, calm, means, number):
 
 @_plain
 def _until(rows: np.ndarray, n: int, now: float) -> int:
-    """Return the number of rows, of the first n, whose time (column 0) is at most ``now``."""
+    """Return how many of the first n rows have a time (column 0) of at most ``now``; rows are sorted by time."""
     while n > 0 and rows[n - 1, 0] > now:
         n -= 1
     return n
@@ -231,7 +231,7 @@ def _record(counts, history, k):
 
 @_plain
 def _store_fix(v, counts, fixes, history, z):
-    """Insert a fix, sorted by time; if no row is free, first remove fixes that are no longer needed."""
+    """Insert a fix in order of time; if no row is free, first remove fixes that are no longer needed."""
     if counts[N_FIXES] == fixes.shape[0]:
         oldest = _record(counts, history, 0)[TIME] if counts[N_HISTORY] > 0 else v[TIME]
         old = 0
@@ -295,7 +295,7 @@ def _store_reading(v, counts, speeds, history, t, speed):
 
 @_plain
 def _process_in_order(step, v, counts, memory, fixes, speeds, history, checkpoints, sample):
-    """Process an IMU sample with an accepted time; in a gap before it, use the mean of this and the last sample."""
+    """Process an IMU sample with an accepted time; in a gap before it, use the mean of the samples around the gap."""
     t, last, gap = sample[0], v[SAMPLE], 0.0
     if last[0] > -math.inf:
         interval = t - last[0]
@@ -356,7 +356,7 @@ def _first_after(counts, history, t):
 def replay(step, v, counts, fixes, speeds, history, checkpoints, first, corrects):
     """Process the stored samples again from index ``first`` on; ``v`` is the state before this sample.
 
-    ``corrects``: also replace the stored states and checkpoints.
+    ``corrects``: True to also replace the stored states and checkpoints.
     """
     for number in range(first, counts[N_HISTORY]):
         record = _record(counts, history, number)
@@ -441,7 +441,7 @@ def _is_due(v, counts, fixes, t):
 
 
 def _sample(handle, t, a, b, c, d, e, f):
-    """Process an IMU sample; a sample far ahead waits for a second sample."""
+    """Process an IMU sample; if its time is far ahead, it waits for a second sample."""
     step, v, counts, memory, fixes, speeds, history, checkpoints, lately = memory_at(handle)
     if not v[LAST_SAMPLE] < t < math.inf:
         return NOTHING
@@ -477,7 +477,7 @@ def _sample(handle, t, a, b, c, d, e, f):
 
 
 def _fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta):
-    """Process a fix; a fix far ahead waits for a second fix."""
+    """Process a fix; if its time is far ahead, it waits for a second fix."""
     step, v, counts, _, fixes, speeds, history, checkpoints, _ = memory_at(handle)
     if not math.isfinite(t):
         counts[TOO_LATE] += 1
@@ -533,7 +533,7 @@ def _definite(handle):
 
 @call_once
 def replay_call():
-    """Return `replay`, compiled and cached; a smoother passes as ``step`` a `single_step` that logs its steps."""
+    """Return `replay`, compiled and cached; the ``step`` of a smoother is a `single_step` that logs its steps."""
     return cached_by_sources(getattr(replay, "py_func", replay), "live again")
 
 
@@ -541,7 +541,7 @@ def replay_call():
 class LiveCalls:
     """Compiled functions that change or read the memory of a live filter; their first argument is `Memory.handle`.
 
-    - ``sample(handle, t, a, b, c, d, e, f)``: process an IMU sample, axes in the filter's order
+    - ``sample(handle, t, a, b, c, d, e, f)``: process an IMU sample; ``a`` to ``f``: axes in the filter's order
     - ``fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta)``
     - ``speed(handle, t, speed)``: process an odometer reading
     - ``heading(handle, gyro_bias)``: heading (rad) from samples and fixes, see `rough_heading`; NaN if unknown

@@ -22,7 +22,7 @@ _plain = njit(**OPTIONS)
 
 @_plain
 def last_fix(fixes, end, until, after):
-    """Return the row, before row ``end``, of the last usable fix in (after, until]; -1 if there is none."""
+    """Return the row of the last usable fix in (after, until], among the rows before ``end``; -1 if there is none."""
     for f in range(end - 1, -1, -1):
         if fixes[f, _T] <= after:
             break
@@ -67,10 +67,10 @@ def rough_heading(samples, newest, n, fixes, end, gyro_bias):
 
 @_plain
 def _way(samples, k, steps, since, until, gyro_bias):
-    """Return the displacement, m east and north, between two times, and the turn from the first to the last sample.
+    """Return a displacement between two times, m east and north, and the turn from the first to the last sample.
 
-    The speed is 1 m/s and the initial heading is 0. Row ``k`` is the last sample up to ``since``; ``steps`` samples
-    follow.
+    The displacement is that of a motion at 1 m/s with the initial heading 0. Row ``k`` is the last sample up to
+    ``since``; ``steps`` samples follow.
     """
     before, east, north, turned, cos, sin = samples[k, 0], 0.0, 0.0, 0.0, 1.0, 0.0
     for _ in range(steps):

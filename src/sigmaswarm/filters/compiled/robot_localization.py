@@ -1,4 +1,4 @@
-"""The extended filter of robot_localization in ``two_d_mode``.
+"""The extended Kalman filter of robot_localization in ``two_d_mode``.
 
 `models.robot_localization` contains the equations. The eight states are in planar8's rows: x, y, vx, vy (body), yaw,
 ax, ay (body), yaw rate. F is a product of elementary matrices, one for each row of F that differs from the identity. R
@@ -30,7 +30,7 @@ from sigmaswarm.filters.compiled.measurements import add_forecast, add_likelihoo
 from sigmaswarm.filters.compiled.unroll import Generated
 
 USES_VY, USES_AY = LATERAL, STANDSTILL
-"""Bits of a step: update with vy = 0 of a twist, and with the IMU's ay."""
+"""Bits of a step: update with vy = 0 from a twist message, and update with the IMU's ay."""
 R_GZ, R_AX, R_AY, R_VY = R.R_RATE, R.R_VELOCITY, R.R_STANDSTILL, R.R_LATERAL
 GATE_GZ, GATE_AX = R.REAR_AXLE, R.TIRE_SLIP
 """Rows of the NIS limits of gz and ax; the rows are named after constants that this model does not have."""

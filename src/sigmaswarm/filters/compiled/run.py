@@ -98,7 +98,7 @@ def _add(w, l, x, y, wrong, scores_heading):
 
 
 def _score(w, weight, true_x, true_y, true_theta, scores_heading, *, heading):
-    """Add squared errors at a time of truth, and the NEES of the position with P at the later IMU sample."""
+    """Add to the sums the squared errors at a time of truth, and the position's NEES with P at the later IMU sample."""
     for l in range(LANES):
         x, y, wrong = _off_between(w, l, weight, true_x, true_y, true_theta, heading)
         _add(w, l, x, y, wrong, scores_heading)

@@ -97,7 +97,7 @@ _PREDICTIONS = {
 def step_of(name, *, noted=False):
     """Return the step of the kernel ``name`` for LANES filters, as a function that callers inline.
 
-    ``noted``: the step also writes the inputs of a smoother to scratch rows; see `step_log`.
+    ``noted``: True to also write the inputs of a smoother to scratch rows; see `step_log`.
     """
     model = FILTERS[name]
     if model.measures_imu:

@@ -17,7 +17,7 @@ def _moves_of(name):
 
 
 def logged_rows(name):
-    """Return the logged rows: state after the updates, prediction, length of the step, A, and phi of `fix_error`."""
+    """Return the logged rows: updated state, prediction, length of the step, coefficients of A, phi of `fix_error`."""
     state, n_moves = state_rows(name), 1 + len(_moves_of(name)) + FILTERS[name].fix_error
     return np.array([*state, *(PRIOR + state), *range(MOVE, MOVE + n_moves)], dtype=np.intp)
 

@@ -177,7 +177,7 @@ def _rotation_vector(scalar, vector, near):
 
 
 def _rotation_vector_far(scalar, vector, near):
-    """Return the rotation vector of a quaternion that is nearest to ``near``."""
+    """Return, of all rotation vectors of a quaternion, the nearest to ``near``."""
     (q1, q2, q3), (x, y, z) = vector, near
     length = math.sqrt(_square(vector)) + TINY
     sine = -length if q1 * x + q2 * y + q3 * z < 0.0 else length

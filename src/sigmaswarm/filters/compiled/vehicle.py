@@ -46,7 +46,7 @@ def update_pair(w, *, n, tilted):
 
 
 def axis_of(bias):
-    """Return the index in a step of the gyro axis whose bias is in row ``bias``."""
+    """Return the index, among the numbers of a step, of the gyro axis whose bias is in row ``bias``."""
     return {R.W: GZ, R.K: GX, R.L: GY}[bias]
 
 

@@ -102,7 +102,7 @@ class LiveModel:
         Raises
         ------
         InputError
-            If the number of inputs is wrong, an input is not finite, or t is not a number.
+            If the number of inputs is wrong, an input is not finite, or t is not numeric.
         """
         u, t = _numbers("inputs", inputs, self._n_inputs), _seconds(t)
         if not self._time < t < np.inf:
@@ -128,7 +128,7 @@ class LiveModel:
         Raises
         ------
         InputError
-            If the number of elements is wrong, an element is infinite, or t is not a number.
+            If the number of elements is wrong, an element is infinite, or t is not numeric.
         """
         z, t = _numbers("measurement", measurement, self._m, absent=True), _seconds(t)
         if t > self._time or (t == self._time and not self._samples):

@@ -1,4 +1,4 @@
-"""Run and smooth filters of users' models over logs; a model that can't be compiled runs in textbook form."""
+"""Run filters of users' models over logs, compiled or in textbook form, and smooth their estimates."""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence

@@ -33,7 +33,7 @@ from sigmaswarm.geodesy import wrap_angle
 
 
 class Car:
-    """Filter on a drive's time line, in textbook form; a script for FilterPy contains this class.
+    """Filter on a drive's time line, in textbook form; the exported script for FilterPy contains this class.
 
     ``filter`` has the interface of `GaussianFilter`; its ``mean`` and ``covariance`` may be set before a step.
     ``noise`` has the current diagonals of Q and R. ``measured``: see `requirements.measured_by`.

@@ -42,7 +42,11 @@ class Trajectory:
 def run_steps(
     stepper: Stepper, records: Sequence[int], *, n_rows: int, covariances: bool = True
 ) -> Trajectory:
-    """Compute the steps up to a failure; ``records``: row of the trajectory (``n_rows``) after each step, or -1."""
+    """Compute the steps up to a failure.
+
+    ``records``: for each step, the row of the trajectory that stores the state after the step; -1 to store nothing.
+    ``n_rows``: number of rows of the trajectory.
+    """
     trajectory = Trajectory.empty(n_rows, len(stepper.filter.mean), covariances=covariances)
     for i, row in enumerate(records):
         if _fails(stepper, i):
