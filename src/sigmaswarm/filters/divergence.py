@@ -288,7 +288,7 @@ def compile_resets() -> None:
 
 
 def state_at_fix(time: float, fix: Array, variance: Array, theta: float, lever: Array) -> InitialState:
-    """Return the state at a fix, (2,) m, with its variance, (2,) m2, an unknown speed, and an uncertain heading."""
+    """Return the state at a fix (m) with its variance (m2), both (2,), an unknown speed and an uncertain heading."""
     c, s = np.cos(theta), np.sin(theta)
     turned = np.array([c * lever[0] - s * lever[1], s * lever[0] + c * lever[1]])
     mean = np.array([*(fix - turned), 0.0, 0.0, theta])

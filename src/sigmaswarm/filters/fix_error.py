@@ -97,7 +97,7 @@ def transition(n: int, phi: float) -> Array:
 
 
 def add_start(mean: Array, covariance: Array, variance: Array) -> None:
-    """Add b with the variance g s^2, (...) m2, to initial means (..., n) and covariances (..., n, n), in place."""
+    """Add b to initial means (..., n) and covariances (..., n, n), in place; ``variance`` (...) is g s^2, m2."""
     for position, b in ((0, -2), (1, -1)):
         mean[..., b] = 0.0
         covariance[..., b, b] = variance

@@ -138,7 +138,7 @@ class KernelArray:
             self._starts = self._starts_at(unknown, self._start_std)
 
     def start(self, initial: Sequence[InitialState], nominal_intervals: Sequence[float]) -> Array:
-        """Return the rows of the filters at m starts, (blocks * m, N_KEPT, width); intervals of the IMU in s."""
+        """Return the rows of the filters at m starts, (blocks * m, N_KEPT, width); nominal IMU intervals in s."""
         blocks, m, starts = self.blocks, len(initial), self._starts
         if not all(start in starts for start in initial):
             starts = self._starts_at(tuple(dict.fromkeys(initial)), self._start_std)

@@ -172,8 +172,8 @@ class LiveFilter:
     def predict(self, t: float, imu: Sequence[float]) -> None:
         """Process an IMU sample; ignore a sample whose time is not after that of the last sample.
 
-        A sample more than 10 s ahead waits: see `LiveFilter`. Samples before the start are used only to estimate the
-        noise at rest, for the detection of standstills.
+        A sample more than 10 s ahead waits: see `LiveFilter`. Samples before the start do not change the state; they
+        are used only to detect gaps, standstills and divergence.
 
         Parameters
         ----------
@@ -185,7 +185,7 @@ class LiveFilter:
         Raises
         ------
         InputError
-            If the number of axes differs from that of the model, or a value is not a number.
+            If the number of axes differs from that of the model, or a value is not numeric.
         """
         if len(imu) != len(self._axes):
             raise InputError(
@@ -223,7 +223,7 @@ class LiveFilter:
         Raises
         ------
         InputError
-            If a value is not a number, or the filter needs ``std`` and it is missing.
+            If a value is not numeric, or the filter needs ``std`` and it is missing.
         """
         try:
             p = self.parameters

@@ -82,7 +82,7 @@ def _upper(n: int) -> tuple[Indices, Indices]:
 
 
 def sound_columns(rows: Array, model: str) -> Mask:
-    """Return True where the final rows (m, N_KEPT, r) have no failure and a positive definite P, (m, r)."""
+    """Return a mask (m, r), True where the final rows (m, N_KEPT, r) show no failure and a positive definite P."""
     sound = np.empty((len(rows), rows.shape[2]), dtype=np.bool_)
     _find_definite(rows, P0, len(FILTERS[model].states), R.OK, sound)
     return sound

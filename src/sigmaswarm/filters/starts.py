@@ -20,7 +20,7 @@ def start_of(initial: InitialState, p: FilterParameters) -> tuple[Array, Array]:
 
 
 def start_std(p: FilterParameters) -> Array:
-    """Return the initial standard deviations of the biases, m/s2 and rad/s, and of b of `fix_error`, m; (3,)."""
+    """Return initial standard deviations, (3,), of the biases (m/s2, rad/s) and of b of `fix_error` (m)."""
     return np.array([*p.bias_std, np.sqrt(p.fix_error or 0.0) * p.fix_std])
 
 

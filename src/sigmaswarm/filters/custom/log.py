@@ -22,16 +22,16 @@ class Log:
     ----------
     name : str
     time : ndarray, shape (k,)
-        s, strictly increasing.
+        Times to which the filter steps, s, strictly increasing.
     measurement_time : ndarray, shape (f,)
-        s, strictly increasing; these times may differ from ``time``.
+        Times of the measurements, s, strictly increasing; they may differ from ``time``.
     measurements : ndarray, shape (f, m)
-        (f,) is read as (f, 1). NaN means that an element has no value; the update then uses the other elements.
+        Shape (f,) is read as (f, 1). NaN means that an element has no value; the update then uses the other elements.
         `from_sensors` merges sensors.
     mean, covariance : ndarray, shapes (n,), (n, n)
         State estimate at ``time[0]``, where the filter starts; it must not come from truth.
     inputs : ndarray, shape (k, u), optional
-        Inputs of the process; (k,) is read as (k, 1). If None, the input of f is an empty array.
+        Inputs of the process; shape (k,) is read as (k, 1). If None, the input of f is an empty array.
     truth : mapping of str to ndarray, shape (j,)
         True values of some or all states, by name. No filter uses them.
     truth_time : ndarray, shape (j,), optional

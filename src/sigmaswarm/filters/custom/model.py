@@ -180,7 +180,7 @@ class Model:
         return self.record(*(float(parameters[name]) for name in known))
 
     def limits(self, m: int) -> Array:
-        """Return, for measurements of 1 to m elements, the NIS above which they are outliers, (m,): see ``robust``."""
+        """Return the NIS above which measurements of 1 to m elements are outliers, (m,): see ``robust``."""
         outside = 0.0 if self.robust is None else 1.0 - self.robust
         return chdtri(np.arange(1, m + 1), outside)
 
