@@ -200,7 +200,7 @@ class State:
 
 @dataclass(frozen=True)
 class CarModel:
-    """A process model for cars. The measurements of a model with roll and pitch have a ``jacobian``.
+    """A model for cars: process and measurements. The measurements of a model with roll and pitch have a ``jacobian``.
 
     ``filter_types`` are the compiled filter types, beginning with the default. ``measures_imu``: as in
     robot-localization, acceleration and yaw rate are states that the IMU measures with `FilterParameters.imu_noise`,

@@ -398,7 +398,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def effective(self) -> float:
-        """Effective number of filters: 1 / sum of squared weights."""
+        """Effective number of filters: 1 / sum of squared weights; 0 if all filters have failed."""
         squares = float(np.square(self.weights).sum())
         return 1.0 / squares if squares > 0.0 else 0.0
 
