@@ -155,7 +155,7 @@ def run(
 def evaluate(
     drives: Sequence[Drive] | Drive, parameters: Filter, *, against: Filter | None = None, **options: Any
 ) -> "Evaluation":
-    """Compare a filter with the baseline and the fixes alone; if there is truth, also with raw GPS and dead reckoning.
+    """Compare a filter with the baseline and a filter without IMU; with truth, also with raw GPS and dead reckoning.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Compile functions with Numba, and cache the machine code between processes if this is safe.
 
 Numba caches pickles: a user who can write them can run code with the rights of the user who reads them. Therefore only
-the owner of the cache's folder may write it. If the folder is not writable or a file is damaged, this module compiles
-again, whereas Numba would fail.
+the owner of the cache's folder may write to it. If the folder is not writable or a file is damaged, this module
+compiles again, whereas Numba would fail.
 """
 
 # Numba has types of its own, which a type checker for Python does not know.

@@ -168,7 +168,7 @@ def _smoothed(
 def _tuned(
     receiver: Drive, seed: int, executor: Executor | None, progress: Callable[[Progress], None] | None
 ) -> FilterParameters:
-    """Tune the filter that suits the drive on the good receiver's fixes, without the option ``standstill``.
+    """Tune the default filter without the option ``standstill`` on the good receiver's fixes.
 
     Fixes with errors of a centimeter would make the noise of the standstill constraint very small. One wrongly detected
     standstill in an outage would move the track by meters, while the covariance stays small.
@@ -222,7 +222,10 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
 
 
 def _stretch(ready: PreparedDrive, parameters: FilterParameters, rng: np.random.Generator) -> float:
-    """Return the factor (1 or more) on the smoother's standard deviations with which hidden fixes have `COVERAGE`."""
+    """Return the factor, 1 or more, on the smoother's standard deviations.
+
+    With this factor, the 95% intervals contain 95% of the hidden fixes: see `COVERAGE`.
+    """
     gps, start, end = ready.drive.gps, ready.initial.time, float(ready.drive.imu.time[-1])
     off: list[Array] = []
     for _ in range(PLACEMENTS):

@@ -709,7 +709,7 @@ def test_tune_says_which_filter_it_takes_and_why(sigmaswarm, here: Path):
     because = "an IMU lacks az, gx or gy"
     assert said.splitlines()[0] == f"model:    planar8 with lateral, standstill, robust, since {because}"
     said = sigmaswarm("tune", "plain", "--out", "u", "--use", "lateral", *QUICK).out
-    assert said.splitlines()[0] == f"model:    planar8 with lateral as given, since {because}"
+    assert said.splitlines()[0] == f"model:    planar8 with lateral (as given), since {because}"
     ended = sigmaswarm("tune", "plain", "--out", "v", "--model", "planar8", "--use-nothing", *QUICK)
     assert "model:" not in ended.out  # the user has said it all
     assert tomllib.loads(Path("v/tuning.toml").read_text())["config"]["use"] == []

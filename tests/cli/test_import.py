@@ -562,7 +562,7 @@ def test_a_file_in_place_of_a_drive_is_answered_with_its_folder(sigmaswarm: Comm
     """A file of a drive or of a log of several files; a table with both sensors is a log alone."""
     drive = library.simulate("urban", run=3, duration=40.0, imu_rate=50.0, gps="white-1m")
     library.write_drive(drive, "drive")
-    assert "; name the drive drive\n" in sigmaswarm("doctor", "drive/imu.csv").err
+    assert "; name the folder drive\n" in sigmaswarm("doctor", "drive/imu.csv").err
     phone = {"time": drive.imu.time, **{i: getattr(drive.imu, f"a{i}") for i in "xy"}}
     place = {
         "time": drive.gps.time,

@@ -69,7 +69,7 @@ DRIVES: dict[str, tuple[Edit, list[str]]] = {
     "missing-imu": (lambda f: (f / "imu.csv").unlink(), ["bad/imu.csv", "missing"]),
     "missing-gps": (lambda f: (f / "gps.csv").unlink(), ["bad/gps.csv", "missing"]),
     "missing-toml": (lambda f: (f / "drive.toml").unlink(), ["bad/drive.toml", "missing", "frame"]),
-    "missing-column": (renamed("imu.csv", "gz", "yaw"), ["bad/imu.csv", "row 1", "gz", "add or rename"]),
+    "missing-column": (renamed("imu.csv", "gz", "yaw"), ["bad/imu.csv", "row 1", "gz", "add it, or rename"]),
     "missing-truth-column": (renamed("truth.csv", "vx", "u"), ["bad/truth.csv", "row 1", "vx"]),
     "not-a-number": (cell("imu.csv", 17, "ax", "fast"), ["bad/imu.csv", "row 17", "ax", "'fast'", "delete"]),
     "nan": (cell("gps.csv", 8, "y", "nan"), ["bad/gps.csv", "row 8", "y", "'nan'", "delete"]),

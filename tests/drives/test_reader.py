@@ -133,7 +133,7 @@ BAD: dict[str, tuple[Edit, list[str]]] = {
     ),
     "imu-column-missing": (
         without_column("imu.csv", "gz"),
-        ["imu.csv", "row 1", "no column gz", "t, ax, ay, az, gx, gy", "add or rename"],
+        ["imu.csv", "row 1", "no column gz", "t, ax, ay, az, gx, gy", "add it, or rename"],
     ),
     "truth-column-missing": (without_column("truth.csv", "theta"), ["truth.csv", "row 1", "no column theta"]),
     "time-missing": (without_column("gps.csv", "t"), ["gps.csv", "row 1", "no column t"]),

@@ -212,7 +212,7 @@ def test_what_the_user_gives_stays():
     given, said = default_filter_options({"use": ("gate",)}, [six(PLAIN)])
     assert (given, said) == (
         {"use": ("gate",), "model": "tilted12"},
-        "tilted12 with gate as given, since the IMU has six axes",
+        "tilted12 with gate (as given), since the IMU has six axes",
     )
     given, said = default_filter_options({"model": "planar8"}, [six(PLAIN)])
     assert given == {"model": "planar8", "use": CAR}

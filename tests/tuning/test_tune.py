@@ -263,7 +263,7 @@ def test_drives_that_can_not_be_tuned_on_are_refused(tmp_path: Path):
         InputError, match=r"d0: has no truth, which the objective truth-rmse needs; without truth"
     ):
         tune(replace(DRIVES[0], truth=None), objective="truth-rmse", out=tmp_path / "out")
-    with pytest.raises(InputError, match=r"d0: .* which is too short to hide fixes"):
+    with pytest.raises(InputError, match=r"d0: .* a time too short to hide fixes"):
         tune(clip(DRIVES[0], 0.0, 12.0), objective="outage-rmse", out=tmp_path / "out")
     gps = DRIVES[0].gps
     silent = replace(DRIVES[0], gps=gps.select(gps.time < initial_state(DRIVES[0]).time + 1.0))

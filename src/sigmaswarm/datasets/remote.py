@@ -187,7 +187,7 @@ class RemoteDataset:
         return results_in_order(self.call(apply_to_each, partial(_with_drive, function)))
 
     def imap(self, function: Callable[[Drive], T]) -> Iterator[T]:
-        """Apply a function to one drive after another, with one task per drive; the next tasks run in advance."""
+        """Apply a function with one task per drive; later tasks already run while the caller uses a result."""
 
         def one(index: int) -> T:
             return self.subset([index]).map(function)[0]
@@ -259,7 +259,7 @@ def _with_no_warnings(drive: Drive) -> tuple[Drive, list[SigmaswarmWarning]]:
 
 
 def results_in_order(answers: Iterable[tuple[list[int], Sequence[Any]]]) -> list[Any]:
-    """Return the results of `apply_to_each` in the order of the drives, or raise their errors as one."""
+    """Return the results of `apply_to_each` in the order of the drives; raise one error for all failures."""
     by_drive: dict[int, Any] = {}
     for indices, results in answers:
         by_drive |= zip(indices, results, strict=True)

@@ -193,9 +193,9 @@ class Alignments:
         if self._many.any():
             if np.any(self._chord[self._many] >= MIN_TRAVEL):
                 return StartFailure(
-                    f"the fixes move {travel} within {time}, but the motion never agrees with the IMU, so the "
-                    "heading can't be determined; the fixes scatter or jump, or an axis, a unit or the clock of the "
-                    "IMU is wrong",
+                    f"the positions of the fixes change by {travel} within {time}, but this motion never agrees with "
+                    "the IMU, so the heading can't be determined; the fixes scatter or jump, or an axis, a unit or the "
+                    "clock of the IMU is wrong",
                     f"{REPAIR_FINDINGS}, or {STATE_HEADING}",
                 )
             return StartFailure(

@@ -110,7 +110,7 @@ def invalid_times(imu: Imu, gps: Gps) -> list[Remark]:
 
 
 def _time_unit(imu: Array, gps: Array) -> Remark | None:
-    """Check for times in ms, us or ns, in one file (ratio of the time spans) or in both files (intervals)."""
+    """Check for times in ms, us or ns: in one file by the ratio of the time spans, in both files by the intervals."""
     spans = float(np.ptp(imu)), float(np.ptp(gps))
     if min(spans) <= 0:
         return None

@@ -62,7 +62,7 @@ def read_description(path: Path) -> dict[str, Any]:
 
 
 def cut_of(about: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the table `CUT` of drive.toml or of a drive's metadata; empty if the drive is not a part."""
+    """Return the table `CUT` of drive.toml or of a drive's metadata; empty if the drive was not cut."""
     cut = about.get(CUT)
     return cast("Mapping[str, Any]", cut if isinstance(cut, Mapping) else {})
 

@@ -69,7 +69,7 @@ class Drive:
         Parameters
         ----------
         imu : frame with columns t, ax, ay, gz and optionally az, gx, gy
-            s; m/s2; rad/s, in the body frame: x forward, y left, z up.
+            Units: s, m/s2 and rad/s. Body frame: x forward, y left, z up.
         gps : frame with columns t and x, y (m) or lat, lon (deg)
             Optionally alt, std_x, std_y (m), speed (m/s), course, heading, std_heading (rad).
         truth : frame with columns t, x, y (m), vx, vy (m/s), theta (rad), optional
@@ -89,7 +89,7 @@ class Drive:
         Warns
         -----
         SigmaswarmWarning
-            For unknown columns, which are ignored, and for gaps and values that suggest other units or axes.
+            For gaps, for unknown columns (which are ignored), and for values that suggest other units or axes.
 
         Examples
         --------
@@ -145,7 +145,7 @@ class Drive:
 
     @property
     def mounting(self) -> Angles | None:
-        """Rotation of the raw IMU samples, roll, pitch and yaw (deg).
+        """Roll, pitch and yaw (deg) of the rotation that was applied to the raw IMU samples.
 
         The value is ``imu_mounting_deg`` of drive.toml, otherwise None.
         """

@@ -60,7 +60,7 @@ def _columns_of(table: Any, name: str, renamed: Mapping[str, str]) -> dict[str, 
         rows = np.shape(columns["t"])
         for key, values in columns.items():
             if values.ndim != 1 or values.shape != rows:
-                what = f"column {quoted(key)} has shape {values.shape}, but the times have {rows}"
+                what = f"column {quoted(key)} has shape {values.shape}, but the times have shape {rows}"
                 raise DriveError(f"{name}: {what}; pass arrays of one dimension and equal length")
     return columns
 

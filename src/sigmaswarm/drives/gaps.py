@@ -46,7 +46,7 @@ def usual_after(interval: float, usual: float) -> float:
 
 
 def is_known(truth: Truth, time: Array) -> Mask:
-    """Return True for times, s, shape (n,), from the start to the end of truth, except in its gaps.
+    """Mark the times (n,), s, that lie between the start and the end of truth, and not in a gap of truth.
 
     Truth without standard deviations is used across gaps.
     """
@@ -58,7 +58,7 @@ def is_known(truth: Truth, time: Array) -> Mask:
 
 
 def share_known(truth: Truth | None, start: float, end: float) -> float:
-    """Return the fraction of the time from ``start`` to ``end`` (s) that truth covers; its gaps do not count."""
+    """Return the fraction of the time from ``start`` to ``end`` (s) that truth covers; gaps of truth do not count."""
     if truth is None or len(truth) < 2 or end <= start:
         return 0.0
     edges = np.clip(truth.time, start, end)

@@ -18,7 +18,7 @@ WHEEL_SPEED, WHEEL_AGE, WHEEL_NOISE = range(3)
 
 @cached
 def wheels_turn(readings: Array, end: int, now: float) -> bool:
-    """Return True if the last of the first ``end`` readings (rows of time and speed) is recent and not slow."""
+    """Return True if the last of the first ``end`` readings (time, speed) is recent and at least `SLOW`."""
     return end > 0 and readings[end - 1, 0] > now - LARGEST_AGE and abs(readings[end - 1, 1]) >= SLOW
 
 

@@ -1,4 +1,4 @@
-"""Artificial GPS outages: time windows, (k, 2) start and end in s, whose fixes are hidden from a filter."""
+"""Artificial GPS outages: time windows, in rows of start and end (s), in which fixes are hidden from a filter."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +11,7 @@ SECONDS_PER_OUTAGE = 15.0  # s of driving per window in `random_windows`
 
 
 def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> Mask:
-    """Mark the fixes, at times (n,) in s, that lie in one of the outage windows, (k, 2) in s, including both ends.
+    """Mark the fixes in the outage windows, including both ends; ``time`` (n,) and ``windows`` (k, 2) are in s.
 
     Drift is measured at the end of an outage, without a fix at this time.
     """
@@ -57,7 +57,7 @@ def random_windows(
 
 
 def balanced_windows(start: float, end: float, rng: np.random.Generator) -> Array:
-    """Draw outages of 3 to 5 s, (k, 2), between two times, s: one in each interval of about 12 s.
+    """Draw outages of 3 to 5 s between two times (s): one in each interval of about 12 s. The shape is (k, 2).
 
     Each outage begins at least 5 s after the start or the previous outage.
     """
@@ -71,7 +71,7 @@ def balanced_windows(start: float, end: float, rng: np.random.Generator) -> Arra
 
 
 def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) -> Array:
-    """Shift windows (k, 2), sorted by time, so that each ends exactly at an IMU sample (n,), s.
+    """Shift windows (k, 2), sorted by time, so that each ends exactly at an IMU sample. Times are in s.
 
     An end moves to the first sample at or after the end, or to a later sample if the window would otherwise begin less
     than ``apart`` s after the previous window. The length does not change. An end after the last sample moves back to

@@ -129,7 +129,7 @@ def _read_folder(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
     if not folder.is_dir():
         if folder.is_file():
             place = folder.parent
-            remedy = f"name the drive {place}" if (place / "drive.toml").exists() else import_remedy(folder)
+            remedy = f"name the folder {place}" if (place / "drive.toml").exists() else import_remedy(folder)
             raise DriveError(f"{folder} is a file, not a folder; {A_DRIVE}; {remedy}")
         raise DriveError(
             f"{folder} does not exist; name a folder that contains imu.csv, gps.csv and drive.toml"

@@ -54,9 +54,9 @@ class LogProperties:
     odometer, accuracy, velocity, heading : True if the drive has wheel speeds; stated standard deviations; speeds and
         courses; headings
     driven : time between the last fix and the first fix that is more than 20 m from the start, s; 0 if there is none
-    fixes : number of fixes within the IMU's time
+    fixes : number of fixes within the IMU's time span
     noise, true_std : white noise of the fixes, and their standard deviation from the truth (NaN without truth), m per
-        axis; the latter only for objectives that use truth
+        axis; ``true_std`` is used only with objectives that use truth
     mounting : mounting of the IMU, deg; None if the drive states none
     """
 

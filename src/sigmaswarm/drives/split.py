@@ -44,14 +44,14 @@ def part_of(drive: Drive) -> str:
 
 
 def name_of_whole(drive: Drive) -> str:
-    """Return the name of the whole drive, which is repaired instead of this part; "" if there is no such drive."""
+    """Return the name of the drive that this part was cut from; "" if there is none, or the part is repaired alone."""
     cut = cut_of(drive.metadata)
     name = cut.get("drive")
     return name if isinstance(name, str) and not is_repaired_alone(drive) else ""
 
 
 def is_repaired_alone(part: Drive) -> bool:
-    """Return True if the other part of the drive has other faults, such as another mounting of the IMU."""
+    """Return True if the rest of the drive has other faults than this part, such as another mounting of the IMU."""
     return bool(cut_of(part.metadata).get(REPAIR_ALONE))
 
 

@@ -54,7 +54,7 @@ def kind_of(fixes: Array, kinds: Array, k: int) -> int:
     """Classify fix ``k`` by the earlier fixes.
 
     The fix is compared with all fixes of the last few seconds, so that each of two receivers is compared with itself.
-    The first fix of a run of repeats determines the kind of the whole run.
+    The first repeat of a position determines the kind of all repeats that follow it.
     """
     now = fixes[k, 0]
     last = k - 1

@@ -247,8 +247,8 @@ def fixes_are_still(fixes: Array, kinds: Array, n: int, now: float, until: Array
 
     Rows of ``fixes`` begin with t, x, y. Of the first ``n`` rows, those with times up to ``now`` are read, except stale
     fixes of a driving car (``kinds``, see `stale_fixes`). The result is valid until ``until[0]`` if no fix is added.
-    After an outage, the result is False until the window is full: over half a window, the noise of the speed is three
-    times as large, so a departing car could appear to be at rest.
+    After an outage, the result is False until the window is full. The noise of the speed is three times as large with
+    half a window as with a full window, so a departing car could appear to be at rest.
     """
     count, t1, x1, y1, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     first, last, k = 0, 0, n - 1

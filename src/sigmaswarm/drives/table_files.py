@@ -46,7 +46,7 @@ POLARS_ERRORS = (pl.exceptions.PolarsError, pl.exceptions.PanicException)  # for
 
 
 def one_file(path: Path) -> dict[str, Any]:
-    """Return arguments with which polars' readers take a file name literally, not as a pattern (run[1])."""
+    """Return arguments with which polars' readers take a file name such as run[1].csv literally, not as a pattern."""
     return {"source": path.absolute(), "glob": False}
 
 
@@ -128,7 +128,7 @@ class TableFile:
                     raise DriveError(f"{header}: {what}, and write decimals with a dot")
                 in_memory = f"rename one with columns={{'its name': '{name}'}}"
                 remedy = "rename a column" if self.path.suffix else in_memory
-                raise DriveError(f"{header}: no column {name}, only {list_names(names)}; add or {remedy}")
+                raise DriveError(f"{header}: no column {name}, only {list_names(names)}; add it, or {remedy}")
         if unknown := [name for name in names if name not in known]:
             self._require_one_line(unknown)
             ignored = list_names(unknown, "'")

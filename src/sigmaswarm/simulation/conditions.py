@@ -56,7 +56,8 @@ def simulate_many(
     Yields
     ------
     Drive, or the result of `use`
-        The order is maneuver, environment, run, for any number of workers. A drive is yielded as soon as it is ready.
+        The order is maneuver, environment, run, for any number of workers. A drive is yielded as soon as it and all
+        earlier drives are ready.
 
     Raises
     ------

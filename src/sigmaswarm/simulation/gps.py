@@ -144,9 +144,10 @@ def measure_gps(
     rng: np.random.Generator,
     outages: list[tuple[float, float]],
 ) -> Gps:
-    """Make fixes with time stamps (n,) in s. A fix measures the antenna's position at its time stamp minus the latency.
+    """Make fixes with the time stamps ``times`` (n,), s.
 
-    There are no fixes in the outages, (start, end), s. The number of random numbers does not depend on the grade.
+    A fix measures the antenna's position at its time stamp minus the latency. There are no fixes in the ``outages``,
+    pairs of start and end (s). The number of random numbers does not depend on the grade.
     """
     interval = float(np.median(np.diff(times)))
     white = grade.white_std * rng.standard_normal((len(times), 2))
@@ -203,7 +204,7 @@ def with_outliers(
     offset : float
         Size of the error, m.
     length : (float, float)
-        Shortest and longest burst, s. Bursts that overlap are joined.
+        Shortest and longest burst, s. If bursts overlap, a fix has the error of the burst that was drawn first.
 
     Raises
     ------

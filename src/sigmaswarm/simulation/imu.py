@@ -161,8 +161,8 @@ def measure_imu(times: Array, motion: Motion, grade: ImuGrade, rng: np.random.Ge
 def carla_force(times: Array, motion: Motion) -> Array:
     """Compute the specific force (n - 2, 3) as CARLA's IMU sensor does, from the third sample on.
 
-    The force is the second difference of the last three positions, which is one tick late, plus gravity, both in the
-    present attitude (carla-simulator/carla, InertialMeasurementUnit.cpp).
+    The force is the acceleration from the last three positions, which is one tick late, plus gravity. Both are rotated
+    with the present attitude (carla-simulator/carla, InertialMeasurementUnit.cpp).
     """
     steps = np.diff(times)[:, None]
     speeds = np.diff(motion.position, axis=0) / steps

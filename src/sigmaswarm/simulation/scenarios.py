@@ -107,13 +107,13 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
         Position of the IMU, m forward, left and up from the center of gravity; (0.2, 0, 0.1) by default. The truth
         refers to this point.
     vibration : float
-        Level of the vibration while driving, 0 by default as in CARLA. 1 is the level in two recordings of real cars;
-        their noise is much larger than the values in data sheets.
+        Level of the vibration while driving, 0 by default as in CARLA. 1 is the level in two recordings of real cars,
+        whose noise is much larger than the values in data sheets.
     gnss_degradation : bool
         Multiply the errors of the receiver by the environment's factor, which is **an assumption, not a measurement**.
     terrain : str or Terrain
-        "flat" (the default), "rolling" or "hilly". Slopes of the road change attitude and IMU data. The truth in the
-        plane is the same within millimeters.
+        "flat" (the default), "rolling" or "hilly". Slopes of the road change attitude and IMU data. The
+        horizontal position of the truth differs from that on a flat road by only millimeters.
     odometer : str or OdometerGrade, optional
         "pulses", "can" or "ideal" (`ODOMETER_GRADES`); no odometer by default.
     heading : str or HeadingGrade, optional

@@ -137,7 +137,7 @@ def require_fit(scorer: BatchScorer, objective: str, seed: int) -> None:
     for drive, initial, hidden in zip(scorer.drives, scorer.initial, scorer.hidden_fixes, strict=False):
         if hidden:
             continue
-        what, drives = f"which is too short to hide fixes for 3 to 5 s, as {objective} requires", "longer"
+        what, drives = f"a time too short to hide fixes for 3 to 5 s, as {objective} requires", "longer"
         if len(forecast_windows(drive, initial, seed=seed)):
             windows = f"the windows of 3 to 5 s in which {objective} hides fixes"
             what, drives = f"but there are no fixes in {windows}", "other"

@@ -39,7 +39,7 @@ FIX_ERROR_OBJECTIVE = "innovation-t + 0.2 truth-pose + 0.2 nees"
 With a larger weight of truth-pose, the filter overfits to the errors of the training drive.
 """
 PRIOR_WITH_TRUTH = 0.3
-"""Weight of the priors with this objective.
+"""Weight of the priors with `FIX_ERROR_OBJECTIVE`.
 
 Among parameter sets with nearly equal costs, the priors select the typical one. After tuning on four simulated drives
 with a u-blox M8, the 30 s drift was 22 to 118 m without priors, depending on the seed, and 21 to 24 m with this weight.
@@ -53,7 +53,7 @@ a robot's filter had a position RMSE of 0.93 m with fix-error, and 0.07 m withou
 u-blox M8.
 """
 MAX_STD_RATIO = 2.0
-"""Largest factor between true and stated (or assumed) standard deviation of fixes at which these priors are used."""
+"""Largest factor between true and stated (or assumed) standard deviation of fixes for `PRIOR_WITH_TRUTH`."""
 MIN_DRIVEN = 30.0  # s, driving time that each drive must exceed for `FORECAST_OBJECTIVES`
 OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
 """Objectives with and without truth for custom models, which support no other objectives."""
@@ -78,7 +78,7 @@ def default_filter_options(
         model = "planar8"
     if "use" in options:
         described = _described(model, options["use"])
-        return {**options, "model": model}, f"{described} as given, since {suggestion.because}"
+        return {**options, "model": model}, f"{described} (as given), since {suggestion.because}"
     use, because = [], ". This is the paper's model; add measurements with --use"
     if model != PAPER_MODEL:
         allowed = MODELS[model].options if model in MODELS else ()
@@ -99,8 +99,8 @@ def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive
     """Return True if all drives have correlated fix errors and enough fixes, and filter and objective permit fix-error.
 
     Without truth, fix-error changes the position RMSE by -25% on kingston-1, and by -13% and +6% on two parts of
-    comma2k19. With simulated receivers and errors that last minutes, fix-error improves only the covariance. If all
-    drives have truth, fix-error is used only with the default objective and a model with roll and pitch: see
+    comma2k19. With simulated receivers whose errors last minutes, fix-error improves only the covariance. If the
+    objective uses truth, fix-error is used only with the default objective of a model with roll and pitch: see
     `space.FIX_ERROR_TIME`.
     """
     have, objective = [log_properties(one) for one in drives], options.get("objective") or "auto"

@@ -46,7 +46,7 @@ STEP = {"forward": 0.1, "left": 0.1, "latency": 0.01, "rear_axle": 0.1, "tire_sl
 DOF = 8.0  # degrees of freedom of Student's t, which reduces the weight of outliers
 BLOCK_LENGTH = 20.0  # s, length of a block; fix errors may be correlated within a block
 STD_FACTOR = 1.2
-"""Factor on the standard deviations: the noise is fitted to the same fixes, and tire slip is not exactly linear.
+"""Factor on the standard deviations, since the noise is fitted to the same fixes, and tire slip is not exactly linear.
 
 Without this factor, 93% of the errors on 65 simulated drives were within 1.96 standard deviations.
 """
@@ -129,9 +129,9 @@ def estimate_lever_arm(
 ) -> LeverArmEstimate:
     """Estimate the antenna's lever arm, forward and left, from drives of one vehicle.
 
-    The prior has the mean ``gps_lever_arm_m`` and the standard deviation ``gps_lever_arm_std_m`` of drive.toml (if
-    these are missing: 0 m with 2 m, or the stated lever arm with 1 m). The delay of the fixes, whose effect is similar
-    to that of ``forward``, has a prior standard deviation of 0.02 s.
+    The prior has the mean ``gps_lever_arm_m`` and the standard deviation ``gps_lever_arm_std_m`` of drive.toml. Without
+    a stated lever arm, the mean is 0 and the default standard deviation is 2 m; otherwise this default is 1 m. The
+    delay of the fixes, whose effect is similar to that of ``forward``, has a prior standard deviation of 0.02 s.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ def _maximum(
     arm: Mapping[str, tuple[float, float]],
     start: Mapping[str, float] | None = None,
 ) -> tuple[Values, tuple[float, float]]:
-    """Return the unknowns with the largest posterior density, and the lever arm's standard deviations, m."""
+    """Return the values that maximize the posterior density, and the standard deviations of the lever arm, m."""
     prior = {**arm, **_others(parameters)}
     values = {name: mean for name, (mean, _) in prior.items()} | dict(start or {})
     values = {name: getattr(parameters, name, values[name]) for name in prior}

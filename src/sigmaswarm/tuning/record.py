@@ -60,7 +60,7 @@ class ResultRecord(BaseModel):
     unidentified: list[str] = Field(default_factory=list)
     remarks: list[str] = Field(default_factory=list)
     warnings: tuple[str, ...] = Field(default=(), validation_alias=AliasChoices("warnings", "doubts"))
-    """Faults of the tuned filter on the training data that the objective does not show."""
+    """Faults of the tuned filter that the objective does not show, found on the training data."""
     best_trial: int = 0
     trial_costs: tuple[float, ...] = ()
     evaluations: int = 0

@@ -52,7 +52,7 @@ LARGE_GAP = 0.2  # relative increase of the errors on validation drives above wh
 
 @dataclass(frozen=True)
 class Validation:
-    """Cost without priors on drives that the search did not use; ``gap``: relative increase over the training cost."""
+    """Cost, without priors, on drives that the search did not use; ``gap``: relative increase over training drives."""
 
     cost: float
     gap: float
@@ -86,7 +86,7 @@ class Tuning(Generic[P]):
     seen : sequence of Landmarks
         Landmarks by which `evaluate` recognizes training drives and parts of training drives.
     warnings : tuple of str
-        Faults of the tuned filter on the training drives that the objective does not show.
+        Faults of the tuned filter that the objective does not show, found on the training drives.
     sensitivities : tuple of Sensitivity
         Range of each parameter in which the cost increases by less than 1%.
     validation : Validation or None

@@ -76,7 +76,7 @@ def sensitivities(
 
 
 def _crossing(shares: Array, rise: Array) -> float | None:
-    """Return the interpolated fraction of the distance at which the cost has increased by 1%, or None."""
+    """Return the interpolated fraction of the distance at which the cost has increased by 1%; None if it has not."""
     above = np.flatnonzero(~(rise < MAX_INCREASE))
     if not len(above):
         return None

@@ -115,11 +115,11 @@ def tune(
         ``resume=True`` continues the run in ``out``; the result is the same as without interruption. ``paper=True``
         uses the paper's settings, `PAPER_OPTIONS`, and rejects options that contradict them. ``start`` is a filter, or
         its file: a tuning.toml, or an ekf.yaml of robot_localization. The first generation of the search is drawn
-        around this filter; by default around the `baseline` of the first drive; with ``paper``, the generation is
-        uniform. The other options are fields of `TuneConfig`: objective, particles, generations, trials, seed, ... If
-        ``model`` and ``use`` are not given, the filter depends on the drives' sensors; ``config`` of the result
-        contains the chosen filter. ``model`` may be a custom `Model`, and ``optimizer`` a custom class: see
-        `tuning.optimizers`.
+        around this filter; by default around the `baseline` of the first drive. With ``paper`` or a custom model, the
+        first generation is uniform within the bounds. The other options are fields of `TuneConfig`: objective,
+        particles, generations, trials, seed, ... If ``model`` and ``use`` are not given, the filter depends on the
+        drives' sensors; ``config`` of the result contains the chosen filter. ``model`` may be a custom `Model`, and
+        ``optimizer`` a custom class: see `tuning.optimizers`.
 
     Raises
     ------

@@ -22,7 +22,8 @@ PARAMETER_MEANINGS = {
     "rear_axle": "distance of the IMU in front of the rear axle; negative: behind the rear axle",
 }
 RANGES = (
-    'At the values in the columns "from" and "to", the cost is 1% higher; all other parameters are unchanged. '
+    'At the values in the columns "from" and "to", the cost is 1% higher than at the tuned value, with all other '
+    "parameters unchanged. "
     '"At the bound" means that the cost at the bound of the search is less than 1% higher.'
 )
 SIGMA_POINTS = {"alpha", "beta", "kappa"}

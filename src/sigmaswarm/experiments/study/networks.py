@@ -31,7 +31,10 @@ from sigmaswarm.scoring.score import PieceErrors
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_pass, outage_windows, tracking_pass
 
 MIN_DRIVING_TIME = 21.0
-"""Shortest time of a usable drive after the filter's start, s, for segments of 20 s and for outages from 10 to 20 s."""
+"""Shortest time of a usable drive after the filter's start, s.
+
+It suffices for a segment of 20 s, and for an outage from 10 to 20 s after the start.
+"""
 MIN_TIME_OF_ONLY_DRIVE = 80.0
 """Shortest time of a single training drive after the filter's start, s."""
 MIN_DRIVES_TO_SPLIT = 3

@@ -170,7 +170,7 @@ class ElsewhereSummary(VariantSummary):
 
 
 class CurvePoint(_Part):
-    """Score of a network that was trained on ``minutes`` of data, on the first trial's test drives.
+    """Score, on the first trial's test drives, of a network that was trained on ``minutes`` of data.
 
     ``minutes`` is 0 for the filter without a network. ``interval`` is the bootstrap interval of the mean over drives.
     """

@@ -94,7 +94,7 @@ class Study:
 
 
 def shown_trial(trials: Trials) -> int:
-    """Return the trial to plot: that with the lowest training cost of the PSO-UKF tuned with truth, over all groups."""
+    """Return the trial to plot: its PSO-UKFs tuned with truth have the lowest training cost, summed over all groups."""
     cost: dict[int, float] = {}
     for task, trial in trials.items():
         if task.variant == ("honest", MAIN_METHOD):

@@ -30,7 +30,7 @@ LIVE_FILTERS: dict[str, tuple[FilterKind, ModelName]] = {
 
 
 class Stopwatch:
-    """Wall and processor time of each lap (s), including the time of child processes that have ended."""
+    """Wall time and processor time of each lap (s); the latter includes child processes that have ended."""
 
     def __init__(self) -> None:
         self.laps: Times = {}

@@ -22,7 +22,10 @@ MAX_POINTS = 200  # largest number n of costs in a fit; the time of a fit is pro
 NOISE = 1e-6  # variance of the noise of a cost, relative to the variance of all costs
 MIN_VARIANCE = 1e-12  # smallest variance of a predicted cost, relative to the variance of all costs
 N_BEST, NEAR_STD = 5, 0.02
-"""Number of best points near which half of the candidates are drawn, and standard deviation in widths of the bounds."""
+"""Number of best points, and standard deviation of the candidates that are drawn near them, in widths of the bounds.
+
+Half of the candidates are drawn near the best points.
+"""
 MIN_LENGTH_SCALE, MAX_LENGTH_SCALE = 0.2, 10.0  # smallest and largest length scale, in widths of the bounds
 _LOCK = threading.Lock()
 """Lock for fits, since warning filters and thread limits apply to the whole process."""

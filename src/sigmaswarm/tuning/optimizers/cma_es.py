@@ -79,7 +79,11 @@ class CmaEs(AskTell):
         return self.mean + self.step * (z * np.sqrt(variances)) @ axes.T  # (39, 40)
 
     def _penalized(self, costs: Array) -> Array:
-        """Add to each cost the squared distance from the bounds, in variances, times the costs' interquartile range."""
+        """Add a penalty to each cost for the distance of its sample from the bounds.
+
+        The penalty is the squared distance, divided by the variance of the samples, times the interquartile range of
+        the costs.
+        """
         outside = np.mean((self.samples - np.clip(self.samples, 0.0, 1.0)) ** 2, axis=1)
         lower, upper = np.percentile(costs[np.isfinite(costs)], [25, 75])
         return costs + (upper - lower) * outside / (self.step**2 * np.mean(np.diag(self.covariance)))

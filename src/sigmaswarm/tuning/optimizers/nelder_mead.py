@@ -91,7 +91,7 @@ class NelderMead(AskTell):
             self._settle(self.moved, self.positions, costs)
 
     def _judge_followers(self, costs: Array) -> None:
-        """Keep the expansions and contractions that lower the cost; otherwise shrink."""
+        """Keep the expansions and contractions that lower the cost; shrink the simplex if no vertex improves."""
         reach = self.reach[self.reach != 0]
         inside, outside = reach < 0, reach == self.contraction
         followed = np.flatnonzero(self.reach)
