@@ -258,7 +258,8 @@ def test_the_truth_s_deviations_are_positive_and_whole(folder: Path):
     table = rows(folder / "truth.csv")
     save(folder / "truth.csv", [[*row, "std_x" if i == 0 else "0.5"] for i, row in enumerate(table)])
     with pytest.raises(
-        DriveError, match=r"truth.csv: Truth needs std_x and std_y together, .*; add the missing arrays"
+        DriveError,
+        match=r"truth.csv: Truth accepts std_x and std_y only together, .*; add the missing arrays",
     ):
         read_drive(folder)
     both = rows(folder / "truth.csv")

@@ -388,7 +388,7 @@ def test_validation_drives_are_scored_but_choose_nothing():
     assert plain.validation is None
     assert any("the cost is that of the training drives" in remark for remark in plain.remarks)
     strange, blind = (
-        "is valid only for the receiver and the IMU of these drives",
+        "is valid only for the receiver and the IMU of its training drives",
         {"objective": "innovation-t"},
     )
     assert any(strange in remark for remark in plain.remarks)

@@ -1,4 +1,4 @@
-"""Identify a drive by its data, independent of its name and folder."""
+"""Identify a drive by its data, independently of its name and folder."""
 
 import hashlib
 from typing import Any

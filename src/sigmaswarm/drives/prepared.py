@@ -46,7 +46,7 @@ class PreparedDrive:
         return self.kinds >= STALE
 
     def timeline(self, hidden: NDArray[np.bool_] | None = None, *, removed: bool = False) -> Timeline:
-        """Return the (cached) time line without updates by the fixes where ``hidden`` (number of fixes,) is True.
+        """Return the cached time line without updates by the fixes that the mask ``hidden`` (number of fixes,) marks.
 
         If ``removed`` is True, no step ends at a hidden fix. Otherwise, filters can predict hidden fixes, and the time
         line shares arrays with the time line of all fixes.

@@ -1,4 +1,4 @@
-"""Determine the properties of logs on which the default filter depends, and compare their vehicles and sensors."""
+"""Determine the properties of logs on which the default filter depends, and compare vehicles and sensors of logs."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass

@@ -56,7 +56,7 @@ def is_repaired_alone(part: Drive) -> bool:
 
 
 def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | None = None) -> Drive:
-    """Return the part of a drive with start <= t < end, s; raise DriveError if it has fewer than two IMU samples."""
+    """Return the part of a drive with start <= t < end (s); raise DriveError if it has fewer than two IMU samples."""
     inside = {k: v.select((v.time >= start) & (v.time < end)) for k, v in drive.tables.items()}
     if len(inside["imu"]) < 2:
         span = f"t = {drive.imu.time[0]:.12g} to {drive.imu.time[-1]:.12g} s"

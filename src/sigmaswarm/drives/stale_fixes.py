@@ -1,7 +1,8 @@
 """Find stale fixes: a receiver without satellites repeats its last position exactly while the car moves on.
 
-A receiver with static hold also repeats its position at a red light, which is correct. Earlier fixes show whether the
-car had stopped before the first repeat. Later fixes are not used, so live filters can use the same function.
+A receiver with static hold also repeats its position at a red light; these repeats are correct. Earlier fixes show
+whether the car had stopped before the first repeat. Later fixes are not used, so live filters can use the same
+function.
 """
 
 import math

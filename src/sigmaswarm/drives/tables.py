@@ -175,7 +175,7 @@ class Truth(Table):
         none = self.std_x is None
         if none != (self.std_y is None) or (none and self.std_theta is not None):
             raise DriveError(
-                "Truth needs std_x and std_y together, and std_theta only together with both; add the missing arrays"
+                "Truth accepts std_x and std_y only together, and std_theta only with these two; add the missing arrays"
             )
 
 

@@ -42,7 +42,7 @@ class GpsGrade:
     loss : float
         Probability that a fix is lost.
     carla : bool
-        Add white noise in degrees, with CARLA's geodesy.
+        True if white noise is added in degrees, with CARLA's geodesy.
     """
 
     name: str
@@ -89,7 +89,7 @@ GPS_GRADES = by_name(
 
 @dataclass(frozen=True)
 class HeadingGrade:
-    """A named grade of the heading of a receiver.
+    """A named grade of the headings that a receiver reports.
 
     Attributes
     ----------

@@ -31,9 +31,9 @@ class Triad:
     bias_std : float
         Standard deviation of the first-order Gauss-Markov bias.
     turn_on : float
-        Limit of the constant bias of a drive, uniform within +- this value.
+        Limit of the bias that is constant during a drive, uniformly distributed within +- this value.
     scale, misalignment : float
-        Limits of the relative errors of each axis and each pair of axes, uniform within +- these values.
+        Limits of the relative scale errors and of the relative cross-axis errors, which are uniformly distributed.
     reach : float
         Limit of the measured value.
     resolution : float

@@ -53,7 +53,10 @@ a robot's filter had a position RMSE of 0.93 m with fix-error, and 0.07 m withou
 u-blox M8.
 """
 MAX_STD_RATIO = 2.0
-"""Largest factor between true and stated (or assumed) standard deviation of fixes for `PRIOR_WITH_TRUTH`."""
+"""Largest factor between the true and the stated (or assumed) standard deviation of fixes.
+
+Above this factor, `PRIOR_WITH_TRUTH` is not used.
+"""
 MIN_DRIVEN = 30.0  # s, driving time that each drive must exceed for `FORECAST_OBJECTIVES`
 OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
 """Objectives with and without truth for custom models, which support no other objectives."""
@@ -200,8 +203,8 @@ def with_default_guards(config: C, *, as_stated: bool = True) -> C:
 
     Objectives that are likelihoods without truth have priors and, in a log10 search, inflation. Objectives with truth
     have inflation only in a log10 search of a model with roll and pitch. In such a search they also have priors if the
-    objective is a likelihood, the filter has fix-error, and ``as_stated`` (see `_is_as_stated`). Other objectives have
-    neither.
+    objective is a likelihood, the filter has fix-error, and ``as_stated`` is True (see `_is_as_stated`). Other
+    objectives have neither.
     """
     if not isinstance(config, TuneConfig):
         return config

@@ -33,7 +33,7 @@ from sigmaswarm.tuning.search import TrialRunner
 
 ARM = ("forward", "left")
 UNKNOWN_STD, STATED_STD = 2.0, 1.0
-"""Prior standard deviations, m: if drive.toml has no lever arm; if it has a lever arm without a standard deviation."""
+"""Prior standard deviations (m) if drive.toml has no lever arm, and if it has one without a standard deviation."""
 SCALES = ("scale_ax", "scale_ay", "scale_gz")
 ROLLING = 0.1
 """Prior standard deviation of a planar filter's accelerometer scale errors, which include effects of roll and pitch."""

@@ -231,7 +231,7 @@ class CarProblem(Problem[FilterParameters]):
 
 
 def duration_share(data: Iterable[Mapping[str, Any]], reference: float) -> float:
-    """Return a reference duration, s, divided by the total driving time, but at most 1."""
+    """Return the ratio of a reference duration (s) to the total driving time, at most 1."""
     return min(1.0, reference / sum(entry["duration_s"] for entry in data))
 
 

@@ -38,8 +38,8 @@ INFLATION_REMARK = (
     "process-noise inflation, for other roads and IMUs, multiplied {}; --inflation 0 turns the inflation off"
 )
 SENSORS_REMARK = (
-    "a filter tuned with truth is valid only for the receiver and the IMU of these drives. With other sensors it may "
-    "be far less accurate than the fixes; for other sensors, tune without truth (--objective innovation-t)"
+    "a filter tuned with truth is valid only for the receiver and the IMU of its training drives. With other sensors "
+    "it may be far less accurate than the fixes; for other sensors, tune without truth (--objective innovation-t)"
 )
 MORE_DRIVES = "tune on more drives, or on drives that resemble the validation drives"
 STORED = (
@@ -144,7 +144,7 @@ class Tuning(Generic[P]):
 
     @property
     def mounting(self) -> Angles | None:
-        """Roll, pitch and yaw of the IMU in the vehicle, deg; None if unknown or different between drives."""
+        """Roll, pitch and yaw of the IMU in the vehicle, deg; None if it is unknown or differs between drives."""
         return common_mounting(entry.get(KEY) for entry in self.data)
 
     @property

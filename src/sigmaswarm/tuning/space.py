@@ -83,7 +83,7 @@ The variances of the process noise are per second, for an automotive MEMS IMU: n
 1e-4 rad/s/sqrt(Hz), and random walks of the biases of 1e-4 m/s2/sqrt(s) and 3e-6 rad/s/sqrt(s).
 """
 TYPICAL_WEIGHT, TYPICAL_DURATION = 1 / 250, 150.0
-"""Weight of this prior, nats per fix, and longest total driving time, s, with this weight.
+"""Weight of this prior (nats per fix), and longest total driving time (s) with this weight.
 
 Above this time, the weight is inversely proportional to the time. In a cost that is the mean over n independent fixes,
 a prior has the weight 1 / n. For 150 s, n is set to 250.

@@ -89,7 +89,7 @@ Networks = Mapping[Task, TrainedNetwork]
 def training_drives(design: Design, trial: int, minutes: float) -> TrainingDrives:
     """Draw ``minutes`` of driving from a trial's training drives: complete drives, and the beginning of one more.
 
-    A larger number of minutes gives the same drives and additional drives. If these are too few for training, more
+    A larger number of minutes gives the same drives and additional drives. If the drives are too few for training, more
     drives are drawn, and their total time exceeds ``minutes``.
     """
     remaining, whole, begun, longest, driven = 60.0 * minutes, list[Drive](), list[Drive](), 0.0, 0.0

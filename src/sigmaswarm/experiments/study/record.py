@@ -284,9 +284,9 @@ class _TuningConfig(BaseModel):
 class StudyRecord:
     """Content of the folder of a study.
 
-    ``quantiles`` are from scores.csv, ``versions`` from the tunings. ``live``: processing times of live filters per IMU
-    sample without and with a fix, medians and ranges, ms. ``rival_times``: training time of a trial (s) and processing
-    time of an IMU sample (us) of each variant.
+    ``quantiles`` are from scores.csv, ``versions`` from the tunings. ``live``: medians and ranges of the processing
+    time (ms) of live filters per IMU sample, without and with a fix. ``rival_times``: training time of a trial (s) and
+    processing time of an IMU sample (us) of each variant.
     """
 
     results: Results

@@ -56,8 +56,8 @@ def stored_time(file: Path) -> Generator[None]:
 def rival_times(out: Path, design: Design, parameters: Filters, networks: Networks) -> Times:
     """Return the processor times of every tuned or trained variant, by names such as ``honest-pso-ukf``.
 
-    ``training_s`` is the mean time of tuning or training in a trial, s; for a network, it excludes the tuning of the
-    filter. ``sample_us`` is the mean time per IMU sample of a run, us. For a resumed trial, only the time since the
+    ``training_s`` is the mean time (s) of tuning or training in a trial; for a network, it excludes the tuning of the
+    filter. ``sample_us`` is the mean time (us) per IMU sample of a run. For a resumed trial, only the time since the
     last interruption is counted.
     """
     ready = design.prepared[design.split(0)[1][0]]

@@ -62,7 +62,7 @@ class NelderMead(AskTell):
         return self._through_the_middle(np.ones(self.moved))
 
     def _through_the_middle(self, reach: Array) -> Array:
-        """Reflect the worst vertices through the center of the others, to ``reach`` times their distance."""
+        """Reflect the worst vertices through the center of the others, to ``reach`` times their distance from it."""
         t, middle = reach[:, np.newaxis], np.mean(self.simplex[: -self.moved], axis=0)
         return (1 + t) * middle - t * self.simplex[-self.moved :]
 
