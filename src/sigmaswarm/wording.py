@@ -1,4 +1,4 @@
-"""Parts of messages: counts, lists of names, and values from files, shortened to one line without controls."""
+"""Parts of messages: counts, lists of names, and values from files, on one line without control characters."""
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple

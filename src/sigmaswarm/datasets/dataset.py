@@ -32,7 +32,7 @@ class Dataset(Protocol):
 
 
 Drives = Sequence[Drive | Location] | Drive | Location | Dataset
-"""Drives as an argument of a function; paths and URLs are accepted only with a cluster."""
+"""Types of the argument ``drives`` of functions; paths and URLs are accepted only with a cluster."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,7 +41,7 @@ def tables_from_frames(
 
 
 def _columns_of(table: Any, name: str, renamed: Mapping[str, str]) -> dict[str, NDArray[Any]]:
-    """Return the columns (n,) under a drive's names, including a pandas index of times."""
+    """Return the columns (n,) under the names that a drive uses; a pandas index of times becomes a column."""
     if isinstance(table, str | Path):
         raise DriveError(f"{name} is a path, {quoted(str(table))}; read it with read_drive or import_log")
     if not hasattr(table, "keys") and not hasattr(table, "columns"):

@@ -1,4 +1,4 @@
-"""The keys of drive.toml for the axes and the mounting of the IMU, with which the raw samples were converted."""
+"""The keys of drive.toml that describe how the raw IMU samples were converted: axes and mounting."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, cast

@@ -44,8 +44,8 @@ MIN_MATCH_SHARE = 0.5  # smallest fraction of the landmarks in the common time t
 class Landmarks:
     """The landmarks of a drive. In a file, landmarks need a thousandth of the drive's size.
 
-    ``sha256``: `fingerprint` of the drive. ``span``: start and end of the IMU samples, s. ``fixes`` (n, 3): time (us)
-    and position: latitude and longitude (1e-7 deg) if ``geographic``, else y and x (cm). ``rates`` (k, 2): time (s) and
+    ``sha256``: `fingerprint` of the drive. ``span``: start and end of the IMU samples, s. ``fixes`` (n, 3): time (us),
+    then latitude and longitude (1e-7 deg) if ``geographic``, else y and x (cm). ``rates`` (k, 2): time (s) and
     ln|gz| modulo ``LOG_RATIO``, below ``width``. The second value is the same in rad/s and deg/s and for both signs.
     """
 

@@ -122,7 +122,7 @@ HEADING_GRADES = by_name(
 
 
 def with_heading(fixes: Gps, time: Array, yaw: Array, grade: HeadingGrade, rng: np.random.Generator) -> Gps:
-    """Add headings to fixes, from the true ``yaw`` (n,) in rad at ``time`` (n,) in s."""
+    """Add headings to fixes; ``yaw`` (n,), rad, is the true heading at ``time`` (n,), s."""
     interval = float(np.median(np.diff(time)))
     noise = grade.white_std * rng.standard_normal(len(time))
     noise += grade.markov_std * gauss_markov(rng, len(time), 1, interval / grade.markov_time)[:, 0]

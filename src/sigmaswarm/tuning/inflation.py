@@ -39,12 +39,15 @@ from sigmaswarm.tuning.objectives import parse_objective
 from sigmaswarm.tuning.problem import Problem, duration_share
 
 INFLATION, TILTED_INFLATION, WITH_TRUTH = 0.05, 0.02, 0.01
-"""Default limits of the relative cost increase: planar without truth, others without truth, tilted12 with truth."""
+"""Default limits of the relative cost increase.
+
+The limits are those of planar models without truth, of other models without truth, and of tilted12 with truth.
+"""
 MIN_DRIVES_WITH_TRUTH = (
     3  # drives with truth from which the standard deviations of the initial biases are determined
 )
 REFERENCE_DURATION, TILTED_DURATION = 100.0, 150.0
-"""Total driving times (s) up to which the whole cost increase is allowed: planar models, models with roll and pitch.
+"""Total driving times (s) up to which the whole cost increase is allowed, for planar models and with roll and pitch.
 
 Twice this time allows half of the increase. On the 72 pairs of drives of `benchmarks/road_matrix.py`, the position RMSE
 of planar8 is 1 to 2% lower with 100 s than with 150 s, and its 5 s drift is 3 to 4% lower. With roll and pitch, a

@@ -53,7 +53,7 @@ class Objective:
     def costs(self, scores: Scores, worst: float = 1.0) -> Array:
         """Return the mean of the highest costs of each set, shape (n_sets,); ``inf`` if the set failed on any drive.
 
-        ``worst`` is the fraction of the drives that are averaged.
+        ``worst`` is the fraction of the drives over which costs are averaged.
         """
         return mean_cost(self.each(scores), worst)
 

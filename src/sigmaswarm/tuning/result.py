@@ -52,7 +52,7 @@ LARGE_GAP = 0.2  # relative increase of the errors on validation drives above wh
 
 @dataclass(frozen=True)
 class Validation:
-    """Cost, without priors, on drives that the search did not use; ``gap``: relative increase over training drives."""
+    """Cost, without priors, on drives that the search did not use; ``gap``: increase relative to the training cost."""
 
     cost: float
     gap: float

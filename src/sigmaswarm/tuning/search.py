@@ -90,7 +90,7 @@ def _trial(result: dict[str, Any], history: dict[str, Any]) -> Trial:
 class TrialRunner:
     """Settings that the trials of one tuning share.
 
-    The first generation is drawn around ``center``, shape (d,); None: uniformly within the bounds. Custom optimizers
+    The first generation is drawn around ``center``, shape (d,); if None, uniformly within the bounds. Custom optimizers
     that are not subclasses of `AskTell` ignore ``center``.
     """
 

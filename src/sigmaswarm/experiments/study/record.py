@@ -236,7 +236,10 @@ QUANTILES = {"low": 0.05, "first": 0.25, "median": 0.5, "third": 0.75, "high": 0
 
 
 class ScoreQuantiles(_Part):
-    """Quantiles, over the drives, of the mean over trials. ``failed``: number of drives on which the filter failed."""
+    """Quantiles, over the drives, of the mean score over trials.
+
+    ``failed``: number of drives on which the filter failed.
+    """
 
     protocol: str
     method: str

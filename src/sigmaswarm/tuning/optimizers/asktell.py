@@ -76,7 +76,8 @@ class AskTell:
     def begin_near(self, point: Array) -> None:
         """Begin around a point, shape (d,), which is in the first batch; call this before the first `ask`.
 
-        The other first points of `bo` and `sobol`, which cover the search space, do not change.
+        The other first points of `bo` and `sobol`, which cover the search space, do not change. `cma-es` draws all
+        first points around the given point, without this point itself.
         """
         self.center = point
         self.positions = np.clip(self._begin(), self.low, self.high)

@@ -33,7 +33,7 @@ class Budgeted:
         self.global_best, self.global_cost = low.copy(), np.inf
 
     def begin_near(self, point: Array) -> None:
-        """Set the start point, shape (d,), before the first `ask`; custom optimizers ignore it."""
+        """Set the start point, shape (d,), before the first `ask`; only subclasses of `AskTell` use it."""
         if isinstance(self.first, AskTell):
             self.first.begin_near(point)
 
