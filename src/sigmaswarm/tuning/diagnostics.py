@@ -28,7 +28,7 @@ from sigmaswarm.scoring.remote import AnyBatchScorer
 from sigmaswarm.scoring.targets import FORECAST_LENGTHS, LONG_OUTAGE_LENGTH
 from sigmaswarm.tables import Column, Table
 from sigmaswarm.tuning.objectives import Objective
-from sigmaswarm.wording import to_do
+from sigmaswarm.wording import count_of, to_do
 
 MAX_NAMED_DRIVES = 3  # largest number of drives that a message names, and that are checked for drift
 MONITORED_TIME = 3600.0  # s from the start in which divergence is checked; a longer time needs more memory
@@ -128,7 +128,7 @@ def divergence_warnings(restarts: Iterable[tuple[str, list[float]]]) -> list[str
     if not diverged:
         return []
     more = len(diverged) - MAX_NAMED_DRIVES
-    others = f"; it also diverged on {more} more drives" if more > 0 else ""
+    others = f"; it also diverged on {count_of(more, 'more drive')}" if more > 0 else ""
     these = "this is a training drive" if len(diverged) == 1 else "these are training drives"
     why = f"the tuned filter {'; it '.join(diverged[:MAX_NAMED_DRIVES])}{others}, although {these}"
     return [to_do(REMEDY, why)]

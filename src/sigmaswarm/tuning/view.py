@@ -80,7 +80,8 @@ class TuningView:
         result, before = self.result, ""
         if result.inflation_factor != 1.0:
             before = f"; {result.trial_costs[result.best_trial]:.4f} before process-noise inflation"
-        unit = " nats per fix" if parse_objective(result.objective).likelihood else ""
+        objective = parse_objective(result.objective)
+        unit = " nats per fix" if objective.likelihood and not objective.needs_truth else ""
         on = count_of(len(self.record.data), self.noun)
         return f"cost {result.cost:.4f}{unit} ({result.objective}{before}) on {on}"
 
