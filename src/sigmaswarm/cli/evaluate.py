@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from sigmaswarm.tuning.record import TunedFilter
 
 WORSE_STEP = (
-    "then: tune on more or longer drives, and evaluate again (a method without tuning is more accurate)"
+    "then: tune on more or longer drives, and evaluate again (on these drives, a method without tuning is more "
+    "accurate than the tuned filter)"
 )
 
 
