@@ -212,7 +212,7 @@ class Evaluation:
         return next((key for key, name in self.names.items() if name == method), method)
 
     def improvement(self, over: str = BASELINE, measure: str = "position_rmse_m") -> float | None:
-        """Return the improvement over a method, %, from means: 100 (method - tuned) / method (the paper's equation 5)."""
+        """Return the improvement over a method, %: 100 (method - tuned) / method of the means (the paper's eq. 5)."""
         other, tuned = self.mean(over, measure), self.mean("tuned", measure)
         return None if not other or tuned is None else 100 * (other - tuned) / other
 
