@@ -198,7 +198,7 @@ def test_each_fault_of_a_log_gets_a_remark():
         "ay left out, constant at 0",
         "az left out, saturated: ",
         "gx left out, quantized in steps of 0.05",
-        "the model does not fit the Allan deviation (gy ",
+        "the model does not fit the Allan deviation (gy: ",
     ):
         assert [remark for remark in noise.remarks if remark.startswith(expected)], (expected, noise.remarks)
     assert not [remark for remark in noise.remarks if "gz" in remark]

@@ -198,7 +198,7 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
     title = f"Scores on {describe_drives(view.setup.data)} (lower is better)"
     print_lines(replace(table, caption=title).to_rich(grouped=True))
     if verbose:
-        caption = "Consistency of the tuned filter (NIS and NEES should be 2)"
+        caption = "Consistency of the tuned filter (mean NIS and mean NEES should be 2)"
         tables = replace(view.consistency_table(), caption=caption), view.radius_table()
         print_lines(*(one.to_rich() for one in tables), *sentences)
         return

@@ -53,7 +53,8 @@ def comparison_table(comparison: Comparison) -> Table:
         f"{comparison.seeds} seeds, {comparison.budget} evaluations per run. Values: median [95% interval of the "
         f"median] and worst run. p: paired Wilcoxon test against {comparison.contenders[0].label}, with Holm's "
         "correction over the rows. Steps: number of filter steps; 100%: the whole budget on all drives. Touched "
-        f"bounds: number of runs in which a parameter ended at a bound. Training drives: {', '.join(comparison.drives)}. "
+        "bounds: number of runs in which a parameter ended at a bound. "
+        f"Training drives: {', '.join(comparison.drives)}. "
         f"Held-out drives: {', '.join(comparison.test) or 'none'}.{rival}{few}"
     )
     return Table("", tuple(columns), tuple(rows), note=note)

@@ -223,7 +223,7 @@ class Evaluation:
 
     @property
     def is_worse_than_untuned(self) -> bool:
-        """True if the baseline or the fixes alone are over 10% more accurate than the tuned filter.
+        """True if the errors of the baseline or of the fixes alone are over 10% smaller than those of the tuned filter.
 
         This must hold for the position RMSE or for more than half of the measures.
         """
