@@ -19,7 +19,7 @@ MIN_COLUMNS = 20  # characters, smallest width of a terminal in which tables are
 
 
 def prepare() -> None:
-    """Make the streams escape characters that they cannot encode, and ignore COLUMNS below `MIN_COLUMNS`."""
+    """Let the streams escape characters that they cannot encode; ignore a value of COLUMNS below `MIN_COLUMNS`."""
     for stream in (sys.stdout, sys.stderr):
         if reconfigure := getattr(stream, "reconfigure", None):  # a closed stream is None
             reconfigure(errors="backslashreplace")

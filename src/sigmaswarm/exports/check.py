@@ -40,7 +40,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class ExportCheck:
-    """Differences on a drive, computed in double and in float; None if the filter exceeds the range of float."""
+    """Differences on a drive, in double and in float; ``single`` is None if the filter exceeds the range of float."""
 
     drive: str
     double: Difference
