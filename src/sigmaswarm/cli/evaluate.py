@@ -50,7 +50,7 @@ class EvaluateOptions:
     out
         Folder for scores.csv, scores.json, figures and the data for `sigmaswarm report`.
     outage_length
-        Length of outages, s; the drift is the error at their end. Outages of 1 and 30 s are added.
+        Length of outages, s, in addition to 1 and 30 s. Drift: the error at the end of an outage.
     outage_seed
         Seed of the outage windows.
     smooth

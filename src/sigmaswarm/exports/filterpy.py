@@ -1,7 +1,7 @@
 """Write the filter as a Python script that needs only NumPy and FilterPy.
 
 The script contains the source of those parts of sigmaswarm that FilterPy lacks, so its results equal those of
-sigmaswarm.
+sigmaswarm except for rounding.
 """
 
 import ast

@@ -1,4 +1,4 @@
-"""Charts of a study (means with intervals, spread over drives, convergence, one drive) and its files."""
+"""Charts of a study (means with intervals, spread over drives, convergence, one drive), and the files of a study."""
 
 from collections.abc import Sequence
 from math import inf
