@@ -734,5 +734,5 @@ def test_an_evaluation_on_other_sensors_is_named(
     Path("t.toml").write_text(f"{tuned.read_text()}\n[[data]]\n{tomli_w.dumps(about)}")
     ended = sigmaswarm("evaluate", "t.toml", min(drives.iterdir()))
     assert ended.code == 0
-    said = f"Hz instead of {samples / drive.duration:.3g} Hz). The filter can be far less accurate there than on the"
+    said = f"Hz instead of {samples / drive.duration:.3g} Hz). The filter can be far less accurate on this drive than"
     assert (said in " ".join(ended.err.split())) == (rate > 1)

@@ -125,7 +125,7 @@ def test_the_tables_say_what_the_runs_were(whole):
     ]
     assert comparison.frame["cost_p"].to_list()[1:] == holm(raw)
     said = (folder / "comparison.md").read_text()
-    assert "3 seeds, 24 evaluations each" in said
+    assert "3 seeds, 24 evaluations per run" in said
     assert said.endswith("\n\nThere are too few seeds for the tests, which need 6 or more.\n")
     header, _, _, random, *_ = (line.split(" | ") for line in said.splitlines())
     low, middle, high = sorted(costs)

@@ -198,7 +198,7 @@ def test_each_fault_of_a_log_gets_a_remark():
         "ay left out, constant at 0",
         "az left out, saturated: ",
         "gx left out, quantized in steps of 0.05",
-        "the model does not fit the Allan deviation (gy ",
+        "the model does not fit the Allan deviation (gy: ",
     ):
         assert [remark for remark in noise.remarks if remark.startswith(expected)], (expected, noise.remarks)
     assert not [remark for remark in noise.remarks if "gz" in remark]
@@ -243,7 +243,7 @@ def test_a_drift_is_named_and_the_walk_of_a_bias_is_not():
 
 ERRORS = {
     "short": (lambda log: log.select(slice(0, 700)), "is 6.99 s long"),
-    "few": (lambda log: log.select(slice(0, 20)), "the log has 20 samples or times that do not increase"),
+    "few": (lambda log: log.select(slice(0, 20)), "the log has 20 samples, or its times do not increase"),
     "moves": (lambda log: replace(log, gz=0.5 * np.sin(log.time)), "moves, and there is no standstill"),
     "dead": (
         lambda log: Imu(log.time, 0 * log.ax, 0 * log.ax, 0 * log.ax),

@@ -46,7 +46,7 @@ def read_drives(places: "Sequence[Location]") -> "list[Drive]":
 
 
 def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *, overwrite: bool) -> None:
-    """Raise `InputError` if a folder is a source or contains files; with ``overwrite``, permit those of a drive."""
+    """Raise `InputError` if a folder is a source or contains files; ``overwrite`` permits the files of a drive."""
     from sigmaswarm.drives.reader import all_drive_locations
     from sigmaswarm.drives.writer import require_replaceable
     from sigmaswarm.errors import InputError
@@ -198,7 +198,7 @@ def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "
     title = f"Scores on {describe_drives(view.setup.data)} (lower is better)"
     print_lines(replace(table, caption=title).to_rich(grouped=True))
     if verbose:
-        caption = "Consistency of the tuned filter (NIS and NEES should be 2)"
+        caption = "Consistency of the tuned filter (mean NIS and mean NEES should be 2)"
         tables = replace(view.consistency_table(), caption=caption), view.radius_table()
         print_lines(*(one.to_rich() for one in tables), *sentences)
         return

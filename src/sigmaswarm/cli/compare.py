@@ -28,7 +28,7 @@ class CompareOptions:
     scales
         Scales of the search space; log10 by default.
     seeds
-        Number of runs of each optimizer and scale, each with a different seed.
+        Number of runs for each optimizer and scale, each with a different seed.
     validation
         Held-out drives: the search does not use them, and the tuned filters are also evaluated on them.
     workers

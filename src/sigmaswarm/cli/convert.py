@@ -51,7 +51,7 @@ def convert(
         drive = read_silently(place)
         if drive.name in written:
             raise InputError(
-                f"{place}: another drive is also named {drive.name}; convert it to another folder"
+                f"{place}: another drive has the same name, {drive.name}; convert this drive to another folder"
             )
         written.append(drive.name)
         require_writable([out / drive.name], given, overwrite=overwrite)

@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from sigmaswarm.tuning.record import TunedFilter
 
 WORSE_STEP = (
-    "then: tune on more or longer drives, and evaluate again (a method without tuning is more accurate)"
+    "then: tune on more or longer drives, and evaluate again (on these drives, a method without tuning is more "
+    "accurate than the tuned filter)"
 )
 
 
@@ -49,7 +50,7 @@ class EvaluateOptions:
     out
         Folder for scores.csv, scores.json, figures and the data for `sigmaswarm report`.
     outage_length
-        Length of outages, s; the drift is the error at their end. Outages of 1 and 30 s are added.
+        Length of outages, s, in addition to 1 and 30 s. Drift: the error at the end of an outage.
     outage_seed
         Seed of the outage windows.
     smooth

@@ -37,8 +37,8 @@ class ExportOptions:
         c99: a C library. filterpy: a Python script (planar models). robot_localization: YAML (the same filter only for
         the model robot-localization).
     out
-        Folder of the export. --overwrite replaces an earlier export and the programs built from it, and keeps other
-        files.
+        Folder of the export. --overwrite replaces an earlier export, removes the programs built from it, and keeps
+        other files.
     replay
         c99: also write this drive as replay.csv, the input of the program replay.c.
     check
@@ -49,7 +49,7 @@ class ExportOptions:
     lanes
         c99: number of filters in the exported bank, 1 to 16. This bank does not search for better parameters.
     seed
-        c99: seed of the parameters of the filters in the bank.
+        c99: seed for drawing the parameters of the filters in the bank.
     """
 
     to: AnyTarget

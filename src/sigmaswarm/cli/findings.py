@@ -54,7 +54,7 @@ def print_diagnosis(diagnosis: "Diagnosis", explained: set[str] | None = None) -
 
 
 def _in_words(finding: "Finding", *, part: bool) -> str:
-    """Format a finding as three lines (fault, place and confidence, remedy), or a note as one line.
+    """Format a finding as three lines (fault; place and confidence; remedy), or a note as one line.
 
     ``part``: True for a part of a split drive, which is not repaired alone.
     """

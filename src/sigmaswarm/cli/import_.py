@@ -77,7 +77,7 @@ class ImportOptions:
     receive_times
         Use the receive times of messages instead of the stamps in their headers.
     part
-        Number of the recording to read, from 1. A table contains several recordings if its clock restarts.
+        Number of the recording to read, counted from 1. A table contains several recordings if its clock restarts.
     msg
         Message definitions that the bag does not contain: a .msg file, or the folder of a ROS package.
     mount

@@ -26,7 +26,7 @@ class NoiseOptions:
     tuned
         Show the process noise Q of this tuning instead of the noise of a log.
     to
-        Packages for which the noise is printed, in their format and units, or, with --out, written to files.
+        Print the noise in the formats and units of these packages; with --out, write it to files.
     out
         Folder for the files of --to and, for a log, noise.png, noise.svg and noise.json.
     recipe

@@ -75,7 +75,7 @@ def reference(
     arm: Any = parse_numbers(options.lever_arm, 3, "--lever-arm", "0.9,-0.4,1.2")
     require_replaceable(out.resolve(), options.overwrite, "add --overwrite, or choose another folder")
     read = read_silently(drive)
-    with tuning_progress("tuning for the good receiver") as progress:
+    with tuning_progress("tuning the smoother") as progress:
         made = sigmaswarm.reference(read, options.fixes, lever_arm=arm, progress=progress, **given)
     write_drive(made, out, overwrite=options.overwrite)
     about = made.metadata["reference"]

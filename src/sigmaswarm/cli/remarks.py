@@ -1,4 +1,4 @@
-"""Remarks on a tuning: insertion of file paths, and the warning that a filter should not be used."""
+"""Remarks on a tuning: insert the paths of drive.toml files, and warn if a filter should not be used."""
 
 import warnings
 from collections.abc import Iterable, Sequence

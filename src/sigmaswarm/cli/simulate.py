@@ -153,9 +153,10 @@ def simulated_on(client: "Client", *what: Any, **options: Any) -> "Iterator[Driv
 
 
 def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str, Any]) -> set[str]:
-    """Return the names of existing drives to keep.
+    """Return the names of the drives that already exist, which are kept.
 
-    Raise `InputError` if OUT is a file or contains drives that are not kept.
+    Raise `InputError` if OUT is a file, if it contains drives and ``resume`` is False, or if an existing drive was made
+    with other options.
     """
     nearest = next(path for path in (out, *out.parents) if path.exists())
     if not nearest.is_dir():

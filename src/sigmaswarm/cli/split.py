@@ -42,7 +42,7 @@ def split(
     train_fraction
         Fraction of the drive's duration in the first part; 0.7 by default.
     at
-        Time of the split on the drive's clock, s. Data between two given times are left out.
+        Time of the split on the drive's clock, s. If two times are given, data between them are left out.
     """
     if at is not None and train_fraction is not None:
         raise sigmaswarm.InputError("specify --at or --train-fraction, not both")

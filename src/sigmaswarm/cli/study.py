@@ -52,7 +52,7 @@ def study(*, out: Path, options: Annotated[StudyOptions, FIELDS] = StudyOptions(
     - IMU only, raw GPS, and a constant-velocity filter without IMU;
     - three filters, each with two manual parameter sets: EKF, adaptive UKF, UKF;
     - the UKF with the paper's optimum, and the paper's PSO-UKF;
-    - three filters tuned with the same budget: EKF, adaptive UKF, planar8;
+    - three filters tuned with the budget of the PSO-UKF: EKF, adaptive UKF, planar8;
     - the default filter of `tune`.
 
     PSO-UKF is tuned under two protocols. With the protocol "paper", the cost is the distance from the fixes, and
@@ -62,8 +62,9 @@ def study(*, out: Path, options: Annotated[StudyOptions, FIELDS] = StudyOptions(
     drives or more. The result does not depend on the number of workers.
 
     In each trial, --rivals also tunes a fuzzy UKF, tunes a UKF by Bayesian optimization (at most 100 evaluations), and
-    trains outage-lstm and noise-gru for planar8. The option adds scores after outages of 15, 30 and 60 s and on drives
-    with other sensors and another car, and learning curves. It needs `pip install 'sigmaswarm[learned,bo]'`.
+    trains outage-lstm and noise-gru for planar8. The option adds the drifts over outages of 15, 30 and 60 s, scores on
+    drives with other sensors and with another car, and learning curves. It needs
+    `pip install 'sigmaswarm[learned,bo]'`.
 
     For example:
 

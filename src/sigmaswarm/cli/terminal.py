@@ -19,7 +19,7 @@ MIN_COLUMNS = 20  # characters, smallest width of a terminal in which tables are
 
 
 def prepare() -> None:
-    """Make the streams escape characters that they cannot encode, and ignore COLUMNS below `MIN_COLUMNS`."""
+    """Let the streams escape characters that they cannot encode; ignore a value of COLUMNS below `MIN_COLUMNS`."""
     for stream in (sys.stdout, sys.stderr):
         if reconfigure := getattr(stream, "reconfigure", None):  # a closed stream is None
             reconfigure(errors="backslashreplace")
@@ -86,9 +86,9 @@ def tuning_progress(title: str) -> "Generator[Callable[[TuningProgress], None]]"
 def progress_bar(
     title: str, counted: str = "", waiting: str = "", **fields: Any
 ) -> Generator[Callable[..., None]]:
-    """Show a bar and the remaining time on stderr; yield a function of done, total and fields that updates the bar.
+    """Show a bar and the remaining time on stderr; yield a function that updates the bar with done, total and fields.
 
-    The bar appears at the first update, so that an error before it prints only one line. Before the first update, a
+    The bar appears at the first update, so that an earlier error prints only one line. Before the first update, a
     terminal shows ``waiting``. If ``counted`` is empty, the bar shows a percentage.
     """
     from rich.console import Console

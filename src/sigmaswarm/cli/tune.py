@@ -209,7 +209,7 @@ def _velocity_agrees(drive: "Drive") -> bool:
 def _with_velocity(
     given: Places, config: TuneConfig, read: "Dataset", stated: Mapping[str, Any]
 ) -> list[str]:
-    """Suggest a second tuning that uses the receiver's velocity, if the first does not, and model and logs permit it.
+    """Suggest a second tuning with the receiver's velocity, if the first lacks it and the model and the logs permit it.
 
     ``stated``: the options that the user gave for the first tuning; the second tuning has the same options.
     """

@@ -53,8 +53,8 @@ def c99(
     Raises
     ------
     InputError
-        If a parameter cannot be written as a C constant, the IMU's sampling rate is too high, or the filter type of the
-        model is not available in C.
+        If a parameter cannot be written as a C constant, if the IMU's sampling rate is too high, or if the filter type
+        of the model is not available in C.
     """
     if interval < MIN_INTERVAL:
         raise InputError(

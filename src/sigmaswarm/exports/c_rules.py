@@ -23,7 +23,7 @@ MODULES = gaps, stale_fixes, standstill, odometer, events
 
 
 def by_name(names: Mapping[str, str]) -> dict[str, str]:
-    """Return the type of each name, from the names of each type, separated by blanks."""
+    """Return the type of each name; ``names`` contains, by type, the names separated by blanks."""
     return {name: kind for kind, some in names.items() for name in some.split()}
 
 

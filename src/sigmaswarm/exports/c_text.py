@@ -69,7 +69,7 @@ def in_c(comment: str) -> str:
 
 @cache
 def constants_of(module: Any) -> dict[str, str]:
-    """Return descriptions of a module's constants, by name: the string below a definition, or the comment in its line.
+    """Return descriptions of a module's constants, by name: the string below a definition, or the comment on its line.
 
     Constants that are defined together have one key: their names, separated by commas.
     """

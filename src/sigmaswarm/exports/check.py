@@ -40,7 +40,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class ExportCheck:
-    """Differences on a drive, computed in double and in float; None if the filter exceeds the range of float."""
+    """Differences on a drive, in double and in float; ``single`` is None if the filter exceeds the range of float."""
 
     drive: str
     double: Difference
@@ -65,7 +65,7 @@ def check_export(
     Raises
     ------
     InputError
-        If there is no C compiler, the build fails, or a drive lacks data that the filter needs.
+        If there is no C compiler, if the build fails, or if a drive lacks data that the filter needs.
     AlignmentError
         If the filter's initial state cannot be computed from a drive.
     """

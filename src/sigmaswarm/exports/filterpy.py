@@ -1,7 +1,7 @@
 """Write the filter as a Python script that needs only NumPy and FilterPy.
 
 The script contains the source of those parts of sigmaswarm that FilterPy lacks, so its results equal those of
-sigmaswarm.
+sigmaswarm except for rounding.
 """
 
 import ast
@@ -36,7 +36,7 @@ MODEL = {
     models: "THETA ACCEL_BIAS GYRO_BIAS planar5 planar8 gps_position velocity lateral_arm lateral_velocity "
     "wheel_speed heading gyro_bias"
 }
-"""Names from each module that the script contains; an empty text means all. FILTER and DRIVE have the same form."""
+"""Names that the script contains, by module; an empty text means all. FILTER and DRIVE have the same form."""
 FILTER = {
     gaussian: "Innovation Prediction GaussianFilter",
     ekf: "complex_step",

@@ -37,7 +37,7 @@ def noise_texts(noise: Noise, target: NoiseTarget) -> dict[str, str]:
     Raises
     ------
     InputError
-        If the target is unknown, or a sensor was not measured.
+        If the target is unknown, or if a sensor was not measured.
     """
     if target not in _WRITERS:
         raise InputError(f"there is no noise target {target!r}; choose one of {', '.join(_WRITERS)}")

@@ -42,7 +42,7 @@ class Description:
 DESCRIPTIONS: dict[Target, Description] = {
     "c99": Description(
         title="C99",
-        needs="Needs a C compiler and math.h; no heap, no other library. The code runs on a microcontroller.",
+        needs="Needs a C compiler and math.h, but no heap and no other library. The code runs on a microcontroller.",
         commands={
             "ins_gps.c": "cd {} && cc -std=c99 -O2 ins_gps.c ins_gps_align.c replay.c -lm -o replay",
             "replay.csv": " && ./replay < replay.csv > estimate.csv",

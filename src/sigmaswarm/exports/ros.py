@@ -34,7 +34,7 @@ INNOVATION, INNOVATION_SIGMA, NIS = (
 )
 INTERVAL = 0.1  # s between messages of the topics SIGMA and FIX
 NOT_ESTIMATED = 1e6
-"""Variance of what a filter does not estimate: height, vertical velocity, rates; in planar models roll and pitch."""
+"""Variance of quantities that are not estimated: height, vertical velocity, rates; in planar models roll and pitch."""
 RawMessage = tuple[int, Any, Any]  # ns, connection in the new bag, bytes
 Message = tuple[int, str, Any]  # ns, topic, message
 
@@ -58,7 +58,7 @@ def ros2(
     Raises
     ------
     InputError
-        If rosbags is not installed, a time is before 0, or ``merge`` is damaged, covers other times, or already
+        If rosbags is not installed, if a time is before 0, or if ``merge`` is damaged, covers other times, or already
         contains /sigmaswarm/odometry. In these cases no file remains.
     """
     try:

@@ -53,7 +53,7 @@ def export_texts(
     """
     interval = _checked(parameters, target)
     if target != "c99" and replay is not None:
-        raise InputError(f"--replay needs --to c99: {target} has no program that replays a drive")
+        raise InputError(f"--replay needs --to c99: an export to {target} does not use replay.csv")
     if target != "c99" and lanes != 1:
         raise InputError(f"--lanes needs --to c99: {target} runs only one filter")
     match target:

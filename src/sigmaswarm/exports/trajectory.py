@@ -72,7 +72,7 @@ def write_pieces(
     Raises
     ------
     InputError
-        If the extension is unknown, the folder does not exist, a map has no origin, or ``merge`` can't be used.
+        If the extension is unknown, if the folder does not exist, if a map has no origin, or if ``merge`` is unusable.
     """
     path = Path(path)
     check_target(path, origin, merge, replace=replace)

@@ -45,7 +45,7 @@ def head(weights: Weights, h: Any) -> Any:
 def new_weights(
     rng: np.random.Generator, gates: int, features: int, units: int, outputs: int
 ) -> dict[str, Array]:
-    """Draw initial weights; those of the output layer are zero, so that a new network has no effect.
+    """Draw initial weights; those of the output layer are zero, so that the outputs of a new network are 0.
 
     Source: X. Glorot and Y. Bengio, AISTATS 2010. The forget gate of an LSTM is open at first (R. Jozefowicz, W.
     Zaremba and I. Sutskever, ICML 2015).

@@ -99,8 +99,8 @@ def fit(
 ) -> TrainingResult:
     """Minimize the loss by AdamW; return the weights with the lowest loss on the validation examples.
 
-    A stopped training continues from the file ``checkpoint``. After each epoch, ``progress`` is called with the number
-    of finished epochs and the lowest validation loss so far.
+    A stopped training run continues from the file ``checkpoint``. After each epoch, ``progress`` is called with the
+    number of finished epochs and the lowest validation loss so far.
     """
     with double_precision():
         import jax
@@ -138,7 +138,7 @@ def fit(
 
 @lru_cache(maxsize=4)
 def _compiled(loss: Loss, learning_rate: float) -> tuple[Any, Any, Any]:
-    """Return the optimizer, the compiled loss and the compiled epoch; cached for trainings with the same loss."""
+    """Return the optimizer, the compiled loss and the compiled epoch; cached by loss and learning rate."""
     import jax
     import optax
 
@@ -189,7 +189,7 @@ class _State:
         return {**named, "losses": self.losses}
 
     def restored(self, arrays: dict[str, Any]) -> "_State":
-        """Return a saved state; raise `LookupError` or `ValueError` for the state of another training."""
+        """Return a saved state; raise `LookupError` or `ValueError` for the state of another training run."""
         import jax
 
         for name, now in self.arrays().items():

@@ -99,7 +99,10 @@ class LearnConfig:
         }
 
     def split(self) -> tuple[Sequence[Drive], Sequence[Drive]]:
-        """Return training drives and validation drives (by default the ends of training drives)."""
+        """Return the training and the validation drives.
+
+        If there are no validation drives, the ends of the training drives are the validation data.
+        """
         if self.kind == noise_gru.NAME or self.validation:
             return self.drives, self.validation
         last = len(self.drives) - len(self.drives) // 3  # the calibration needs long drives
@@ -131,7 +134,7 @@ def learn(
     Raises
     ------
     InputError
-        If JAX is missing, the filter or a drive is not supported, or the folder contains another training.
+        If JAX is missing, if the filter or a drive is not supported, or if the folder contains another training run.
     """
     if config.kind not in LEARNERS:
         raise InputError(f"there is no network {config.kind!r}; choose one of {', '.join(LEARNERS)}")

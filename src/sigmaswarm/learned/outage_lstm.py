@@ -128,7 +128,10 @@ def features_at(line: Timeline, end: Indices, *, axes: Sequence[str], window: fl
 
 
 def _means(time: Array, values: Array, edges: Array) -> Array:
-    """Return the means (k, m) of a signal between times ``edges`` (k, m + 1), s, extended back by its first value."""
+    """Return the means (k, m) of a signal between times ``edges`` (k, m + 1), s.
+
+    If both times precede the signal, the mean is the first value of the signal.
+    """
     whole = cumulative_trapezoid(values, time, initial=0)
     inside = np.maximum(edges, time[0])
     length = np.diff(inside, axis=1)

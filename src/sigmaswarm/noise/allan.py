@@ -1,4 +1,4 @@
-"""Overlapping Allan deviation of samples and of the noise model (IEEE Std 952-1997, annex C)."""
+"""Overlapping Allan deviation of samples, and Allan deviation of the noise model (IEEE Std 952-1997, annex C)."""
 
 import math
 from collections.abc import Sequence

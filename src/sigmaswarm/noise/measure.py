@@ -23,8 +23,8 @@ from sigmaswarm.noise.spectrum import Interval, fit, spectrum_of
 from sigmaswarm.noise.static import AXES, fault_of, find_stretches
 
 TUNED = (
-    "a tuned Q also contains the errors of the filter's model, such as slopes, tilt and wheel slip: expect "
-    "values larger than the noise of the sensor"
+    "a tuned Q also contains the errors of the filter's model, for example from slopes, tilt and wheel slip: "
+    "expect values larger than the noise of the sensor"
 )
 
 

@@ -89,7 +89,9 @@ def on_misfit(axes: Sequence[AxisNoise], duration: float) -> Iterator[str]:
         ratio = (a.deviation / np.sqrt(np.sum(np.square(parts), axis=0)))[a.tau <= duration / MIN_INTERVALS]
         worst = int(np.argmax(np.abs(np.log(ratio))))
         if not 1 / MISFIT < ratio[worst] < MISFIT:
-            misfits.append(f"{a.axis} {ratio[worst]:.2g} times the model's at tau = {a.tau[worst]:.2g} s")
+            misfits.append(
+                f"{a.axis}: {ratio[worst]:.2g} times that of the model at tau = {a.tau[worst]:.2g} s"
+            )
     if misfits:
         yield (
             f"the model does not fit the Allan deviation ({', '.join(misfits)}). Vibration, or a filter in the sensor, "

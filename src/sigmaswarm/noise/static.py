@@ -43,13 +43,13 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
     Raises
     ------
     InputError
-        If samples are too few or invalid, or no stretch is long enough.
+        If samples are too few or invalid, or if no stretch is long enough.
     """
     steps = np.diff(imu.time)
     if len(imu) < MIN_SAMPLES or not np.all(steps > 0):
         raise InputError(
-            f"at least {MIN_SAMPLES} samples with increasing times are needed, but the log has {len(imu)} samples "
-            f"or times that do not increase; record at least {MIN_DURATION:g} s"
+            f"at least {MIN_SAMPLES} samples with increasing times are needed, but the log has {len(imu)} samples, "
+            f"or its times do not increase; record at least {MIN_DURATION:g} s"
         )
     columns = [axis for axis in AXES if getattr(imu, axis) is not None]
     if wrong := [axis for axis in columns if not np.isfinite(getattr(imu, axis)).all()]:
@@ -148,6 +148,6 @@ def fault_of(values: Sequence[Array]) -> str | None:
         at_end, at_next = (sum(int(np.count_nonzero(v == x)) for v in values) for x in (end, follows))
         if at_end > max(MIN_SATURATION_RATIO * at_next, MIN_SATURATION_SHARE * count, 5):
             return (
-                f"saturated: {100 * at_end / count:.2g}% of the samples are {end:.6g}, the end of its range"
+                f"saturated: {100 * at_end / count:.2g}% of the samples are {end:.6g}, the end of the range"
             )
     return None

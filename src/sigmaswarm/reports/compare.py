@@ -50,17 +50,21 @@ def comparison_table(comparison: Comparison) -> Table:
         rival = f" A filter that uses only the fixes, without the IMU, has a held-out RMSE of {alone:.4g} m."
     few = "" if tested else f"\n\nThere are too few seeds for the tests, which need {MIN_SEEDS} or more."
     note = (
-        f"{comparison.seeds} seeds, {comparison.budget} evaluations each. Values: median [95% interval of the median] "
-        f"and worst run. p: paired Wilcoxon test against {comparison.contenders[0].label}, with Holm's correction over "
-        "the rows. Steps: number of filter steps; 100%: the whole budget on all drives. Touched bounds: number of "
-        f"runs in which a parameter ended at a bound. Training drives: {', '.join(comparison.drives)}. "
+        f"{comparison.seeds} seeds, {comparison.budget} evaluations per run. Values: median [95% interval of the "
+        f"median] and worst run. p: paired Wilcoxon test against {comparison.contenders[0].label}, with Holm's "
+        "correction over the rows. Steps: number of filter steps; 100%: the whole budget on all drives. Touched "
+        "bounds: number of runs in which a parameter ended at a bound. "
+        f"Training drives: {', '.join(comparison.drives)}. "
         f"Held-out drives: {', '.join(comparison.test) or 'none'}.{rival}{few}"
     )
     return Table("", tuple(columns), tuple(rows), note=note)
 
 
 def comparison_figure(comparison: Comparison) -> Figure:
-    """Draw the training cost over the evaluations, with quartiles, and the (held-out, if known) cost of every run."""
+    """Draw the training cost over the evaluations, with quartiles, and the cost of every run.
+
+    If there are held-out drives, the cost of a run is its cost on these drives.
+    """
     last = "held_out_cost" if "held_out_cost" in comparison.measures else "cost"
     contenders = comparison.contenders
     looks = many_styles(len(contenders), 1.6)

@@ -62,8 +62,8 @@ def save_evaluation(
 ) -> list[Path]:
     """Write the records and pictures of an evaluation into a folder; return the paths of all files.
 
-    ``tuning``: the evaluated tuning.toml or its folder, of which a copy is also written. ``save_network`` writes a copy
-    of the evaluated network into a folder.
+    ``tuning``: the evaluated tuning.toml or its folder; the tuning is also copied. ``save_network`` writes a copy of
+    the evaluated network into a folder.
     """
     with staged_files(folder, EVALUATION, EVALUATION_FILE) as new:
         written = [*evaluation.save(new), save(comparison(evaluation), new / "comparison.png")]
@@ -248,7 +248,7 @@ def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
 
 
 def swarm_charts(tracks: Tracks) -> tuple[Chart, ...]:
-    """Draw the stacked weights of a bank's filters over time, and its parameters' offsets from the tuned values."""
+    """Draw the stacked weights of a bank's filters and the offsets of its variances from the tuned ones, over time."""
     shares, moved = (tracks.series.get("swarm" + ending) for ending in (SHARES, MOVED))
     if shares is None or moved is None:
         return ()

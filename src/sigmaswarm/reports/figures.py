@@ -74,7 +74,7 @@ def logarithmic(axis: Axis) -> None:
 
 
 class _Between(Formatter):
-    """Label 2 and 5 times a power of ten on an axis that spans little more than one decade."""
+    """Label 2 and 5 times each power of ten on an axis that spans a factor of less than 15."""
 
     def __call__(self, x: float, pos: int | None = None) -> str:
         low, high = sorted(self.axis.get_view_interval())  # pyright: ignore

@@ -36,14 +36,14 @@ TERMS = {
     "innovations (Ljung-Box test over lags of one to ten fixes)",
     "correlation": "correlation of consecutive innovations; 0 if the filter is consistent",
     "consistent": "95% range of the mean NIS of a consistent filter",
-    "95% gate": "fraction of the fixes with a NIS below 5.99; 95% if the filter is consistent",
+    "95% gate": "limit of 5.99 for the NIS; 95% of the fixes are below this limit if the filter is consistent",
     "outage drift": "RMS position error at the ends of intervals without fixes",
     "position 50%": "median of the position error",
     "position 95%": "95th percentile of the position error",
     "baseline": "a filter with the tuned filter's model and typical noise parameters, not tuned",
     "fixes alone": "a constant-velocity filter without the IMU",
     "raw GPS": "the receiver's fixes, without a filter",
-    "IMU only": "the filter without fixes after its start",
+    "IMU only": "dead reckoning: integration of the IMU from the start of the filters, without fixes",
     "3 sigma": "three standard deviations, computed from the covariance of the filter",
     "cost": "value of the objective; lower is better",
     "density": "noise density that corresponds to the variance per step",
@@ -59,7 +59,7 @@ class TrackView:
     """Interactive tracks.
 
     ``labels`` and ``looks`` have an entry per series, from top to bottom. When the page opens, it shows 3 sigma and NIS
-    of the series ``main``, whose heading errors also determine the scale.
+    of the series ``main``, whose heading errors also determine the scale of the heading plot.
     """
 
     drives: Sequence[Tracks]

@@ -1,4 +1,4 @@
-"""Charts of a study (means with intervals, spread over drives, convergence, one drive) and its files."""
+"""Charts of a study (means with intervals, spread over drives, convergence, one drive), and the files of a study."""
 
 from collections.abc import Sequence
 from math import inf
@@ -51,7 +51,7 @@ def means_chart(
 ) -> Chart | None:
     """Draw the mean of every method with two intervals, on a logarithmic scale up to ``reach`` x the lowest mean.
 
-    A mean beyond the scale is drawn as an arrow with a number and without intervals. ``mark``: position of a line.
+    A mean beyond the scale is drawn as an arrow with a number and without intervals. ``mark``: value marked by a line.
     """
     rows = [(row, row.mean) for row in results.means(measure) if row.mean]
     if not rows:

@@ -58,7 +58,7 @@ def _sections(record: StudyRecord) -> Iterator[Section]:
         yield _tracks(record)
     yield _comparisons(results)
     if rivals := tuple(tables.rivals_tables(results, record.rival_times).values()):
-        text = "In each trial, the networks are trained on the training drives of the trial, for its tuned filter."
+        text = "In each trial, the networks are trained for the trial's tuned filter, on the trial's training drives."
         notes = dict.fromkeys(table.note for table in rivals)
         yield Section("Rivals", (text, *notes), rivals, curve_charts(results))
     conditions = tables.conditions_table(results, POSITION, CONDITION_VARIANTS)

@@ -50,8 +50,8 @@ INTERVALS_NOTE = (
     "The interval over trials (as in the paper) shows only the variation from the optimizer and the random split of "
     "the drives. It contains the mean over new drives in only 45 to 91% of simulated studies. The other two intervals "
     "are for new drives. The bootstrap interval contains this mean in 94 to 95% of full studies, and in 85 to 95% of "
-    "small studies. The interval of the corrected t-test contains this mean at least as often; if the results of the "
-    "optimizer vary much, this interval is too wide."
+    "small studies. The interval of the corrected t-test contains this mean at least as often as the bootstrap "
+    "interval; if the results of the optimizer vary much, the interval of the t-test is too wide."
 )
 EFFORT_NOTE = (
     "Labeled: driving time with truth, for tuning. Learned: driving time without truth, for training a "
@@ -234,8 +234,8 @@ def objectives_compared(results: Results) -> str:
         "The study has two objectives, since the paper's objective compares the estimate with the GPS fix that the "
         "filter has just used: a filter that copies the fixes has the lowest cost. Tuned for the paper's objective, "
         "the PSO-UKF has an RMSE of {:.2f} m relative to the fixes, but of {:.2f} m relative to the truth. The RMSE of "
-        "the fixes is {:.2f} m. Tuned with truth by the same swarm, the PSO-UKF has an RMSE of {:.2f} m relative to "
-        "the truth."
+        "the fixes is {:.2f} m. Tuned with truth by the same optimizer, the PSO-UKF has an RMSE of {:.2f} m relative "
+        "to the truth."
     ).format(*means)
 
 
@@ -409,6 +409,6 @@ def _curve_table(results: Results, rivals: RivalResults) -> Table:
         rows.append(tuple(row))
     note = (
         "Results of the first trial on its held-out drives; 0 minutes: the filter without a network. 95% intervals: "
-        "bootstrap over drives, without the variation between trainings."
+        "bootstrap over drives, without the variation between training runs."
     )
     return _table("Learning curves", columns, rows, results, note)

@@ -167,7 +167,7 @@ def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
 def shown_config(config: dict[str, Any]) -> dict[str, Any]:
     """Return the configuration of the search; omit the coefficients of pso if the optimizer is not pso.
 
-    For a custom model, the result contains only the name and the fingerprint of the model.
+    The entry of a custom model contains only the name and the fingerprint of the model.
     """
     if config.get("optimizer", "pso") != "pso":  # old files of pso lack this key
         config = {key: value for key, value in config.items() if key not in SWARM}

@@ -194,7 +194,7 @@ def scores_from_sums(passes: Mapping[str, Sequence[FilterPass]], sums: Mapping[s
 
 
 def _divisors_of(replays: Sequence[FilterPass]) -> Array:
-    """Return the divisors of the sums of each replay, shape (5, n_drives, 1); NaN replaces 0.
+    """Return the divisors of the sums of a pass over each drive, shape (5, n_drives, 1); NaN replaces 0.
 
     The order of the divisors is: number of positions, total weight of positions, total weight of headings, number of
     fixes, number of hidden fixes.
@@ -220,7 +220,7 @@ def _scores_by(divisors: Mapping[str, Array], sums: Mapping[str, KernelSums]) ->
 
 
 def _no_numbers(n_drives: int, n_sets: int) -> Array:
-    """Return undefined scores. The sets of a drive are adjacent in memory: the order affects the rounding of sums."""
+    """Return undefined scores. The sets of a drive are adjacent in memory, which affects the rounding of sums."""
     numbers = np.full((len(NAMES), n_drives, n_sets), np.nan).swapaxes(1, 2)
     numbers[-1] = 0.0
     return numbers

@@ -212,7 +212,7 @@ class Evaluation:
         return next((key for key, name in self.names.items() if name == method), method)
 
     def improvement(self, over: str = BASELINE, measure: str = "position_rmse_m") -> float | None:
-        """Return the improvement of a mean over a method, 100 (method - tuned) / method, % (the paper's equation 5)."""
+        """Return the improvement over a method, %: 100 (method - tuned) / method of the means (the paper's eq. 5)."""
         other, tuned = self.mean(over, measure), self.mean("tuned", measure)
         return None if not other or tuned is None else 100 * (other - tuned) / other
 
@@ -223,7 +223,7 @@ class Evaluation:
 
     @property
     def is_worse_than_untuned(self) -> bool:
-        """True if the baseline or the fixes alone are over 10% more accurate than the tuned filter.
+        """True if the errors of the baseline or of the fixes alone are over 10% smaller than those of the tuned filter.
 
         This must hold for the position RMSE or for more than half of the measures.
         """

@@ -46,7 +46,7 @@ DRIFTS = ("short_outage_drift_m", "outage_drift_m", "long_outage_drift_m")
 NO_OUTAGES = ("raw_gps", "imu_only")
 """Methods whose outage drifts are not shown.
 
-In files, the drift of imu_only is the error since the start of the run.
+In files, the drift of imu_only is the error that has accumulated since the start of the run.
 """
 POSITION_MEASURES = {"position_rmse_m": "RMSE", "position_median_m": "50%", "position_95_m": "95%"}
 """Measures by which a filter is compared with the raw fixes, and the names of these measures in sentences."""

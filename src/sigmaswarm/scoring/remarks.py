@@ -36,7 +36,7 @@ def restarted(scores: ScoresRecord) -> tuple[str, ...]:
 
 
 def describe_training_drives(drive: DriveRecord) -> str:
-    """Return a sentence on the part of a drive that the tuning used; name training drives that have another name."""
+    """Return a sentence on the part of a drive that the tuning used; add names of training drives that differ."""
     used, whole = drive.seen_s or 0.0, drive.duration_s or 0.0
     part = "all" if round(used) >= round(whole) else f"{used:.0f}"
     others = [name for name in drive.seen_in if name != drive.name]
@@ -67,8 +67,8 @@ def other_sensors(drive: DriveRecord, training: Sequence[DriveRecord]) -> str:
         return ""
     return (
         f"the sensors or surroundings of {drive.name} differ from those of the training drives "
-        f"({', '.join(differences)}). The filter can be far less accurate there than on the training drives; tune on "
-        "drives with these sensors, and compare with --against"
+        f"({', '.join(differences)}). The filter can be far less accurate on this drive than on the training drives; "
+        "tune on drives with these sensors, and compare with --against"
     )
 
 
@@ -165,8 +165,9 @@ def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
     """Return sentences that estimate a filter's position error on a drive without truth.
 
     The estimate is the RMS of the filter's position standard deviations. If the innovations are far smaller than
-    expected, the error may be as large as the error of a fix. Innovations do not show errors that consecutive fixes
-    have in common. ``lasting`` is the RMS of these errors (m per axis), which the covariance does not include.
+    expected, or smaller and correlated, the error may be as large as the error of a fix. Innovations do not show errors
+    that consecutive fixes have in common. ``lasting`` is the RMS of these errors (m per axis), which the covariance
+    does not include.
     """
     own, missed = consistency.own_sigma or 0.0, consistency.missed or 0.0
     expected = consistency.expected or 0.0

@@ -81,7 +81,10 @@ def placements(drive: Drive, initial: InitialState, *, length: float, seed: int)
 
 
 def outage_windows(drive: Drive, initial: InitialState, *, length: float, seed: Seed) -> Array:
-    """Return outage windows of exactly ``length`` s, shape (k, 2), s; they end at IMU samples, not in gaps of truth."""
+    """Return outage windows, shape (k, 2), s. Each lasts exactly ``length`` s and ends at an IMU sample.
+
+    If there is truth, no window ends in a gap of truth.
+    """
     reference = (drive.gps if drive.truth is None else drive.truth).time
     earliest = float(reference[0]) - OUTAGE_FIRST_AFTER - length  # so no window ends before the reference
     last = float(min(drive.imu.time[-1], reference[-1]))

@@ -14,7 +14,7 @@ class ThinnedSeries:
     """A limited number of rows of a series, including the peaks of the position error or of the NIS.
 
     The first and the last row are kept. The rows in between are divided into equal parts. In each part, the rows with
-    the smallest and the largest error or NIS are kept.
+    the smallest and the largest error or NIS are kept; for a series with neither, the first and the last row.
     """
 
     def __init__(self, n: int, most: int) -> None:
@@ -59,9 +59,10 @@ def _extremes(columns: Columns, ends: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 class CloseUp:
-    """All rows of a series in a region around a position, m, shape (2,), with a gap where the series leaves the region.
+    """All rows of a series that lie in a region, with a gap wherever the series leaves the region.
 
-    The region is twice as wide as ``side`` (m), since a plot with equal scales may show more than a square.
+    ``center`` is the middle of the region, m, shape (2,). The region is twice as wide as ``side`` (m), since a plot
+    with equal scales may show more than a square.
     """
 
     def __init__(self, center: NDArray[np.float64], side: float) -> None:

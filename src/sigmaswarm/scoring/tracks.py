@@ -223,7 +223,7 @@ def first_track(drive: Drive, parameters: FilterParameters, *, as_recorded: bool
 
 
 def sharpest_turn(ready: PreparedDrive) -> Array:
-    """Return the position, m east and north, of the largest turn within 4 s (median of five fixes)."""
+    """Return the position of the largest turn within 4 s, m east and north: the median of the five nearest fixes."""
     imu, gps = ready.drive.imu, ready.drive.gps
     turned = np.concatenate([[0.0], np.cumsum(imu.gz[1:] * np.diff(imu.time))])
     t = imu.time[imu.time > ready.initial.time]

@@ -23,7 +23,7 @@ MIN_OFFSET = 0.3, 0.3  # smallest reported offset: m, and as a fraction of the s
 
 
 def weights_at(truth: Truth, time: Array) -> Array | None:
-    """Return the weights of squared position errors at times, s: floor^2 / (sigma^2 + floor^2); None if all are 1.
+    """Return the weights floor^2 / (sigma^2 + floor^2) of squared position errors at ``time``, s; None if all are 1.
 
     sigma^2 is the mean variance of both axes.
     """

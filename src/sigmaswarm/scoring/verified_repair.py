@@ -128,7 +128,7 @@ def _without(diagnosis: Diagnosis, codes: Collection[str]) -> Diagnosis:
 def _forecasts(drive: Drive, filters: list[FilterParameters]) -> Array:
     """Return the RMS of n filters' forecast errors for the next fix and for hidden fixes, m, (2 n,); NaN if unknown.
 
-    The 5% largest errors for the next fix do not count.
+    The largest 5% of the errors for the next fix are ignored.
     """
     errors = np.full((len(filters), 2), np.nan)
     for row, parameters in zip(errors, filters, strict=True):

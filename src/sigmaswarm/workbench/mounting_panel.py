@@ -29,7 +29,7 @@ DIRECTIONS = (("forward", "backward"), ("left", "right"), ("up", "down"))
 
 
 class MountingPanel:
-    """Panel for the choice of the mounting. A moved slider updates the sketch at once, and the plots after a pause."""
+    """Panel for the choice of the mounting. Moving a slider updates the sketch at once, and the plots after a pause."""
 
     def __init__(self, page: OpenLog) -> None:
         self.page = page

@@ -43,20 +43,20 @@ class Workbench:
         write_json(self._file, self.choices)
 
     def path(self, kind: str, name: str) -> Path:
-        """Return the folder of a drive, tuning, ...; raise `InputError` if the name is invalid or it is a link."""
+        """Return the folder of a drive, tuning, ...; raise `InputError` for an invalid name or a link."""
         path = self.folder / kind / name
         if kind not in KINDS or not NAME.fullmatch(name) or path.is_symlink():
             raise InputError(f"{name!r} is not a valid name; use letters, digits, - and _")
         return path
 
     def names(self, kind: str, file: str = "") -> list[str]:
-        """List the names of drives, tunings, ..., the newest last; with ``file``, only of those that contain it."""
+        """List the names of drives, tunings, ..., the newest last; ``file``: only of folders that contain this file."""
         folders = [p for p in (self.folder / kind).iterdir() if NAME.fullmatch(p.name) and not p.is_symlink()]
         folders = [p for p in folders if not file or (p / file).is_file()]
         return [p.name for p in sorted(folders, key=lambda p: (p.stat().st_mtime, p.name))]
 
     def free(self, kind: str, name: str) -> str:
-        """Return the name, with a number appended if the name exists."""
+        """Return a valid name made from ``name``, with a number appended if that name exists."""
         name = re.sub(r"[^\w.+-]+", "-", name).strip("-.") or kind.removesuffix("s")
         return free_path(self.path(kind, name)).name
 
@@ -114,7 +114,7 @@ def _read_version(path: Path, _: int) -> Drive:
 
 
 def attempt(work: Callable[..., T], *arguments: Any, **options: Any) -> tuple[T | None, str]:
-    """Run a function; return its result, or None and the message of its error."""
+    """Run a function; return its result and "", or None and the error message."""
     try:
         return work(*arguments, **options), ""
     except sigmaswarm.SigmaswarmError as error:

@@ -105,6 +105,6 @@ class TuningRuns:
 
 
 def best_so_far(history: Sequence[float]) -> Series:
-    """Return the generations of a trial and the lowest cost so far; NaN while all filters failed."""
+    """Return the numbers of the generations, and the lowest cost up to each generation; NaN until a filter succeeds."""
     costs = np.array(history)
     return np.arange(1.0, len(costs) + 1), np.where(np.isfinite(costs), costs, np.nan)
