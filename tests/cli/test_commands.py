@@ -719,7 +719,7 @@ def test_tune_says_which_filter_it_takes_and_why(sigmaswarm, here: Path):
 def test_drives_of_different_vehicles_are_reported_once(sigmaswarm, drives: Path, here: Path):
     write_drive(make_drive(duration=30.0, imu_rate=25.0, name="bus"), here / "bus")
     ended = sigmaswarm("tune", drives / "urban-clear-00", "bus", "--out", "t", *QUICK, "--model", "planar5")
-    assert (ended.code, ended.err.count("different vehicles or sensors: the IMU of ")) == (0, 1)
+    assert (ended.code, ended.err.count("different vehicles or sensors: the rate of the IMU is ")) == (0, 1)
     alone = sigmaswarm("tune", drives, "--out", "u", *QUICK, "--model", "planar5")
     assert "different vehicles" not in alone.err
 
