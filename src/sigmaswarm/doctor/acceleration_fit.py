@@ -2,7 +2,7 @@
 
 In windows of several seconds, the IMU determines the path, integrated from an unknown start:
 
-    p(t) = p0 + v0 t + e^(i theta) (double integral of M u + b),   u = (ax, ay) as recorded
+    p(t) = p0 + v0 t + double integral of e^(i theta) (M u + b),   u = (ax, ay) as recorded
 
 The fixes show this path with a delay of ``delay`` s. Course and gyro give the heading theta. M (2, 2) and ``delay`` are
 common to all windows; p0, v0 and b (tilt, slope, bias) differ between windows. The mean of b is also fitted. For a log
