@@ -38,9 +38,9 @@ def split_time(
     Returns
     -------
     (Drive, Drive)
-        ``cut_from`` in their metadata contains name and fingerprint of the original drive, and start and end of the
-        part, s on the clock of this drive. If the doctor proposes to split a drive, its parts have different faults and
-        are repaired separately.
+        The two parts. ``cut_from`` in their metadata contains the name and fingerprint of the original drive, and start
+        and end of the part on its clock, s. If the doctor proposes to split a drive, the parts have different faults
+        and are repaired separately.
     """
     require_fraction(train_fraction)
     if at is None:

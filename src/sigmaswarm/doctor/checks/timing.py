@@ -156,7 +156,7 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
         elif passed < fix_usual + 0.5 * fix_missed:
             what = (
                 f"The logger's clock jumped, since the car needs only {passed:.1f} s for the distance between the "
-                "fixes before and after"
+                "fixes before and after the jump"
             )
             code, severity = "clock-jump", "warning"
             remedy = "subtract the jump from all later times in all files"
