@@ -1,4 +1,4 @@
-"""Check times that are computed from row numbers: rows that a logger lost shift all later times."""
+"""Check times that are computed from row numbers, since each row that a logger lost shifts all later times."""
 
 from collections.abc import Mapping, Sequence
 
@@ -42,7 +42,7 @@ def gaps_by_clock(gathered: Mapping[Role, Sequence[PartColumns]]) -> list[str]:
                     f'"{role}.t={name}*{unit:.6g}"'
                 )
                 break  # another clock may count rows without gaps
-        notes += [f"{where}: {note}, after which all times would be too early"] if note else []
+        notes += [f"{where}: {note}; after a gap, all times would be too early"] if note else []
     return notes
 
 
@@ -63,7 +63,7 @@ def _gaps_of(values: Array, time: Array) -> tuple[float, float, int] | None:
 
 
 def gaps_by_distance(drive: Drive) -> str:
-    """Report missing fixes, if two fixes are much farther apart than the fixes before and after; else return ""."""
+    """Report missing fixes if two fixes are much farther apart than the fixes around them; otherwise return ""."""
     position = drive.gps.x + 1j * drive.gps.y
     interval = np.diff(drive.gps.time)  # longer where rows without a fix are left out
     moves, noise = np.diff(position) * np.median(interval) / interval, white_noise(position)
