@@ -255,7 +255,7 @@ APART: dict[str, tuple[Callable[[np.ndarray], object], Callable[[np.ndarray], ob
 def test_offsets_between_clocks_are_proposed(tmp_path: Path, name: str):
     """The fixes begin 3 s after the IMU, which the offset of two beginnings would hide."""
     write(tmp_path, clock=APART[name][0], gps_clock=lambda t: APART[name][1](t + 3))
-    with pytest.raises(InputError, match="convert both to one clock: --gps-offset") as caught:
+    with pytest.raises(InputError, match="convert both to one clock: add --gps-offset") as caught:
         imported(tmp_path)
     offset = float(re.findall(r"--gps-offset (-?[\d.]+) if (?!both)", str(caught.value))[0])
     drive = imported(tmp_path, recipe=Recipe(gps_offset_s=offset)).drive

@@ -176,7 +176,7 @@ def spread_rows(rows: pl.LazyFrame) -> pl.DataFrame:
 
 
 def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
-    """Assign to each quantity the first column with its name; x, y, z are axes in a table with the name of a sensor."""
+    """Assign to each quantity the first column with its name; in a table named after a sensor, x, y, z are axes."""
     columns = Columns(frame)
     for name in read_names(frame.columns):
         if (what := name.meaning) is None or what == "t":

@@ -22,7 +22,7 @@ NEIGHBORS, MIN_RATIO, MAX_TURN = 5, 2.5, 0.3
 
 
 def gaps_by_clock(gathered: Mapping[Role, Sequence[PartColumns]]) -> list[str]:
-    """Report rows that are missing according to another column of a table with row numbers as times."""
+    """In tables whose times are row numbers, report rows that are missing according to another column."""
     notes: list[str] = []
     for role, columns in ((role, one) for role, parts in gathered.items() for one in parts if one.counted):
         table, text = columns.part.table, columns.part.columns["t"]

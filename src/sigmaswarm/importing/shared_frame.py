@@ -28,7 +28,7 @@ MIN_FIXES = 10
 def require_same_axes(
     seconds: Mapping[Role, Array], truth: Values, gps: Values, parts: Sequence[Part]
 ) -> str:
-    """Refuse a truth whose x and y are not m east and north: exchanged, rotated, or in another unit.
+    """Refuse a truth whose x and y are not m east and north, but exchanged, rotated, or in another unit.
 
     With fixes z and truth w, as complex numbers minus their means, wrong axes or units give z = a w with a factor a
     other than 1, or z = a conj(w). If a clock offset explains the difference, return a message with the offset;

@@ -1,4 +1,4 @@
-"""Find the time of a table: its columns, and the expression in seconds."""
+"""Find the columns with the time of a table, and the expression of the time in seconds."""
 
 import re
 from collections.abc import Mapping, Sequence
