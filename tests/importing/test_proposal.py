@@ -254,7 +254,7 @@ def test_a_time_in_another_unit_names_the_unit_and_the_cure(tmp_path: Path, time
     with pytest.raises(InputError) as caught:
         import_drive(asked, "monday")
     assert f"with {time} in s, rows of the imu would be" in str(caught.value)
-    assert ', in us 0.02 s; write --time "stamp_us*1e-6"' in str(caught.value)
+    assert ', and in us 0.02 s apart; write --time "stamp_us*1e-6"' in str(caught.value)
     drive = import_drive(replace(asked, time="stamp_us*1e-6"), "monday").drive
     assert (
         import_drive(replace(asked, time=None), "monday").drive.imu.time.tolist() == drive.imu.time.tolist()
