@@ -1,4 +1,4 @@
-"""Check the mounting of an IMU with six axes, changes of it, mirrored fixes, and logs that begin in reverse."""
+"""Check the mounting of a six-axis IMU and its changes, mirrored fixes, and logs that begin in reverse."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -194,7 +194,7 @@ def _means(time: Array, columns: Sequence[Array], step: float) -> tuple[Array, A
 
 
 def check_handled(evidence: Evidence) -> Iterator[Finding]:
-    """Find the parts at the two ends of a log in which the IMU, such as a phone, is handled; yield one finding each."""
+    """Find the parts at both ends of a log in which the IMU, such as a phone, is handled; yield one finding each."""
     first, last = evidence.span
     begin, end = find_steady_span(evidence.drive)
     what = "{} t = {:.1f} s, the IMU moves relative to the vehicle, for example in someone's hand"
