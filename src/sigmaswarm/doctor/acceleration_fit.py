@@ -113,7 +113,7 @@ def fit_acceleration(
 
 
 def usable_windows(imu: Array, course: Course, longest: float) -> NDArray[np.intp]:
-    """Return the fixes (w, n) of usable windows: no gap in the times ``imu``, s, and motion at over 30% of the fixes."""
+    """Return the fixes (w, n) of usable windows: no gap in the times ``imu``, s, and motion at over 30% of fixes."""
     interval = float(np.median(np.diff(course.time)))
     length = float(np.clip(np.count_nonzero(course.moving) * interval / 2, 5.0, longest))
     rows = windows_of(course.time, (course.time > imu[0] + 1) & (course.time < imu[-1] - 1), length)

@@ -25,7 +25,7 @@ def split_time(
     drive : Drive
         The drive, which is not changed. Rows before and after the IMU's samples are in neither part.
     train_fraction : float
-        Fraction of the drive's duration that is the first part, in (0, 1).
+        Fraction of the drive's duration in the first part, between 0 and 1.
     at : float or (float, float), optional
         Time of the split, s on the drive's clock, for example at a pause of the logger. Two times leave out the part
         between them; the parts are then ``<name>-before`` and ``<name>-after``.

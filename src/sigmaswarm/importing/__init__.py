@@ -1,4 +1,4 @@
-"""Import of logs of other formats as drives.
+"""Import of logs of various formats as drives.
 
 A table of a `Log` becomes part of a drive in these steps:
 

@@ -31,7 +31,7 @@ FLAT_NOTE = (
 
 
 def valid_positions(time: NDArray[np.int64], values: Values, role: str, say: Say) -> NDArray[np.bool_]:
-    """Mark rows (n,) with a usable position: no placeholder, in the range of degrees, and not far from the others."""
+    """Mark rows (n,) with a usable position: no placeholder, possible degrees, and not far from the others."""
     if "lat" not in values or "lon" not in values:
         return np.ones(len(time), bool)
     lat, lon = values["lat"], values["lon"]

@@ -38,7 +38,7 @@ def gaps_by_clock(gathered: Mapping[Role, Sequence[PartColumns]]) -> list[str]:
             if lost > MIN_LOST:
                 notes.append(
                     f"{where}: according to column {name}, rows for {lost:.3g} s are missing, for example after row "
-                    f"{row}, so the later times {text} are too early; instead, write --map "
+                    f"{row}, so later times from {text} are too early; instead, write --map "
                     f'"{role}.t={name}*{unit:.6g}"'
                 )
                 break  # another clock may count rows without gaps

@@ -147,7 +147,7 @@ def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
 
 
 def rising_time(frame: pl.DataFrame, role: Role) -> str:
-    """Return the first column without a known name that increases from row to row, in s; otherwise "COLUMN".
+    """Return the first column without a known name that increases from row to row, as text in s; else "COLUMN".
 
     A counter of rows, which increases by 1, is not a time.
     """
@@ -457,7 +457,7 @@ def _of_numbers(values: pl.Series, text: str, role: Role) -> TimeExpression:
 
 
 def _too_short(numbers: pl.Series, text: str, column: str, step: float, role: Role) -> TimeExpression:
-    """Read numbers as fractions of a day, since their steps are too short for seconds, or refuse them."""
+    """Read numbers as fractions of a day, or refuse them, since their steps are too short for seconds."""
     if MIN_STEP < step * 86400 < 4 * MAX_STEP[role] and numbers.is_between(1e-3, 1).all():
         return TimeExpression(f"{text}*86400", f"{column} is read as days (fractions of a day)")
     message = f'--time "{text}*86400" for days, *3600 for hours, *60 for minutes, *1 for seconds'

@@ -258,7 +258,7 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _slope(time: Array, speed: Array, gained: Array) -> tuple[float, float] | None:
-    """Fit speed changes to the integral of ax; return the slope and its limit of significance; None if undetermined."""
+    """Fit speed changes to the integral of ax; return the slope and the smallest significant slope, or None."""
     step = max(round(STEP / float(np.median(np.diff(time)))), 1)
     if len(time) < step + 4:
         return None

@@ -63,7 +63,7 @@ def _delay(drive: Drive) -> float | None:
 def truth_delay(time: Array, fixes: Positions, truth_time: Array, truth: Positions) -> float | None:
     """Find the delay of the truth's clock, s, from the truth (m,) and the fixes (n,), east + i north, m.
 
-    Return None if the delay is small, or if no delay, or more than one, explains the velocities. The relative
+    Return None if the delay is small, or if the velocities agree at no delay or at more than one. The relative
     difference of the velocities v and w at a delay is the sum of |v - w|^2 divided by the sum of |v|^2 + |w|^2, over
     the times at which both are known.
     """

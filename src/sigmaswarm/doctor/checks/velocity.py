@@ -79,7 +79,7 @@ def velocity_agrees(evidence: Evidence) -> bool:
 
 
 def _delay(evidence: Evidence, angle: Array, speed: Array) -> tuple[float, float]:
-    """Find the velocity's delay relative to the positions, s, and the ratio of its misfit to that without a delay."""
+    """Find the velocity's delay relative to the positions, s, and the ratio of misfits with and without this delay."""
     course = evidence.course
     assert course is not None
     velocity = speed * np.exp(1j * angle[evidence.used])

@@ -134,7 +134,7 @@ class _Messages:
             return Guess({})
         if role not in choice.mapped:
             raise InputError(
-                f"{self.path}: {topic} ({self.tables[topic].kind}) lacks fields with a recognized name for "
+                f"{self.path}: {topic} ({self.tables[topic].kind}) has no fields with recognized names for "
                 f"{', '.join(sorted(wanted))}; choose another topic, or map the fields with --map"
             )
         time = time_of(self._sample(topic), role)

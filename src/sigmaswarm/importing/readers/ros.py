@@ -1,4 +1,4 @@
-"""ROS 1 bags and ROS 2 bags (sqlite3 or MCAP), read with rosbags, without ROS."""
+"""ROS 1 bags and ROS 2 bags (sqlite3 or MCAP), read with rosbags, without a ROS installation."""
 
 import bz2
 from collections.abc import Callable, Collection, Iterator, Sequence
