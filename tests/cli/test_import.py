@@ -335,7 +335,7 @@ def test_show_says_what_nobody_reads(sigmaswarm: Command, here: Path):
     [
         ("ax,ay,gz,lat,lon", [], "log.csv: no column is recognized as the time of the imu; specify it with --time"),
         ("ax,ay,gz,lat,lon", ["--map", "imu.t=row/100"], "is recognized as the time of the gps; specify it with --map"),
-        ("t,ax,ay,q,lat,lon", [], "no column of the IMU contains gz (the yaw rate); name a log"),
+        ("t,ax,ay,q,lat,lon", [], "the IMU has no column for gz (the yaw rate); name a log"),
         ("t,ax,ay,q,lat,lon", ["--map", "imu.ax=ax", "imu.ay=ay"], "imu: no column contains gz; specify one with"),
         ("t,ax,ay,gz,lat,q", ["--map", "gps.lat=lat"], "gps: no column contains a position; map lat and lon"),
         ("t,ax,ay,gz,lat,lon", ["--imu-topic", "log.csv", "--map", "ax=bx"], "'bx'"),

@@ -255,7 +255,7 @@ APART: dict[str, tuple[Callable[[np.ndarray], object], Callable[[np.ndarray], ob
 def test_offsets_between_clocks_are_proposed(tmp_path: Path, name: str):
     """The fixes begin 3 s after the IMU, which the offset of two beginnings would hide."""
     write(tmp_path, clock=APART[name][0], gps_clock=lambda t: APART[name][1](t + 3))
-    with pytest.raises(InputError, match="convert both to one clock: --gps-offset") as caught:
+    with pytest.raises(InputError, match="convert both to one clock: add --gps-offset") as caught:
         imported(tmp_path)
     offset = float(re.findall(r"--gps-offset (-?[\d.]+) if (?!both)", str(caught.value))[0])
     drive = imported(tmp_path, recipe=Recipe(gps_offset_s=offset)).drive
@@ -390,7 +390,7 @@ def test_few_wrong_times_are_no_recording(tmp_path: Path, case: str, count: int)
     table.with_columns(t=time).write_csv(tmp_path / "gps.csv")
     require_right(tmp_path, N // EVERY - count)
     assert any(
-        n.endswith("left out, since the time is far from that of the rows around it")
+        n.endswith("left out, since the time is far from that of the adjacent rows")
         and f" {count} row{'s' * (count > 1)} " in n
         for n in imported(tmp_path).notes
     )
@@ -1053,7 +1053,7 @@ def test_stamps_of_batches_belong_to_their_last_samples(tmp_path: Path):
     late = np.random.default_rng(0).uniform(0.0, 0.02, N)
     write(tmp_path, clock=lambda t: np.round(last / HZ + late[last], 3), gps_clock=lambda t: t)
     found = imported(tmp_path)
-    assert "and are spread evenly, with the stamp at the last of them" in " / ".join(found.notes)
+    assert "and are spread evenly, the last of them at the stamp" in " / ".join(found.notes)
     np.testing.assert_allclose(found.drive.imu.time, T + 0.01, atol=0.0101)
 
 

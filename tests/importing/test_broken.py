@@ -514,7 +514,7 @@ def test_one_name_thousands_of_times(tmp_path: Path):
 
 def test_no_complete_row(tmp_path: Path):
     rows = [f"{i / 100},0,0,0,{i if i % 2 else ''},{'' if i % 2 else i}" for i in range(300)]
-    refused("no row has values of all of", lambda: imported(table(tmp_path, "t,ax,ay,gz,x,y", *rows)))
+    refused("no row has values in all columns", lambda: imported(table(tmp_path, "t,ax,ay,gz,x,y", *rows)))
 
 
 def test_tables_without_a_time_in_common(tmp_path: Path):

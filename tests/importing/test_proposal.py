@@ -105,7 +105,7 @@ def test_names_that_lie_about_signs_are_corrected_by_how_the_fixes_move(tmp_path
     seen = inspect_request(Request(folder / "imu.csv", gps=folder / "fixes.csv"))
     maps = shlex.split(seen.proposal.removeprefix("--map "))
     assert maps[2:4] == ["ay=acc_right_g*9.80665", "gz=radians(yaw_rate_dps_cw)"]
-    assert "corrected by the motion of the fixes: signs, axes and units agree" in seen.evidence
+    assert "corrected with the motion of the fixes: signs, axes and units agree" in seen.evidence
 
 
 FULL = simulate("urban", duration=90.0, imu_rate=50.0, run=1, gps="white-1m", terrain="hilly", vibration=1.0)
@@ -139,7 +139,7 @@ def test_what_is_wrong_with_the_third_axes_is_corrected_too(tmp_path: Path, faul
     log.with_columns(**columns).write_csv(folder / "imu.csv")
     asked = Request(folder / "imu.csv", gps=folder / "fixes.csv")
     seen = inspect_request(asked)
-    assert "corrected by the motion of the fixes: signs, axes and units agree" in seen.evidence
+    assert "corrected with the motion of the fixes: signs, axes and units agree" in seen.evidence
     got = import_drive(replace(asked, maps=shlex.split(seen.proposal.removeprefix("--map "))), "again").drive
     for name in ("ax", "ay", "az", "gx", "gy", "gz"):
         np.testing.assert_allclose(
@@ -254,14 +254,14 @@ def test_a_time_in_another_unit_names_the_unit_and_the_cure(tmp_path: Path, time
     with pytest.raises(InputError) as caught:
         import_drive(asked, "monday")
     assert f"with {time} in s, rows of the imu would be" in str(caught.value)
-    assert ', in us 0.02 s; write --time "stamp_us*1e-6"' in str(caught.value)
+    assert ', and in us 0.02 s apart; write --time "stamp_us*1e-6"' in str(caught.value)
     drive = import_drive(replace(asked, time="stamp_us*1e-6"), "monday").drive
     assert (
         import_drive(replace(asked, time=None), "monday").drive.imu.time.tolist() == drive.imu.time.tolist()
     )
     wrong = replace(asked, time=None, maps=(*MAPS, "gps.t=stamp_us*1e-3"))
     with pytest.raises(
-        InputError, match=r"rows of the gps would be .* s apart, in us 0\.2 s; write --map gps\.t="
+        InputError, match=r"rows of the gps would be .* s apart, and in us 0\.2 s apart; write --map gps\.t="
     ):
         import_drive(wrong, "monday")
 

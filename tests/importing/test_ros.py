@@ -201,7 +201,7 @@ def test_broken(tmp_path: Path, kind: str, damage: str):
 def test_missing_topic(tmp_path: Path):
     with pytest.raises(InputError, match=r"no topic '/imu0' for --imu-topic; choose from"):
         imported(write(tmp_path, "sqlite3"), choice=TableChoice({"imu": "/imu0"}))
-    with pytest.raises(InputError, match=r"lacks fields with a recognized name for ax, ay, gz"):
+    with pytest.raises(InputError, match=r"has no fields with recognized names for ax, ay, gz"):
         imported(tmp_path / "bag", choice=TableChoice({"imu": "/gps/fix"}))
 
 

@@ -69,7 +69,7 @@ def gyro_heading(time: Array, course: Course, rate: Array, delay: float) -> Arra
 
 
 def gyro_drift(time: Array, course: Course, rate: Array, delay: float) -> float:
-    """Return the gyro's bias with the opposite sign, rad/s, from the drift of its integral relative to the course."""
+    """Return minus the gyro's bias, rad/s, estimated from the drift between the course and the integrated yaw rate."""
     _, off = _off_course(time, course, rate, delay)
     step = max(round(DRIFT_SPAN / float(np.median(np.diff(course.time)))), 1)
     if len(off) <= step:
@@ -81,10 +81,10 @@ def gyro_drift(time: Array, course: Course, rate: Array, delay: float) -> float:
 def fit_acceleration(
     drive: Drive, course: Course, rate: Array, tried: Array = DELAYS, known: tuple[float, float] | None = None
 ) -> AccelerationFit | None:
-    """Fit the path; return None if no window is usable.
+    """Fit the IMU's path to the fixes; return None if no window is usable.
 
     ``rate`` (n,): yaw rate, rad/s; ``tried``: initial values of the delay, s; ``known``: the delay and its standard
-    deviation, s, from other data, since turns at constant speed hardly distinguish the delay from M.
+    deviation, s, from other data; turns at constant speed hardly distinguish the delay from M.
     """
     rows = usable_windows(drive.imu.time, course, WINDOW)
     if not len(rows):
@@ -113,7 +113,7 @@ def fit_acceleration(
 
 
 def usable_windows(imu: Array, course: Course, longest: float) -> NDArray[np.intp]:
-    """Return the fixes (w, n) of windows without a gap in ``imu`` (times, s), with motion at over 30% of the fixes."""
+    """Return the fixes (w, n) of usable windows: no gap in the times ``imu``, s, and motion at over 30% of fixes."""
     interval = float(np.median(np.diff(course.time)))
     length = float(np.clip(np.count_nonzero(course.moving) * interval / 2, 5.0, longest))
     rows = windows_of(course.time, (course.time > imu[0] + 1) & (course.time < imu[-1] - 1), length)

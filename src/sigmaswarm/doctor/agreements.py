@@ -121,7 +121,10 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
 
 
 def _turning(drive: Drive, course: Course, moving: Mask) -> Agreement:
-    """Compare the integral of gz minus its bias with the course, which is shifted between stops to agree on average."""
+    """Compare the integral of gz, without its bias, with the course.
+
+    Each part of the course between stops is shifted to the mean of the integral.
+    """
     imu, at = drive.imu, course.time[moving]
     track = np.unwrap(np.angle(course.velocity[moving]))
     turned = np.interp(at, imu.time, integral(imu.time, imu.gz))

@@ -10,7 +10,7 @@ from sigmaswarm.doctor.verdicts import MIN_GAIN_TURN
 from sigmaswarm.doctor.windows import integral, smoothed
 from sigmaswarm.doctor.yaw_fit import yaw_windows
 
-ROUNDS, MAX_CHANGE = 8, 0.7  # iterations; s, largest change of a delay in one
+ROUNDS, MAX_CHANGE = 8, 0.7  # iterations; s, largest change of a delay in one iteration
 OUTLIER_SIGMAS = 1.5  # larger residuals have less weight
 OVERLAP = 2.0  # each fix lies in two windows, so the variance is that of half as many
 # Smallest drift: in standard deviations, as a rate, and as a change of the delay over the drive, s; smallest ratio of
@@ -28,7 +28,7 @@ class ClockDrift:
 
 
 def clock_drift(evidence: Evidence) -> ClockDrift | None:
-    """Fit the delay a + b t of the fixes with which the gyro follows the course in all turns; None without a drift.
+    """Fit a delay a + b t of the fixes, at which the gyro follows the course in all turns; None if b is insignificant.
 
     With the residual r of the course in windows and the yaw rate w at the delayed time, -r = w (da + t db). The
     standard deviation is from a jackknife over windows.
@@ -82,7 +82,8 @@ def clock_drift(evidence: Evidence) -> ClockDrift | None:
 def _solve(residual: Array, slopes: Array, trust: Array) -> tuple[Array, Array]:
     """Return the correction of a and b (2,), and its covariance (2, 2) from a jackknife over windows.
 
-    Otherwise it would be too small, since the fit reduces the residuals of a window with a large leverage.
+    A covariance from the residuals would be too small, since the fit reduces the residuals of windows with a large
+    leverage.
     """
     weighted = trust[:, :, None] * slopes
     inverse = np.linalg.inv(np.einsum("wni,wnj->ij", weighted, slopes) + 1e-9 * np.eye(2))

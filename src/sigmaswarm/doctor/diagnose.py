@@ -100,7 +100,7 @@ def _contradicted(finding: Finding) -> Finding:
 
 
 def _of_part(found: Sequence[Finding], whole: str) -> Iterator[Finding]:
-    """Replace the remedies of repairable faults, since a part repaired alone would differ from the other part."""
+    """Replace the remedies of a part's repairable faults: repaired alone, the part would differ from the other part."""
     for finding in found:
         remedy = f"if the whole drive {printable(whole)} has this fault, repair that drive and split it again"
         remedy += f" ({finding.remedy})"

@@ -139,10 +139,10 @@ def _read(drive: Drive) -> Evidence:
 
 
 def _mirrored(found: Evidence, drive: Drive) -> Evidence | None:
-    """Return the evidence for a mirror image of the fixes, or None if no mirror image explains the IMU.
+    """Compute the evidence with a mirror image of the fixes; return None if no mirror image explains the IMU.
 
-    No rotation of the IMU reverses gz and ay while az points up and ax agrees with the motion. An IMU on its side or
-    upside down is excluded, since reversed accelerometers have the same effect there.
+    No rotation of the IMU reverses gz and ay while z points up and ax agrees with the motion. An IMU on its side or
+    upside down is excluded, since reversed accelerometers would then have the same effect.
     """
     imu, yaw, fit = drive.imu, found.yaw, found.yaw_fit
     if imu.az is None or fit is None or fit.course_change < MIN_GAIN_TURN:
@@ -216,7 +216,7 @@ def _spread(v: Complex) -> float:
 
 
 def _far_off(acceleration: AccelerationFit) -> np.ndarray:
-    """Return the indices, among the used fixes, of fixes far from the IMU's path in every window."""
+    """Return the indices, among the used fixes, of fixes far from the IMU's path in every window that contains them."""
     size, count = np.abs(acceleration.residual), int(acceleration.rows.max()) + 1
     # m; for Gaussian noise this is 8.6 standard deviations
     off = size > 0.2 + 4 * float(np.quantile(size, 0.9))

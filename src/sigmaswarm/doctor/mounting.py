@@ -1,6 +1,6 @@
 """Estimate the mounting of the IMU as one rotation, from gravity, turns and the direction of travel.
 
-Roll and pitch follow from gravity and the axis of turning, yaw from the regression of the path on the leveled
+Roll and pitch follow from gravity and the axis of turning; yaw follows from the regression of the path on the leveled
 accelerations. The direction of travel refines yaw and pitch. These steps are repeated with the rotated axes until
 hardly any rotation remains.
 """
@@ -302,7 +302,7 @@ def _tilt(drive: Drive, fit: AccelerationFit, yaw: float) -> tuple[Array, Array,
 
 
 def _axis_of_turning(drive: Drive) -> tuple[Array, Array]:
-    """Fit the slopes (2,) of the integrals of gx and gy on that of gz, and their standard deviations."""
+    """Fit the integrals of gx and gy to that of gz; return the slopes (2,) and their standard deviations."""
     imu, unknown = drive.imu, (np.zeros(2), np.full(2, math.pi))
     time = np.arange(imu.time[0], imu.time[-1], 0.5)
     rows = windows_of(time, np.ones(len(time), dtype=np.bool_), GYRO_WINDOW)
@@ -352,7 +352,7 @@ def _confidence(seen: _Round) -> tuple[Confidence, str]:
         (seen.yaw_fit.course_change < MIN_GAIN_TURN, "the course hardly changes"),
         (not _follows(seen.yaw_fit), "the gyro does not follow the course"),
         (seen.spread > MAX_GRAVITY_CHANGE, "the direction of gravity is not constant"),
-        (seen.mirrored > MIN_LEAD, "the accelerometers' axes are left-handed"),
+        (seen.mirrored > MIN_LEAD, "the accelerometers' axes form a left-handed system"),
         (
             seen.margin < MIN_RIVAL_LEAD,
             "the car's speed hardly changes, so it does not show the forward direction",

@@ -171,7 +171,7 @@ def _state_noise(drive: Drive, std: float) -> Drive:
 
 
 def _velocity(drive: Drive, factor: float, convention: float) -> Drive:
-    """Multiply the speed by a factor, and convert the course from one of `CONVENTIONS`: 1, 2, ...; 0: no conversion."""
+    """Multiply the speed by a factor; convert the course from number 1, 2, ... of `CONVENTIONS`, or not at all (0)."""
     speed, course = drive.gps.speed, drive.gps.course
     if speed is None or course is None:
         return drive

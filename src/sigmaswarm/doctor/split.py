@@ -25,7 +25,7 @@ def split_time(
     drive : Drive
         The drive, which is not changed. Rows before and after the IMU's samples are in neither part.
     train_fraction : float
-        Fraction of the drive's duration that is the first part, in (0, 1).
+        Fraction of the drive's duration in the first part, between 0 and 1.
     at : float or (float, float), optional
         Time of the split, s on the drive's clock, for example at a pause of the logger. Two times leave out the part
         between them; the parts are then ``<name>-before`` and ``<name>-after``.
@@ -38,9 +38,9 @@ def split_time(
     Returns
     -------
     (Drive, Drive)
-        ``cut_from`` in their metadata contains name and fingerprint of the original drive, and start and end of the
-        part, s on the clock of this drive. If the doctor proposes to split a drive, its parts have different faults and
-        are repaired separately.
+        The two parts. ``cut_from`` in their metadata contains the name and fingerprint of the original drive, and start
+        and end of the part on its clock, s. If the doctor proposes to split a drive, the parts have different faults
+        and are repaired separately.
     """
     require_fraction(train_fraction)
     if at is None:

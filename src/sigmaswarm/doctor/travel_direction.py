@@ -27,7 +27,7 @@ MIN_STRAIGHTNESS = 0.5  # smallest assumed ratio of mean velocity to speed, whic
 
 
 def direction_of_travel(imu: Imu, course: Course, delay: float) -> tuple[Array, Array] | None:
-    """Fit the slopes (2,) of the direction of travel to the left and up, and their standard deviations.
+    """Return the leftward and upward slopes (2,) of the direction of travel, and their standard deviations.
 
     The IMU's axes must nearly agree with the vehicle's; ``delay``: delay of the fixes, s. None if no window is usable.
     """

@@ -1,4 +1,4 @@
-"""Decisions from fits with covariances: units, signs, axes, mounting and clock offset."""
+"""Interpret fits and their covariances: units, signs, axes, mounting and clock offset."""
 
 import math
 from dataclasses import dataclass
@@ -118,7 +118,7 @@ def _expected(axes: Array, unit: float, angles: Array) -> tuple[Array, Array]:
 def planar_mounting(fit: AccelerationFit) -> PlanarMounting:
     """Return the assignment of columns, signs and unit to the car's axes with the least chi-square.
 
-    Assignments that differ from the recorded assignment have a penalty, and must be better by `MIN_LEAD`.
+    Assignments that differ from the recorded assignment have a penalty, and must lower chi-square by `MIN_LEAD`.
     """
     covariance, as_recorded = fit.covariance[:4, :4], np.eye(2)
     spread = np.sqrt(np.diag(covariance)).reshape(2, 2)
@@ -184,7 +184,7 @@ class ClockOffset:
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """Bounds, s, of the offset with a probability of at least 95%; None if they exceed the tried delays."""
+        """Bounds, s, that include the offset with a probability of 95% or more; None if beyond the tried delays."""
         half = max(MIN_OFFSET, 2 * self.std)
         low, high = self.delay - half, self.delay + half
         return (low, high) if max(-low, high) < self.max_offset else None

@@ -25,7 +25,7 @@ def integral(time: Array, values: Values) -> Values:
 
 
 def smoothed(time: Array, values: Values, at: Array, span: float) -> Values:
-    """Average around times ``at`` over ``span`` s with the parabolic weights of a line fitted to the integral."""
+    """Average over ``span`` s around times ``at`` with parabolic weights: the slope of a line fit to the integral."""
     points = at[:, None] + _NODES * span / 2
     return np.einsum("nk,k->n", np.interp(points, time, values), _PARABOLA)
 

@@ -1,8 +1,8 @@
-"""Import of logs of other formats as drives.
+"""Import of logs of various formats as drives.
 
 A table of a `Log` becomes part of a drive in these steps:
 
-1. `readers/` decode a format to tables; ``readers/dialect.py`` finds the separator, header and units of a text table.
+1. ``readers/`` decodes a format to tables; ``readers/dialect.py`` finds separator, header and units of a text table.
 2. ``names.py`` interprets column names and ``units.py`` their units; ``quantities.py`` makes expressions in SI units.
 3. ``guess.py`` assigns columns to IMU, fixes, truth and odometer, and ``times.py`` finds the time of each table.
 4. ``gather.py`` evaluates the expressions in batches (``expressions.py``, ``dates.py``).

@@ -97,7 +97,9 @@ def assemble(
             offset = drive.imu.time[0] - drive.gps.time[0]
             remedy = _as_digits(seconds, gathered) or ("" if zero else _one_clock(seconds, gathered))
             moves = "".join(f"--gps-offset {move:.10g} if {why}, or " for move, why in _moves(seconds, zero))
-            shortage += remedy or f": {moves}--gps-offset {offset:.3f} if both logs began at the same time"
+            shortage += (
+                remedy or f": add {moves}--gps-offset {offset:.3f} if both logs began at the same time"
+            )
         raise InputError(f"{name}: {shortage}")
     if coarse:
         say(f"gps: {coarse}")
@@ -177,8 +179,8 @@ def _in_same_period(
         if len(best) > 1 and role in ("gps", "truth", "odometer"):
             other = (best[1] - best[0]) / SECOND
             message = (
-                f"the clock wraps every {period / SECOND:.6g} s, so several shifts fit the IMU; with the shift used, "
-                "the table ends nearest to the last IMU sample"
+                f"the clock wraps every {period / SECOND:.6g} s, so several shifts fit the IMU's times; the import "
+                "uses the shift with which the table ends nearest to the last IMU sample"
             )
             say(f"{role}: {message}. If this is wrong, add --{role}-offset {other:.10g}")
     return moved
@@ -226,7 +228,7 @@ def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[P
         if FASTEST_IMU < steps[0] < SLOWEST_IMU and MIN_FIX_INTERVAL < steps[1] < MAX_STEP["gps"]:
             maps = " ".join(f'"{role}.t={column}*1e-{k}"' for role, (column, _) in columns.items())
             options.append(f"{maps} for {1 / steps[0]:.4g} Hz and {1 / steps[1]:.4g} Hz")
-    message = "; without factors the times of IMU and fixes overlap, so they have the same unit, "
+    message = "; without the factors the times of IMU and fixes overlap, so they have the same unit, "
     return (
         f"{message}but {' and '.join(texts.values())} have different factors; write --map {', or '.join(options)}"
         if options
@@ -304,7 +306,7 @@ def placed_fixes(
         values["course"] = np.asarray(wrap_angle(values["course"]))
     if "lat" in values and "lon" in values:
         if not len(values["lat"]):
-            raise InputError("gps: no fix remains; --show shows the contents of the log")
+            raise InputError("gps: no usable fix; --show shows the contents of the log")
         origin = origin or _first_place(values)
         values = add_local_position(values, values.get("alt", origin[2]), origin, "gps", texts)
     elif not {"x", "y"} <= set(values):
@@ -361,7 +363,7 @@ def _placed_truth(
 
 
 def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]:
-    """Make fixes from the truth at a rate (Hz), with white noise of this standard deviation (m per axis)."""
+    """Make fixes from the truth at ``rate``, Hz, with white noise of standard deviation ``noise``, m per axis."""
     given = f"--gps-from-truth {rate:g},{noise:g}"
     if not (0 < rate <= 1000 and 0 <= noise < np.inf):
         raise InputError(
@@ -400,8 +402,8 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
         apart = np.hypot(east, north)
         if apart > 1000.0:
             say(
-                f"truth: its median position is {apart:.0f} m from that of the fixes; if its origin differs, specify "
-                "--origin"
+                f"truth: the median position is {apart:.0f} m from that of the fixes; if the truth has another "
+                "origin, specify --origin"
             )
     return {name: values[name] for name in ("x", "y", "vx", "vy", "theta")}
 

@@ -99,7 +99,7 @@ def expression_of(target: str, column: str, unit: str = "") -> str:
 def assign(choices: dict[str, Any], inspection: Inspection, table: str, column: str, target: str) -> None:
     """Assign a column to a target, and remove it from its previous targets other than times.
 
-    The expression is that which a note proposes for this column; without such a note, the target's first unit is
+    The expression is the one that a note proposes for this column; without such a note, the target's first unit is
     assumed.
     """
     maps: dict[str, str] = choices.setdefault("maps", {})

@@ -319,7 +319,7 @@ def _with_rate_of_ticks(
 ) -> list[str]:
     """Replace the remedy of a counter of unknown unit by the rate that the motion, or the duration, shows.
 
-    The unit of a counter that IMU and fixes share is also unknown if they would read it in different units.
+    The unit of a counter that IMU and fixes share is also unknown if the guesses for both differ.
     """
     counter = guessed_counter(request, guesses)
     unknown = [fault for fault in faults if UNKNOWN_TICK in fault]
@@ -335,7 +335,7 @@ def _with_rate_of_ticks(
 
 
 def _trial(counter: Counter, request: Request, logs: Mapping[Path, Log], recipe: Recipe) -> str:
-    """Read a counter at the first rate with possible steps; return the remedy that follows, or "" without one."""
+    """Read a counter at the first rate with possible steps; return the remedy that follows; "" if there is none."""
     for trial in TRIAL_RATES:
         maps = [f"{r}.t={time_of_ticks(counter.text, trial)}" for r in ("imu", "gps")[: 1 + counter.shared]]
         plain = replace(recipe, roles=with_maps(recipe.roles, maps, {}), mount="")
@@ -419,7 +419,7 @@ def missing_sensor(
         columns = [name.meaning for table in logs[path].tables.values() for name in read_names(table.columns)]
         lacking = [IMU[n] for n in REQUIRED["imu"] if n not in columns]
         if role == "imu" and lacking and {*columns} & {*IMU}:
-            there = f"no column of the IMU contains {list_names(lacking)}"
+            there = f"the IMU has no column for {list_names(lacking)}"
             return f"{path}: {there}; {remedy}, or name the columns with --map"
         around = sorted(path.iterdir()) if role == "gps" and path.is_dir() else ()
         if receiver_log := next((f for f in around if f.suffix.lower() in RECEIVER_LOGS), None):

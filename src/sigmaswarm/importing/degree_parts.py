@@ -16,10 +16,10 @@ _PARTS = {
 
 
 def degree_parts(frame: pl.DataFrame) -> dict[str, tuple[str, str]]:
-    """Return the column of degrees and the expression of the sum, deg, for lat and lon; {} if both are not found.
+    """Return the column of degrees and the expression of the sum, deg, for lat and lon; {} if either is not found.
 
-    If the table also has latitude and longitude in one column each, these columns have priority, since the parts may
-    lack the sign; they are returned with an empty expression.
+    If the table also has latitude and longitude in one column each, these columns are returned, with an empty
+    expression, since the parts may lack the sign.
     """
     found: dict[str, tuple[str, str]] = {}
     whole: dict[str, tuple[str, str]] = {}

@@ -1,6 +1,6 @@
 """Compile expressions over a table's columns to polars expressions. The text is parsed and checked, never executed.
 
-Names are columns, as in ``-acc_y * 9.80665``, ``radians(gyro_z)``, ``linear_acceleration.x`` and
+Names refer to columns, as in ``-acc_y * 9.80665``, ``radians(gyro_z)``, ``linear_acceleration.x`` and
 ``accelerometer_m_s2[0]``. Backticks enclose other names: ```Acceleration x (m/s^2)` ``.
 
 Values are numbers. An empty cell results in null. A comparison is 1 or 0 in arithmetic. For ``not``, ``and``, ``or``,

@@ -54,8 +54,8 @@ def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.boo
         if not parts:
             there = list_names(log.tables)
             raise InputError(
-                f"{path}: no position fixes found in {there}; name the receiver's own log, or convert it to a "
-                "drive with sigmaswarm import and name the drive"
+                f"{path}: no position fixes found in {there}; name the receiver's own log, or convert that "
+                "log to a drive with sigmaswarm import and name the drive"
             )
         parts = [whole for part in parts for whole in complete_parts(part, log, "gps")]
         fixed = [replace(parts[0], columns={**parts[0].columns, "keep": guess.fixed})] if guess.fixed else []

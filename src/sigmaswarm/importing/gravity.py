@@ -25,7 +25,7 @@ MAX_FORCE, MAX_RATE = 3 * GRAVITY, math.radians(2000.0)
 
 
 def impossible_rates(imu: Imu, parts: Sequence[Part]) -> dict[str, str]:
-    """Return the expressions of the angular rates if no gyro measures such rates, otherwise {}."""
+    """Return the expressions of the angular rates if these exceed the range of common gyros; otherwise {}."""
     texts = {n: text for part in parts for n, text in part.columns.items() if n in RATES}
     return texts if _largest_rate(imu) > MAX_RATE else {}
 

@@ -154,7 +154,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
 
 
 def _best_table(role: Role, tables: Sequence[str], found: Mapping[str, Columns]) -> str:
-    """Return the first table with a fitting name, or the first; positions next to accelerations may be estimates."""
+    """Return the first table with a fitting name, else the first; tables that may contain estimates come last."""
     return max(
         tables,
         key=lambda t: (
@@ -176,7 +176,7 @@ def spread_rows(rows: pl.LazyFrame) -> pl.DataFrame:
 
 
 def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
-    """Assign to each quantity the first column with its name; x, y, z are axes in a table with the name of a sensor."""
+    """Assign to each quantity the first column with its name; in a table named after a sensor, x, y, z are axes."""
     columns = Columns(frame)
     for name in read_names(frame.columns):
         if (what := name.meaning) is None or what == "t":
@@ -274,7 +274,7 @@ def _std_of_messages(names: Sequence[str]) -> Iterator[tuple[str, TimeExpression
 
 
 def _with_fix(columns: Columns) -> TimeExpression | None:
-    """Return the condition of rows with a fix from a column of flags, or a note if it excludes many likely fixes.
+    """From a column of flags, return the condition of rows with a fix, or a note if this excludes many likely fixes.
 
     In some codes, 0 is a fix without fixed ambiguities.
     """

@@ -69,7 +69,7 @@ def join(
 
 
 def _with_known_headings(values: Values) -> Values:
-    """Set the standard deviation of missing headings to `NO_HEADING`; the fixes without heading remain."""
+    """Set the standard deviation of missing headings to `NO_HEADING`; the fixes without a heading remain."""
     heading = values.get("heading", np.zeros(0))
     std, known = values.get("std_heading", np.full(len(heading), np.nan)), np.isfinite(heading)
     if not known.any() or (known.all() and not np.isfinite(std).any()):
@@ -80,7 +80,7 @@ def _with_known_headings(values: Values) -> Values:
 
 
 def _between(time: Array, known: Array, values: Array, turn: float | None) -> Array:
-    """Interpolate values (m,) at ``known`` (m,), s, linearly at ``time`` (n,), s; angles along the shorter arc.
+    """Interpolate values (m,) at times ``known`` (m,), s, linearly to ``time`` (n,), s; angles along the shorter arc.
 
     ``turn`` is the period of an angle, or None. Values beyond half a period, which are unwrapped or in a wrong unit,
     are not wrapped, so a wrong unit remains visible.
@@ -207,7 +207,7 @@ def _complete_rows(
     full = _finite(values, len(time)).all(axis=0)
     if not full.any():
         raise InputError(
-            f"{role}: no row has values of all of {', '.join(values)}; leave a column out with --map {role}.NAME="
+            f"{role}: no row has values in all columns ({', '.join(values)}); leave one out with --map {role}.NAME="
         )
     sparse = role == "gps" and np.mean(placed) < 0.5
     if (left := int(np.count_nonzero(~full))) and not sparse:
@@ -231,7 +231,7 @@ def _complete_rows(
 
 
 def _resolution(values: Array) -> float:
-    """Return the smallest difference of two values."""
+    """Return the smallest difference between two distinct values."""
     return float(np.min(np.diff(np.unique(values)), initial=np.inf))
 
 

@@ -57,7 +57,7 @@ class Calibration:
 
     @property
     def soft_iron(self) -> float:
-        """Ratio of the axes of the ellipse, minus 1."""
+        """Ratio of the ellipse's longer axis to the shorter one, minus 1."""
         sizes = np.linalg.svd(self.shape, compute_uv=False)
         return float(sizes[0] / sizes[1] - 1)
 
@@ -114,7 +114,7 @@ def with_magnetometer(
     heading, known = _at(drive.gps.time - late, time, vector, near_steel)
     say(_in_words(calibration, recipe.declination_deg))
     when = (
-        f" Each applies {late:.2f} s before the time of its fix, since the fixes have this delay."
+        f" Each is the heading {late:.2f} s before the time of its fix, since the fixes have this delay."
         if late
         else ""
     )

@@ -71,7 +71,7 @@ def parse_mount(text: str) -> Array:
 
 
 def _from_axes(text: str, parts: list[str]) -> Array:
-    """Make the rotation from one to three axes; a single one leaves z (or x) unchanged; two determine the third."""
+    """Make the rotation from the given axes: one leaves z (or x) unchanged, and two determine the third."""
     unit = dict(zip(_AXES, np.eye(3), strict=True))
     rows: dict[str, Array] = {}
     for part in parts:

@@ -31,7 +31,7 @@ FLAT_NOTE = (
 
 
 def valid_positions(time: NDArray[np.int64], values: Values, role: str, say: Say) -> NDArray[np.bool_]:
-    """Mark rows (n,) with a usable position: no placeholder, in the range of degrees, and not far from the others."""
+    """Mark rows (n,) with a usable position: no placeholder, possible degrees, and not far from the others."""
     if "lat" not in values or "lon" not in values:
         return np.ones(len(time), bool)
     lat, lon = values["lat"], values["lon"]
@@ -54,7 +54,7 @@ def valid_positions(time: NDArray[np.int64], values: Values, role: str, say: Say
     far = good & (away > MAX_DISTANCE + MAX_SPEED * span)
     if far.any() and far.sum() < 0.1 * good.sum():
         first = ", including the first" if far[np.argmax(good)] else ""
-        away_km = f" {away[far].max() / 1e3:.0f} km from the others"
+        away_km = f" up to {away[far].max() / 1e3:.0f} km from the others"
         say(f"{role}: {rows_left_out(int(far.sum()), away_km)}{first}")
         good &= ~far
     return good
@@ -87,7 +87,7 @@ def with_longitudes(values: Values, role: str, say: Say) -> Values:
 
 
 def chord_course(time: Array, x: Array, y: Array, chord: float = 6.0) -> tuple[Array, NDArray[np.int64]]:
-    """Return the course (m,), rad, between positions about ``chord`` meters apart, and the middle rows (m,)."""
+    """Return the course (m,), rad, between positions about ``chord`` meters apart, and the rows (m,) halfway."""
     if len(time) < 10:
         return np.zeros(0), np.zeros(0, np.int64)
     step = float(np.median(np.hypot(np.diff(x), np.diff(y))))
@@ -136,7 +136,7 @@ def add_local_position(
     role: str,
     texts: Mapping[str, str] = MappingProxyType({}),
 ) -> Values:
-    """Add the x and y, m, of latitude and longitude, deg, relative to an origin; ``texts``: their expressions."""
+    """Add x and y, m, relative to an origin, from latitude and longitude, deg; ``texts``: their expressions."""
     for name, most in (("lat", 90.0), ("lon", 180.0)):
         wrong = values[name][np.abs(values[name]) > most]
         if len(wrong):

@@ -184,7 +184,7 @@ def _gravity(names: Sequence[str]) -> dict[str, str]:
 
 
 def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Proposal, str, bool]:
-    """Correct a proposal by the doctor's findings; return the proposal, the evidence, and True if it can be imported.
+    """Correct a proposal with the doctor's findings; return the proposal, the evidence, and True if it can be imported.
 
     ``make`` makes the drive. A proposal with unknown units counts as one that cannot be imported.
     """
@@ -207,7 +207,7 @@ def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tup
         )
     if corrected != proposal and _faults(last) >= _faults(first):
         corrected, last = proposal, first
-    changed = "corrected by" if corrected != proposal else "checked with"
+    changed = "corrected with" if corrected != proposal else "checked with"
     basis = (
         f"the mapping follows from the columns' names and values, and was {changed} the motion of the fixes"
     )
@@ -223,7 +223,7 @@ def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tup
 
 
 def _busiest_part(drive: Drive) -> Drive:
-    """Return the part of at most `CHECKED_TIME` with the longest path along the fixes, smoothed over ten fixes."""
+    """Return the part of at most `CHECKED_TIME`, s, with the longest path along every tenth fix."""
     imu = drive.imu.time
     fixes = drive.gps.select((drive.gps.time >= imu[0]) & (drive.gps.time <= imu[-1]))
     position, time = fixes.x + 1j * fixes.y, fixes.time

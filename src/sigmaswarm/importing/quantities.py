@@ -136,7 +136,8 @@ def _web_mercator(columns: Columns, role: Role) -> str:
 def _without_unit(columns: Columns, what: str, role: Role) -> TimeExpression:
     """Read accelerations as g or mg if their magnitude then equals gravity, and rates above 5 as deg/s.
 
-    Other values are read in SI units, or refused as raw counts if they are too large for a car or whole (rates).
+    Other values are read in SI units. Values that are too large for a car, and rates of whole numbers, are refused as
+    raw counts.
     """
     text, letter = columns.text(what), what[0]
     axes = [a for a in (f"{letter}{i}" for i in "xyz") if a in columns and columns.names[a].unit is None]
@@ -194,7 +195,7 @@ def _maps(columns: Columns, role: Role, whats: Sequence[str], form: str) -> str:
 
 
 def in_units(frame: pl.DataFrame, role: Role, texts: Mapping[str, str]) -> dict[str, str]:
-    """Convert proposed columns to a drive's units, like recognized columns; after a fault, as in its remedy."""
+    """Convert proposed columns to a drive's units like recognized columns, or as the remedy of a fault proposes."""
     columns, signs = Columns(frame), {what: "-" * text.startswith("-") for what, text in texts.items()}
     quoted_names = {quoted_column(column): column for column in frame.columns}
     for what, text in texts.items():
@@ -321,7 +322,7 @@ def degrees_as_meters(columns: Columns, role: Role) -> str:
 
 
 def from_ecef(columns: Columns) -> dict[str, TimeExpression]:
-    """Convert x, y, z from the center of the earth (ECEF, WGS84) to degrees with Bowring's formula; {} for others.
+    """Convert x, y, z from the center of the earth (ECEF, WGS84) to degrees (Bowring); {} for other coordinates.
 
     UTM coordinates near 57 degrees have the norm of ECEF coordinates, but their z is an altitude.
     """

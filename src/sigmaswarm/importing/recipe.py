@@ -43,7 +43,7 @@ _SETTINGS: dict[str, type | int] = {
 
 @dataclass(frozen=True)
 class Recipe:
-    """Columns to read from a log, and their transformations."""
+    """Expressions of a drive's columns over the columns of a log, and settings of the import."""
 
     roles: Mapping[Role, tuple[Part, ...]] = field(default_factory=dict[Role, tuple[Part, ...]])
     mount: str = ""  # mounting of the IMU in the vehicle: see `parse_mount`

@@ -1,4 +1,4 @@
-"""Check times that are computed from row numbers: rows that a logger lost shift all later times."""
+"""Check times that are computed from row numbers, since each row that a logger lost shifts all later times."""
 
 from collections.abc import Mapping, Sequence
 
@@ -22,7 +22,7 @@ NEIGHBORS, MIN_RATIO, MAX_TURN = 5, 2.5, 0.3
 
 
 def gaps_by_clock(gathered: Mapping[Role, Sequence[PartColumns]]) -> list[str]:
-    """Report rows that are missing according to another column of a table with row numbers as times."""
+    """In tables whose times are row numbers, report rows that are missing according to another column."""
     notes: list[str] = []
     for role, columns in ((role, one) for role, parts in gathered.items() for one in parts if one.counted):
         table, text = columns.part.table, columns.part.columns["t"]
@@ -38,11 +38,11 @@ def gaps_by_clock(gathered: Mapping[Role, Sequence[PartColumns]]) -> list[str]:
             if lost > MIN_LOST:
                 notes.append(
                     f"{where}: according to column {name}, rows for {lost:.3g} s are missing, for example after row "
-                    f"{row}, so the later times {text} are too early; instead, write --map "
+                    f"{row}, so later times from {text} are too early; instead, write --map "
                     f'"{role}.t={name}*{unit:.6g}"'
                 )
                 break  # another clock may count rows without gaps
-        notes += [f"{where}: {note}, after which all times would be too early"] if note else []
+        notes += [f"{where}: {note}; after a gap, all times would be too early"] if note else []
     return notes
 
 
@@ -63,7 +63,7 @@ def _gaps_of(values: Array, time: Array) -> tuple[float, float, int] | None:
 
 
 def gaps_by_distance(drive: Drive) -> str:
-    """Report missing fixes, if two fixes are much farther apart than the fixes before and after; else return ""."""
+    """Report missing fixes if two fixes are much farther apart than the fixes around them; otherwise return ""."""
     position = drive.gps.x + 1j * drive.gps.y
     interval = np.diff(drive.gps.time)  # longer where rows without a fix are left out
     moves, noise = np.diff(position) * np.median(interval) / interval, white_noise(position)

@@ -28,10 +28,11 @@ MIN_FIXES = 10
 def require_same_axes(
     seconds: Mapping[Role, Array], truth: Values, gps: Values, parts: Sequence[Part]
 ) -> str:
-    """Refuse a truth whose x and y are not m east and north: exchanged, rotated, or in another unit.
+    """Refuse a truth whose x and y are not m east and north, but exchanged, rotated, or in another unit.
 
     With fixes z and truth w, as complex numbers minus their means, wrong axes or units give z = a w with a factor a
-    unlike 1, or z = a conj(w). If a clock offset explains the difference, return a message with the offset, else "".
+    other than 1, or z = a conj(w). If a clock offset explains the difference, return a message with the offset;
+    otherwise return "".
     """
     places = [values["x"] + 1j * values["y"] for values in (gps, truth)]
     if delay := truth_delay(seconds["gps"], places[0], seconds["truth"], places[1]):
@@ -73,7 +74,7 @@ def require_same_axes(
     maps = " ".join(f'"truth.{n}={_combined(size, *row)}"' for n, row in zip("xy", rows, strict=True))
     seem = f" (their unit seems to be {unit})" if stretched and known else ""
     raise InputError(
-        f"the truth's x and y, as m east and north, do not fit the track of the fixes{seem}; write --map {maps}"
+        f"the truth's x and y, read as m east and north, do not fit the track of the fixes{seem}; write --map {maps}"
     )
 
 

@@ -98,7 +98,7 @@ class Placement:
     def notes(self, mount: str, lever_arm: Any) -> Iterator[str]:
         base, imu, antenna = self.frames
         if mount == self.mount:
-            yield f"mounting {mount} deg (roll, pitch, yaw) is taken from tf_static, {imu} in {base}"
+            yield f"mounting {mount} deg (roll, pitch, yaw) is taken from tf_static ({imu} in {base})"
         if self.lever_arm and lever_arm == self.lever_arm:
             x, y, z = self.lever_arm
             yield f"lever arm {x:.4g},{y:.4g},{z:.4g} m is taken from tf_static, from {imu} to {antenna} in {base}"
@@ -257,7 +257,7 @@ def first_bytes(path: Path, count: int = 4096) -> bytes:
 
 
 def is_empty(path: Path) -> bool:
-    """Return True for a file of no bytes, or of blank lines."""
+    """Return True for a file without bytes, or with blank lines only."""
     head = first_bytes(path)
     return (
         path.is_file() and path.stat().st_size == len(head) and not head.removeprefix(b"\xef\xbb\xbf").strip()

@@ -59,7 +59,7 @@ def wrong_tick(drive: Drive, counter: Counter, recipe: Recipe, other: DurationRa
 
 
 def rate_by_motion(drive: Drive) -> float | None:
-    """Return the factor of all times at which turns and accelerations agree with the fixes; None if it is unclear.
+    """Return the factor of all times that makes turns and accelerations agree with the fixes; None if it is unclear.
 
     At a wrong rate, turns differ by the factor and accelerations by its square, unlike with a wrong unit of the gyro.
     A receiver has a usual rate, so a counter that IMU and fixes share has few possible rates.

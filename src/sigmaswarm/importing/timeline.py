@@ -168,10 +168,10 @@ def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> 
 
 
 def spread_stamps(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]:
-    """Spread rows that share a stamp evenly; refuse stamps with varying numbers of rows.
+    """Spread the rows of each shared stamp evenly in time; refuse stamps with varying numbers of rows.
 
-    Coarse stamps are rounded down, so the rows extend to the next stamp. Stamps with varying steps are those of batches
-    that a sensor collected before, so the rows extend back to the previous stamp.
+    If the steps between stamps are constant, the stamps were rounded down, so the rows extend to the next stamp. If the
+    steps vary, a sensor stamped batches of earlier samples, so the rows extend back to the previous stamp.
     """
     new = np.flatnonzero(np.diff(time, prepend=time[0] - 1) != 0)
     repeated = 1 - len(new) / len(time)
@@ -209,7 +209,7 @@ def spread_stamps(time: Nanoseconds, role: Role, where: str) -> tuple[Nanosecond
     size[-1] = max(size[-1], usual)
     place = place - (size[group] - 1 if batches else 0.0)
     fine = time + np.round(place / size[group] * length[group]).astype(np.int64)
-    until = ", with the stamp at the last of them" * batches
+    until = ", the last of them at the stamp" * batches
     return fine, f"{usual:g} rows share one stamp every {step / SECOND:g} s and are spread evenly{until}"
 
 
@@ -220,7 +220,7 @@ def sorted_times(
     rows = np.flatnonzero(~_stray(time))
     if len(rows) < len(time):
         say(
-            f"{where}: {rows_left_out(len(time) - len(rows))}, since the time is far from that of the rows around it"
+            f"{where}: {rows_left_out(len(time) - len(rows))}, since the time is far from that of the adjacent rows"
         )
     taken, chosen = choose_part(time[rows], part, role, where)
     rows = rows[taken]
@@ -237,7 +237,7 @@ def sorted_times(
     new = np.diff(time, prepend=time[0] - 1) > 0
     if not new.all():
         say(
-            f"{where}: {rows_left_out(int(np.count_nonzero(~new)))}, since they repeat the time of the previous row"
+            f"{where}: {rows_left_out(int(np.count_nonzero(~new)))}, since the time of the previous row is repeated"
         )
     return time[new], rows[new]
 
@@ -247,7 +247,7 @@ def require_likely(time: Nanoseconds, role: Role, where: str, text: str) -> None
     step = float(np.median(np.diff(time))) / SECOND if len(time) > 2 else MIN_STEP * 2
     if MIN_STEP / 2 < step < 4 * MAX_STEP[role]:
         return
-    remedy = "map its time"
+    remedy = "map another column as the time"
     for unit, factor in reversed(UNITS.items()):
         if MIN_STEP < step * factor < MAX_STEP[role]:
             remedy = f'if the times are in {unit}, write --map "{role}.t=({text})*{factor:g}"'

@@ -1,4 +1,4 @@
-"""Find the time of a table: its columns, and the expression in seconds."""
+"""Find the columns with the time of a table, and the expression of the time in seconds."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -147,7 +147,7 @@ def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
 
 
 def rising_time(frame: pl.DataFrame, role: Role) -> str:
-    """Return the first column without a known name that increases from row to row, in s; otherwise "COLUMN".
+    """Return the first column without a known name that increases from row to row, as text in s; else "COLUMN".
 
     A counter of rows, which increases by 1, is not a time.
     """
@@ -305,7 +305,7 @@ def _prefixed(names: Sequence[Name], words: str) -> list[tuple[Name, str]]:
 
 
 def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> TimeExpression | None:
-    """Find a column that is named like a time and is not always 0, preferably a changing one; or a running clock."""
+    """Find a column that is named like a time and is not always 0, preferably a changing one; else a running clock."""
     times = [name for name in names if name.meaning == "t"]
     for name in sorted(times, key=lambda name: frame[name.column].n_unique() < 2):
         numbers = column_numbers(frame[name.column])
@@ -413,7 +413,7 @@ def date_time(columns: Sequence[str], frame: pl.DataFrame) -> TimeExpression:
 
 
 def _date_in(form: str) -> pl.Expr:
-    """Return the dates of the column ``date`` by a format, s since 1970; null for other texts."""
+    """Return an expression that parses the column ``date`` with the format ``form``, s; null for other texts."""
     dates = pl.col("date")
     return parse_dates(dates if form else pl.when(dates.str.contains(r"^\d{4}-\d")).then(dates), form)
 
@@ -457,7 +457,7 @@ def _of_numbers(values: pl.Series, text: str, role: Role) -> TimeExpression:
 
 
 def _too_short(numbers: pl.Series, text: str, column: str, step: float, role: Role) -> TimeExpression:
-    """Read numbers whose steps are too short for seconds as fractions of a day, or refuse them."""
+    """Read numbers as fractions of a day, or refuse them, since their steps are too short for seconds."""
     if MIN_STEP < step * 86400 < 4 * MAX_STEP[role] and numbers.is_between(1e-3, 1).all():
         return TimeExpression(f"{text}*86400", f"{column} is read as days (fractions of a day)")
     message = f'--time "{text}*86400" for days, *3600 for hours, *60 for minutes, *1 for seconds'
@@ -485,6 +485,6 @@ def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
     times = "" if factor == 1 else f"*{factor:g}".replace("e-0", "e-")
     option = '--time "' if role == "imu" else f'--map {role}.t="'
     return (
-        f"with {text} in s, rows of the {role} would be {step * scale:.4g} s apart, in {unit} "
-        f'{step * factor:.4g} s; write {option}{column}{times}"'
+        f"with {text} in s, rows of the {role} would be {step * scale:.4g} s apart, and in {unit} "
+        f'{step * factor:.4g} s apart; write {option}{column}{times}"'
     )

@@ -149,7 +149,7 @@ def parse_unit(text: str) -> Unit | None:
 
 
 def possible_units(lat: float, lon: float) -> list[str]:
-    """Return possible units, per degree, of a latitude and longitude with these magnitudes, largest unit first."""
+    """Return the possible units of latitude and longitude with these magnitudes, as units per degree, largest first."""
     return [k for k in PER_DEGREE if lat <= 90 * float(k) and lon <= 360 * float(k)]
 
 

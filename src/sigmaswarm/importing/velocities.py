@@ -50,12 +50,12 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
         usual = float(np.median(np.abs(speed))) if len(speed) else 0.0
         wrong = f"a median of {usual:.4g} m/s is not the speed of a vehicle" if usual > MAX_SPEED else ""
     elif speed is not None and (ratio := _ratio(time, values, speed, begin, end)) > MAX_SPEED_RATIO:
-        wrong = f"the speed is {ratio:.3g} times that of the positions (median){_remedy(ratio, texts, role)}"
+        wrong = f"the speed is {ratio:.3g} times the speed from the positions (median){_remedy(ratio, texts, role)}"
     elif course is not None and len(begin) >= MIN_STRETCHES:
         dx, dy = (values[n][end] - values[n][begin] for n in ("x", "y"))
         apart = np.abs(wrap_angle(course[(begin + end) // 2] - np.arctan2(dy, dx)))
         if (middle := float(np.median(apart))) > MAX_COURSE_ERROR:
-            wrong = f"the course differs from that of the positions by {np.degrees(middle):.0f} deg (median)"
+            wrong = f"the course differs from the course between the positions by {np.degrees(middle):.0f} deg (median)"
     if not wrong:
         return values
     stated = ", ".join(f"{name}={text}" for name, text in texts.items())
@@ -67,7 +67,7 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
 def _ratio(
     time: Array, values: Values, speed: Array, begin: NDArray[np.int64], end: NDArray[np.int64]
 ) -> float:
-    """Return the median ratio of a speed to that of the positions; 1 if the ratio is not constant."""
+    """Return the median ratio of a speed to the speed from the positions; 1 if the ratio is not constant."""
     sums = np.concatenate([[0.0], np.cumsum(np.abs(speed))])
     stated = (sums[end + 1] - sums[begin]) / (end + 1 - begin)
     moved = np.hypot(*(values[n][end] - values[n][begin] for n in ("x", "y"))) / (time[end] - time[begin])

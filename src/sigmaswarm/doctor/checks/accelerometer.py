@@ -111,7 +111,7 @@ def _size(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
 
 
 def _gravity(evidence: Evidence) -> Iterator[Finding]:
-    """Check for gravity in ax and ay: their mean minus the acceleration of the car."""
+    """Check for gravity in ax and ay: constant offsets that the motion does not explain."""
     assert evidence.acceleration is not None
     leak = -np.median(evidence.acceleration.bias, axis=0)
     size = float(np.hypot(*leak))
@@ -157,8 +157,8 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
             "az, gx and gy show that the IMU is upside down. The fixes do not show which axis points forward"
         )
         remedy = (
-            "rotate all axes by 180 deg about x: import with --mount x=x,y=-y, or with the axes in the sensor's "
-            "data sheet"
+            "rotate all axes by 180 deg about x: import with --mount x=x,y=-y, or with the axes that the "
+            "sensor's data sheet shows"
         )
         repair = Repair("rotate", tuple(np.diag([1.0, -1.0, -1.0]).ravel().tolist()))
         where = "imu.csv, ay, az, gy, gz"

@@ -1,9 +1,9 @@
 """Check the gyro: column, sign, unit, scale and bias of the yaw rate; signs and columns of the roll and pitch rates.
 
 Within half a second, the direction of the specific force in body axes rotates opposite to the body (g' = -w x g). The
-car's acceleration also rotates this direction, but a body on springs leans with the force: in a left turn, the force
-points to the left, and the left side rises. Therefore the signs are also visible on flat roads. The scale is visible
-only for the roll rate, after removal of the part that the lateral acceleration explains.
+car's acceleration also rotates this direction, but in the same sense as the lean of a body on springs: in a left turn,
+the force points to the left, and the left side rises. Therefore the signs are also visible on flat roads. The scale is
+visible only for the roll rate, after removal of the part that the lateral acceleration explains.
 """
 
 from collections.abc import Iterator, Sequence
@@ -117,9 +117,10 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _whole_gain(evidence: Evidence) -> float:
-    """Return the ratio of the course's turns to the gyro's turns, fitted without a bias to the turns in whole windows.
+    """Return the ratio of the course's turns to the gyro's turns, fitted without a bias to the total turns of windows.
 
-    In steady circles, changes within windows are small, and lever arm and slip have the effect of a scale error.
+    `fit_yaw` removes a straight line from each window. In steady circles the rest is small, so lever arm and slip have
+    the effect of a scale error.
     """
     imu, course, yaw, fit = evidence.drive.imu, evidence.course, evidence.yaw, evidence.yaw_fit
     assert course is not None and fit is not None
@@ -130,7 +131,7 @@ def _whole_gain(evidence: Evidence) -> float:
 
 
 def _only_yaw_is_wrong(evidence: Evidence) -> bool:
-    """Return True if gravity shows in roll that the scale of gx is correct, although that of gz is wrong."""
+    """Return True if the roll of gravity's direction shows that the scale of gx is correct, unlike that of gz."""
     course, unit = evidence.course, abs(evidence.yaw.factor)
     if course is None or unit == 1 or evidence.yaw.column != "gz":
         return False
@@ -202,7 +203,7 @@ def is_upside_down(evidence: Evidence) -> bool:
 
 
 def _tilt_rates(evidence: Evidence) -> list[RateMatch | None]:
-    """Return `_follows` for the drive; empty if a column or gravity is missing."""
+    """Apply `_follows` to the drive; return an empty list if a column or gravity is missing."""
     read = _force_and_rates(evidence)
     return _follows(evidence.drive.imu.time, *read) if read else []
 
@@ -260,7 +261,7 @@ def _regressions(
 
 
 def _robust_fit(regressors: Array, change: Array) -> tuple[Array, Array]:
-    """Return the first two coefficients of robust least squares with a constant, and their standard deviations."""
+    """Return the first two coefficients of a robust linear fit with a constant term, and their standard deviations."""
     columns = np.column_stack([*regressors, np.ones(len(change))])
     scale = np.linalg.norm(columns, axis=0)
     scale = np.where(scale > 0, scale, 1.0)

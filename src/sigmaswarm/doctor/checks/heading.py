@@ -22,9 +22,9 @@ HEADINGS: dict[str, Callable[[Array], Array]] = {
     "deg clockwise from east": lambda angle: -np.radians(angle),
 }
 MAX_DEVIATION = math.radians(15)  # rad, largest median difference from the course, apart from a constant
-# rad, constant difference from the course for a warning and for a serious finding
+# rad, smallest constant difference from the course for a warning and for a serious finding
 ROTATION_LIMITS = (math.radians(2), math.radians(10))
-# s, delay for a warning; largest ratio of the misfits with and without this delay
+# s, smallest delay for a warning; largest ratio of the misfit with this delay to the misfit without it
 MIN_DELAY, MAX_MISFIT_RATIO = 0.15, 0.8
 WINDOW = 5.0  # s, over which turns of the heading and of the gyro are compared
 MIN_FIXES = 30
@@ -52,7 +52,7 @@ def check_heading(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _offset(off: Array) -> tuple[float, float]:
-    """Return the constant part of angles and the median magnitude of the residuals, rad."""
+    """Return the median of angles, and the median magnitude of their deviations from it, rad."""
     mean = float(np.angle(np.mean(np.exp(1j * off))))
     mean += float(np.median(wrap_angle(off - mean)))
     return wrap_angle(mean), float(np.median(np.abs(wrap_angle(off - mean))))

@@ -1,4 +1,4 @@
-"""Check the mounting of an IMU with six axes, its changes, mirrored fixes, and logs that begin in reverse."""
+"""Check the mounting of a six-axis IMU and its changes, mirrored fixes, and logs that begin in reverse."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -49,12 +49,10 @@ def check_mirrored(evidence: Evidence) -> Iterator[Finding]:
     sign = evidence.mirrored == "reversed"
     fault = f"{places} of the fixes are exchanged"
     if sign:
-        fault = (
-            "the longitudes or latitudes of the fixes lack a minus sign, or the IMU's axes are left-handed"
-        )
+        fault = "longitudes or latitudes of the fixes lack a minus sign, or the IMU's axes form a left-handed system"
     what = (
         f"{fault}, so the track is mirrored relative to the IMU. Relative to the fixes, gz and ay have the wrong sign, "
-        "but ax has the correct sign and az points up"
+        "but ax has the correct sign, and the z axis points up"
     )
     remedy = (
         f"if gz and ay have the correct signs, exchange {places}: "
@@ -64,7 +62,7 @@ def check_mirrored(evidence: Evidence) -> Iterator[Finding]:
         west = 'with --map "gps.lon=-(COLUMN_OF_LON)" if the drive was west of Greenwich'
         south = '"gps.lat=-(COLUMN_OF_LAT)" if it was south of the equator'
         signs = " ".join(f'"imu.{name}=-(COLUMN_OF_{name.upper()})"' for name in ("ay", "gx", "gz"))
-        remedy = f"import {west}, {south}, or {signs} if the coordinates are correct and the IMU's axes left-handed"
+        remedy = f"import {west}, {south}, or {signs} if the coordinates are correct and the IMU's axes are left-handed"
     # Otherwise there is no repair: a truth may be mirrored too, and the exchange changes the scale of degrees.
     repair = Repair("exchange-fixes", ()) if drive.frame == "enu" and drive.truth is None else None
     where = f"gps.csv, {first}, {second}"
@@ -101,7 +99,7 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
     whole = name_of_whole(evidence.drive)
     if mounting.needed and (angle > SERIOUS or not whole):
         given = ",".join(f"{degrees:g}" for degrees in evidence.drive.mounting or ())
-        instead = f" instead of {given} (that rotation is included)" if given else ""
+        instead = f" instead of {given} (the new angles include that rotation)" if given else ""
         roll, pitch, yaw = roll_pitch_yaw(mounting.repair, 1)
         yield Finding(
             "mounting", "serious" if angle > SERIOUS else "warning",
@@ -128,8 +126,8 @@ def find_turn(evidence: Evidence) -> tuple[float, float] | None:
     """Find the time, s, at which the IMU was turned about the vertical, and the angle, rad; None if it was not turned.
 
     For a part of the drive, S is the sum of a conj(u), where u = ax + i ay is the measured force and a the
-    acceleration of the vehicle, each minus its mean. The angle of S is the angle of the IMU. The time of the turn
-    maximizes the sum of |S| of the parts before and after it.
+    acceleration of the vehicle, each minus its mean. The argument of S is the angle of the IMU about the vertical. The
+    time of the turn maximizes the sum of |S| of the parts before and after it.
     """
     course, imu, yaw = evidence.course, evidence.drive.imu, evidence.yaw
     if course is None or not yaw.known:
@@ -153,11 +151,11 @@ def find_turn(evidence: Evidence) -> tuple[float, float] | None:
 
 
 def find_movement(drive: Drive) -> tuple[float, float] | None:
-    """Find the time, s, at which the IMU was moved, and gravity's change of direction, rad; None if it was not moved.
+    """Find the time, s, at which the IMU was moved, and the turn of gravity's direction, rad; None if it was not moved.
 
-    The time minimizes the scatter of the directions of the specific force (averages over 5 s) about one median before
-    and one median after the time. The median magnitude of the force must be that of gravity in m/s2 or in g. Otherwise
-    the unit of az differs from that of ax and ay, and the force shows no direction.
+    The time minimizes the scatter of the directions of the specific force (averages over 5 s) about their
+    medians before and after this time. The median magnitude of the force must be that of gravity in m/s2 or in g.
+    Otherwise the unit of az differs from that of ax and ay, so the force has no meaningful direction.
     """
     imu = drive.imu
     if imu.az is None:
@@ -196,7 +194,7 @@ def _means(time: Array, columns: Sequence[Array], step: float) -> tuple[Array, A
 
 
 def check_handled(evidence: Evidence) -> Iterator[Finding]:
-    """Find the ends of a log in which the IMU, such as a phone, is handled; yield one finding per end."""
+    """Find the parts at both ends of a log in which the IMU, such as a phone, is handled; yield one finding each."""
     first, last = evidence.span
     begin, end = find_steady_span(evidence.drive)
     what = "{} t = {:.1f} s, the IMU moves relative to the vehicle, for example in someone's hand"
@@ -260,7 +258,7 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _slope(time: Array, speed: Array, gained: Array) -> tuple[float, float] | None:
-    """Fit speed changes to the integral of ax; return the slope and its limit of significance; None if undetermined."""
+    """Fit speed changes to the integral of ax; return the slope and the smallest significant slope, or None."""
     step = max(round(STEP / float(np.median(np.diff(time)))), 1)
     if len(time) < step + 4:
         return None

@@ -126,8 +126,8 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         return
     factor = max(stated / scatter, scatter / stated)
     what = (
-        f"the stated standard deviation of the fixes ({stated:.2g} m) is {factor:.0f} times {how} than their scatter "
-        f"({scatter:.2g} m per axis)"
+        f"the stated standard deviation of the fixes ({stated:.2g} m) is {how} than their scatter "
+        f"({scatter:.2g} m per axis) by a factor of {factor:.0f}"
     )
     remedy = (
         f"state {scatter:.2g} m, or more if you know of slow errors, which a log without truth does not show"
@@ -135,7 +135,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
     repair, severity = Repair("state-noise", (scatter,)), "warning"
     if gps.std_x is None:
         what += ". A tuning without truth takes R from this value: with a smaller value the filter follows the fixes "
-        what += "more closely, with a larger value it trusts the IMU for longer"
+        what += "more closely, and with a larger value it trusts the IMU for longer"
         if how == "larger":  # a user may know of slow errors
             repair, severity = None, "note"
             remedy = (

@@ -51,8 +51,8 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
     moving = course.moving
     interval = float(np.median(np.diff(course.time)))
     shown = (
-        f"the course is known for {np.count_nonzero(moving) * interval:.0f} of {np.ptp(course.time):.0f} s, "
-        f"when the car is faster than {course.slowest:.1f} m/s"
+        f"the course is known only while the car is faster than {course.slowest:.1f} m/s, "
+        f"which is {np.count_nonzero(moving) * interval:.0f} of {np.ptp(course.time):.0f} s"
     )
     if fit is None:
         return f"{shown}. No part is long enough to compare the course with the gyro", REMEDY
@@ -61,15 +61,15 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
         MIN_DETERMINED_TURN, MIN_TURN_SIGMAS * course.std / np.median(np.abs(course.velocity[moving]))
     ):
         return (
-            f"the course changes by {change:.0f} deg (RMS) within 20 s, and no column of the gyro follows this change",
-            f"check the gyro's unit and the clocks; offsets beyond {MAX_OFFSET:.0f} s are not searched for",
+            f"the RMS change of the course within 20 s is {change:.0f} deg, but no column of the gyro follows it",
+            f"check the gyro's unit and the clocks; clock offsets above {MAX_OFFSET:.0f} s are not searched for",
         )
     if np.ptp(course.angle[moving]) > CIRCLE:
         steady = (
             "The car turns at a nearly constant rate, which does not separate the gyro's scale from its bias"
         )
         return f"{shown}. {steady}", REMEDY
-    turns = f"In this time, the course changes by {change:.1f} deg (RMS) within 20 s"
+    turns = f"In this time, the RMS change of the course within 20 s is {change:.1f} deg"
     return f"{shown}. {turns}. Slower turns can't be distinguished from a gyro bias", REMEDY
 
 

@@ -140,7 +140,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
     unsure = 1.2533 * spread / math.sqrt(len(ratio))
     size = abs(scale)
     if scale < 0 and unsure < 0.1 * size:
-        what, repair = "the wheels turn backwards while the car drives forward", Repair("odometer", (-1.0,))
+        what, repair = "the wheel speed is negative while the car drives forward", Repair("odometer", (-1.0,))
         remedy = "change the sign of speed: forward is positive"
         yield Finding("odometer-sign", "serious", what, SPEED, span, 0.99, remedy, repair)
         scale = size
@@ -165,7 +165,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
 
 
 def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
-    """Return, for each path, the ratio of the displacements of odometer and fixes, and that of the fixes, m."""
+    """Return, for each path, the odometer's displacement divided by that of the fixes, and that of the fixes, m."""
     imu, yaw, time = evidence.drive.imu, evidence.yaw, odometer.time
     heading = np.interp(time, imu.time, integral(imu.time, yaw.factor * getattr(imu, yaw.column)))
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)
@@ -215,7 +215,7 @@ def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
 
 
 def _quick(time: Array, values: Array, at: Array) -> Array:
-    """Return accelerations at times, minus their mean over 10 s, which removes the slope of the road from ax."""
+    """Return accelerations at given times minus their means over 10 s; this removes the effect of road slope on ax."""
     slope = _gain(time, values, at, AVERAGING_TIME) / AVERAGING_TIME
     n = max(3, min(len(slope) // 2, round(10.0 / STEP)))
     total = np.append(0.0, np.cumsum(slope))

@@ -87,7 +87,7 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     imu, gps = evidence.drive.imu, evidence.drive.gps
     yield _rate("imu", "IMU samples", imu.time)
     yield _rate("gps", "fixes", gps.time)
-    remedy = "a filter uses the mean of the samples around a gap, and increases its covariance"
+    remedy = "a filter uses the mean of the samples around a gap, and increases the state's covariance"
     yield from _gaps("imu", gaps_in(imu.time, IMU_GAP), remedy)
     remedy = "during this time a filter uses only the IMU; no action is needed if this is intended"
     yield from _gaps("gps", gaps_in(gps.time, GPS_GAP, imu.time), remedy)
@@ -156,7 +156,7 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
         elif passed < fix_usual + 0.5 * fix_missed:
             what = (
                 f"The logger's clock jumped, since the car needs only {passed:.1f} s for the distance between the "
-                "fixes before and after"
+                "fixes before and after the jump"
             )
             code, severity = "clock-jump", "warning"
             remedy = "subtract the jump from all later times in all files"

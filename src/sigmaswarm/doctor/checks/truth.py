@@ -12,12 +12,12 @@ from sigmaswarm.doctor.findings import Finding, Repair
 from sigmaswarm.drives.drive import Drive
 
 Positions = NDArray[np.complexfloating]
-STEP, FINE_STEP = 0.5, 0.01  # s, of the tried delays, and of those near the best one
-# s, time over which velocities are computed, and longest interval between positions within it; usual intervals if these
-# are larger
+STEP, FINE_STEP = 0.5, 0.01  # s, steps of the tried delays, and of those near the best delay
+# Time over which velocities are computed, and longest interval between positions within it: in s, and in usual
+# intervals; the larger value applies
 BASE, BASE_INTERVALS = 2.0, 2.0
 MAX_GAP, GAP_INTERVALS = 3.0, 1.5
-MAX_SPEED = 150.0  # m/s, of a velocity that is compared
+MAX_SPEED = 150.0  # m/s, largest velocity that is compared
 MIN_TIME = 20.0  # s, shortest time with both velocities
 MIN_SPEED = 1.0  # m/s, lowest RMS speed
 MIN_DELAY = 2.5  # s, larger than the delay of a receiver
@@ -30,8 +30,10 @@ def check_truth(evidence: Evidence) -> Iterator[Finding]:
     truth, delay = evidence.drive.truth, _delay(evidence.drive)
     if truth is None or delay is None or _moves_with_fixes(delay, -evidence.moved):
         return
-    size, way = f"{abs(delay):.2f} s", "late" if delay > 0 else "early"
-    what = f"the truth's clock is {size} {way}: without this offset, the velocities of truth and fixes agree"
+    size, way = f"{abs(delay):.2f} s", "large" if delay > 0 else "small"
+    what = (
+        f"the truth's times are {size} too {way}: after correction, the velocities of truth and fixes agree"
+    )
     leap = " (GPS time is 18 s ahead of UTC)" if abs(abs(delay) - 18) < 1 else ""
     remedy = f"{'subtract' if delay > 0 else 'add'} {size} {'from' if delay > 0 else 'to'} the truth's times{leap}, "
     remedy += f"or import the log with --truth-offset {-delay:.2f}"
@@ -42,7 +44,7 @@ def check_truth(evidence: Evidence) -> Iterator[Finding]:
 
 
 def moves_with_fixes(drive: Drive, shift: float) -> bool:
-    """Return True if the truth had the clock of the fixes before ``shift``, s, was added to the times of the fixes."""
+    """Return True if truth and fixes had the same clock before ``shift``, s, was added to the times of the fixes."""
     delay = _delay(drive)
     return delay is not None and _moves_with_fixes(delay, shift)
 
@@ -61,9 +63,9 @@ def _delay(drive: Drive) -> float | None:
 def truth_delay(time: Array, fixes: Positions, truth_time: Array, truth: Positions) -> float | None:
     """Find the delay of the truth's clock, s, from the truth (m,) and the fixes (n,), east + i north, m.
 
-    Return None if the delay is small, or if no delay, or several delays, explain the velocities. The relative
-    difference of the velocities v and w is the sum of |v - w|^2 divided by the sum of |v|^2 + |w|^2, over the time that
-    both cover at a delay.
+    Return None if the delay is small, or if the velocities agree at no delay or at more than one. The relative
+    difference of the velocities v and w at a delay is the sum of |v - w|^2 divided by the sum of |v|^2 + |w|^2, over
+    the times at which both are known.
     """
     if min(len(time), len(truth_time)) < 3:
         return None
@@ -98,7 +100,7 @@ def truth_delay(time: Array, fixes: Positions, truth_time: Array, truth: Positio
 
 
 def _velocities(time: Array, position: Positions, usual: float) -> tuple[float, Positions, Array]:
-    """Return velocities (k,), m/s, at intervals of `STEP`, their first time, and 1 where the velocity is known, else 0.
+    """Return the first time, velocities (k,), m/s, at steps of `STEP` s, and 1 where the velocity is known, else 0.
 
     ``usual``: the longer of the usual intervals of fixes and truth, s.
     """

@@ -20,7 +20,7 @@ CONVENTIONS: dict[str, Callable[[Array], Array]] = {
     "deg counter-clockwise from east": np.radians,
 }
 MAX_DEVIATION = math.radians(15)
-MIN_DELAY = 0.2  # s, delay for a warning
+MIN_DELAY = 0.2  # s, smallest reported delay
 MIN_FIXES = 30
 REMEDY = (
     "leave speed and course out, or map them with their own times: add a second [[gps]] for the same table to the "
@@ -71,7 +71,7 @@ def check_velocity(evidence: Evidence) -> Iterator[Finding]:
 
 
 def velocity_agrees(evidence: Evidence) -> bool:
-    """Return True if the receiver's speed and course agree best with the positions at a delay of zero."""
+    """Return True if the receiver's speed and course agree with the positions in units, convention and time."""
     gps = evidence.drive.gps
     if gps.speed is None or gps.course is None or evidence.course is None or any(check_velocity(evidence)):
         return False
@@ -79,7 +79,7 @@ def velocity_agrees(evidence: Evidence) -> bool:
 
 
 def _delay(evidence: Evidence, angle: Array, speed: Array) -> tuple[float, float]:
-    """Find the velocity's delay relative to the positions, s, and the ratio of misfits with this delay and with 0 s."""
+    """Find the velocity's delay relative to the positions, s, and the ratio of misfits with and without this delay."""
     course = evidence.course
     assert course is not None
     velocity = speed * np.exp(1j * angle[evidence.used])

@@ -92,7 +92,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _joined(scans: Mapping[str, pl.LazyFrame], remarks: list[str]) -> dict[str, pl.LazyFrame]:
-    """Join files that continue each other: with the same columns, times in sequence, and names that differ in numbers.
+    """Join files that continue each other: with equal columns, times in sequence, and names that differ only in digits.
 
     A file without a header may have any name. It gets the header of the only file that has a header and the same number
     of columns.

@@ -70,7 +70,7 @@ def _load(path: Path, width: int, rows: int | None = None) -> Array:
         # memory-mapped, so that NumPy refuses a shape larger than the file before it allocates memory
         array = np.load(path, allow_pickle=False, mmap_mode="r")
         if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiub":
-            raise ValueError("no array of numbers")
+            raise ValueError("not an array of numbers")
         array = np.array(array, dtype=np.float64)
     shape = (array.size,) if rows is None else (rows, width)
     if array.shape != shape and not (width == 1 and array.shape == shape[:1]):

@@ -19,7 +19,7 @@ from sigmaswarm.importing.source import first_bytes
 from sigmaswarm.importing.units import COUNTS, parse_unit
 
 HEADER_BYTES = 4_000_000
-# Numbers of characters and of lines that are examined, but at least four lines
+# Largest numbers of characters and of lines that are examined; at least four lines are examined
 SAMPLE, MAX_LINES = 200_000, 300
 # In order of preference if two fit equally well; the comma is last, since it may be a decimal comma
 SEPARATORS = (";", "\t", "|", ",")
@@ -119,7 +119,7 @@ def _require_one_kind(lines: Sequence[str], separator: str, shown_as: Path) -> N
 
 
 def _of_message(row: Sequence[str]) -> list[str]:
-    """Return the fields of sensor_msgs/Imu or NavSatFix if a row looks like `ros2 topic echo --csv`; otherwise []."""
+    """Return the fields of sensor_msgs/Imu or NavSatFix if a row has the form of `ros2 topic echo --csv`; else []."""
     fields = _MESSAGES.get(len(row), [])
     if not fields or is_value(row[2]) or not (row[0] + row[1]).isdigit() or int(row[1]) >= 1_000_000_000:
         return []

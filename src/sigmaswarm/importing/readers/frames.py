@@ -55,7 +55,7 @@ def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | No
 
 
 def _pose_of(transform: Any) -> Pose | None:
-    """Convert a transform to rotation and translation; None if it is not finite or its quaternion not normalized."""
+    """Convert a transform to rotation and translation; None if it is not finite or its quaternion is not normalized."""
     r, t = transform.rotation, transform.translation
     x, y, z, w = q = np.array([r.x, r.y, r.z, r.w], dtype=np.float64)
     translation, norm = np.array([t.x, t.y, t.z], dtype=np.float64), float(np.linalg.norm(q))

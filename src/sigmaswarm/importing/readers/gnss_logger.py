@@ -2,7 +2,7 @@
 
 LOGGING.md of the app describes the kinds: Fix (degrees, m/s, bearing from north; AccuracyMeters is the radius of a 68%
 circle), Accel or UncalAccel with gravity (m/s2), Gyro or UncalGyro (rad/s). All kinds have the clock
-``elapsedRealtimeNanos``. In older logs Fix does not have this clock; then all times are UTC in milliseconds.
+``elapsedRealtimeNanos``, except for Fix in older logs; then all times are UTC in milliseconds.
 """
 
 from contextlib import ExitStack

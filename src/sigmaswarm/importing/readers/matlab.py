@@ -149,7 +149,7 @@ def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int
     else:
         lacks = parts < 2 + bool(flags & _COMPLEX) or count > filled
     if lacks:
-        raise ValueError(f"an array of {count} elements in {parts} parts of {filled} bytes")
+        raise ValueError(f"an array of {count} elements in {parts} parts with {filled} bytes in total")
 
 
 def _tables(content: Mapping[str, Any], name: str, depth: int) -> Iterator[tuple[str, dict[str, Any]]]:

@@ -78,7 +78,7 @@ class _Messages:
             yield from self.stream(topics)
 
     def guess(self, choice: TableChoice) -> Guess:
-        """Guess the roles of standard messages from fields and topic names, of other messages from column names."""
+        """Guess the roles of standard messages from fields and topic names, and those of others from column names."""
         own: dict[str, str] = {}
         for role, chosen in choice.tables.items():
             topic = next((t for t in (chosen, "/" + chosen.lstrip("/")) if t in self.tables), "")
@@ -134,7 +134,7 @@ class _Messages:
             return Guess({})
         if role not in choice.mapped:
             raise InputError(
-                f"{self.path}: {topic} ({self.tables[topic].kind}) lacks fields with a recognized name for "
+                f"{self.path}: {topic} ({self.tables[topic].kind}) has no fields with recognized names for "
                 f"{', '.join(sorted(wanted))}; choose another topic, or map the fields with --map"
             )
         time = time_of(self._sample(topic), role)

@@ -1,4 +1,4 @@
-"""phyphox: an experiment exported as CSV: a folder or zip with Accelerometer.csv, Gyroscope.csv and Location.csv.
+"""An experiment exported from phyphox as CSV: a folder or zip with Accelerometer.csv, Gyroscope.csv and Location.csv.
 
 Column names contain units: "Time (s)" since the start (the same clock in all files), "Acceleration x (m/s^2)" with
 gravity, "Gyroscope x (rad/s)", "Latitude (°)", "Velocity (m/s)", "Direction (°)" clockwise from north. The axes are

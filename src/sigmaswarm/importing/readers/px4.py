@@ -85,7 +85,7 @@ class _Log(io.BufferedReader):
     """A file that records where pyulog stopped reading, and prevents pyulog's search after a damaged message.
 
     pyulog stops without an error at a message that is too short. After a message of unknown kind and impossible
-    size, its search byte by byte takes hours or does not end.
+    size, its byte-by-byte search takes hours or does not end.
     """
 
     stopped = 0

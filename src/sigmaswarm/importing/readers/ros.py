@@ -1,4 +1,4 @@
-"""ROS 1 bags and ROS 2 bags (sqlite3 or MCAP), read with rosbags, without ROS."""
+"""ROS 1 bags and ROS 2 bags (sqlite3 or MCAP), read with rosbags, without a ROS installation."""
 
 import bz2
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -59,7 +59,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence
 def _define(reader: Any, definitions: Sequence[Path], typesys: Any) -> None:
     """Add the definitions in .msg files to those of a bag.
 
-    A file defines the bag's types with the file's name. If the bag has none, the folder that contains
+    A file defines the types of the bag that have the name of the file. If there are none, the folder that contains
     ``msg/`` names the package.
     """
     kinds = {c.msgtype for c in reader.connections}

@@ -48,7 +48,7 @@ def _words(rows: Sequence[Sequence[str]]) -> set[str]:
 
 
 def _codes(rows: Sequence[Sequence[str]], place: int) -> set[str]:
-    """Return the words and numbers in a column if each determines the number of cells, which varies; else {}.
+    """Return the words and numbers in a column if each has one number of cells, but not all have the same; else {}.
 
     A row with only a code and a time is not a separate kind, nor are rows in which a flag of 0 means that the last
     cells are missing.

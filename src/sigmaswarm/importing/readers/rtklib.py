@@ -93,5 +93,5 @@ def _seconds(first: str, second: str) -> float:
     day = np.datetime64(first.replace("/", "-"), "s").astype(np.int64)
     hours, minutes, seconds = second.split(":")
     if not (0 <= int(hours) < 24 and 0 <= int(minutes) < 60 and 0 <= float(seconds) <= 60):
-        raise ValueError("no time of day")
+        raise ValueError("impossible time of day")
     return float(day) + int(hours) * 3600 + int(minutes) * 60 + float(seconds)

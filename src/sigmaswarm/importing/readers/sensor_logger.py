@@ -1,9 +1,9 @@
 """Sensor Logger (iOS, Android): a folder or zip with Accelerometer.csv, Gyroscope.csv, Location.csv and others.
 
 UNITS.md and COORDINATES.md in tszheichoi/awesome-sensor-logger define units and axes. ``time`` is in ns since 1970.
-Accelerometer does not contain gravity, which is in a separate file, Gravity; on iOS the signs of both are reversed. On
-Android TotalAcceleration contains gravity. Bearings are in degrees from north. Negative speeds, bearings and accuracies
-are invalid.
+Accelerometer does not contain gravity, which is in a separate file, Gravity; on iOS the signs in both are reversed. On
+Android TotalAcceleration contains gravity. Bearings are in degrees from north. Negative speeds, bearings and
+accuracies are invalid.
 """
 
 from contextlib import ExitStack
@@ -58,7 +58,7 @@ def _acceleration(log: Log, notes: list[str]) -> dict[str, dict[str, str]]:
     down = pl.concat(z).median() if z else None
     if not isinstance(down, float):
         raise InputError(f"{log.path / _GRAVITY}: contains no numbers; export it again")
-    turned = "; the signs of both are reversed, as on iOS" if down < 0 else ""
+    turned = "; their signs are reversed, as on iOS" if down < 0 else ""
     notes.append(f"the values of Gravity.csv and Accelerometer.csv are summed{turned}")
     axes = {"ax": "-y", "ay": "x", "az": "-z"} if down < 0 else {"ax": "y", "ay": "-x", "az": "z"}
     return {_MOVED: axes, _GRAVITY: {f"+{name}": text for name, text in axes.items()}}

@@ -120,7 +120,7 @@ def _time(message: Any) -> float:
     """Return s since 1970; raise ValueError for an impossible date or time."""
     day = date(message.year, message.month, message.day)
     if not (message.hour < 24 and message.min < 60 and message.second <= 60):  # 60 is a leap second
-        raise ValueError("no time of day")
+        raise ValueError("impossible time of day")
     clock = (message.hour, message.min, message.second)
     return calendar.timegm((*day.timetuple()[:3], *clock)) + message.nano * 1e-9
 
