@@ -197,8 +197,8 @@ def gaps_in(time: Array, limit: tuple[float, float], imu: Array | None = None) -
 
 def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
     crossed = (
-        "in a gap a filter uses the mean of the samples before and after the gap, and increases its covariance; if "
-        "the car maneuvered during the gap, split the drive"
+        "in a gap a filter uses the mean of the samples before and after the gap, and increases the covariance of the "
+        "state; if the car maneuvered during the gap, split the drive"
     )
     alone = "during this time a filter uses only the IMU; no action is needed if this is intended"
     unscored = "during this time errors are not measured; no action is needed if this is intended"
