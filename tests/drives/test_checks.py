@@ -130,7 +130,10 @@ def test_gaps_in_each_file():
     one = without(drive, "imu", 20.0, 20.5)
     message = only(without(one, "imu", 40.0, 41.5))
     assert "imu.csv: 2 gaps, the longest of 1.51 s after t = 39.99 s (usual interval 0.010 s)" in message
-    assert "uses the mean of the samples before and after the gap, and increases its covariance" in message
+    assert (
+        "uses the mean of the samples before and after the gap, and increases the covariance of the state"
+        in message
+    )
     assert "imu.csv: 1 gap, the longest of 0.51 s after t = 19.99 s" in only(one)
     assert "gps.csv: 1 gap, the longest of 3.20 s after t = 9.90 s (usual interval 0.200 s)" in only(
         without(drive, "gps", 10.0, 13.0)
