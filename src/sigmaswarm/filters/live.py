@@ -429,8 +429,8 @@ def _squared(std: Sequence[float] | None) -> tuple[float, float]:
     if std is None or not (len(std) == 2 and 0 <= std[0] <= MAX_VALUE and 0 <= std[1] <= MAX_VALUE):
         raise InputError(
             f"std = {std}: the filter uses the standard deviations that the receiver states for each fix; "
-            f"pass two standard deviations in m, at most {MAX_VALUE:g}, or use a filter that was tuned without accuracy "
-            "and fix-error"
+            f"pass two standard deviations in m, at most {MAX_VALUE:g}, or use a filter that was tuned without "
+            "accuracy and fix-error"
         )
     return float(std[0]) ** 2, float(std[1]) ** 2
 
