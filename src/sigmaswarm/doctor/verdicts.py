@@ -108,7 +108,7 @@ class PlanarMounting:
 
 
 def _expected(axes: Array, unit: float, angles: Array) -> tuple[Array, Array]:
-    """Return the expected M (n, 4) at n angles, and its tolerances as variances (4, 4)."""
+    """Return the expected M at n angles, (n, 4), and its squared tolerances as a diagonal matrix, (4, 4)."""
     c, s = np.cos(angles), np.sin(angles)
     slack = unit * np.where(axes != 0, DIAGONAL_TOLERANCE, OFF_DIAGONAL_TOLERANCE).ravel()
     rotations = np.stack([c, -s, s, c], axis=-1).reshape(-1, 2, 2)

@@ -38,7 +38,7 @@ def split_drives(
 
 
 def part_of(drive: Drive) -> str:
-    """Return "train" or "test" for a part of `split_time` with a default name, otherwise ""."""
+    """Return "train" or "test" for a part that `split_time` cut and named, otherwise ""."""
     ends = [name for name in ("train", "test") if drive.name.endswith(f"-{name}")]
     return ends[0] if ends and CUT in drive.metadata else ""
 

@@ -173,7 +173,7 @@ def propose_columns(
 
 
 def _gravity(names: Sequence[str]) -> dict[str, str]:
-    """Return the columns of gravity, which a phone may report apart from the acceleration; {} without three axes."""
+    """Return the columns of gravity, which a phone may report in addition to acceleration; {} unless all exist."""
     found: dict[str, str] = {}
     for name in names:
         unit, bare = read_name(name).unit, re.sub(r"(?<=[a-z])(?=[A-Z])|\W*[(\[].*", "_", name)

@@ -51,7 +51,7 @@ TERMS = {
 PLOTLY_DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot", "none": "none"}
 _TERM = re.compile(rf"(?<!\w)({'|'.join(map(re.escape, sorted(TERMS, key=len, reverse=True)))})(?!\w)")
 MAX_NUMBERS = 250_000
-"""Maximum number of values of all tracks of a page, for at most 2 MB; longer tracks are thinned."""
+"""Maximum number of values in all tracks of a page together, about 2 MB; above it, the tracks are thinned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -142,7 +142,7 @@ OBJECTIVES = {
         ),
         Objective(
             "forecast-t",
-            "mean negative log-likelihood of forecast errors under Student's t, for fixes hidden for 3 to 5 s, nats",
+            "mean negative log-likelihood, under Student's t, of fixes that are hidden in windows of 3 to 5 s, nats",
             lambda scores: scores.forecast_t,
             needs_forecasts=True,
             likelihood=True,
@@ -214,7 +214,7 @@ def _term(part: str, whole: str) -> tuple[float, Objective]:
         weight = float(match["weight"] or 1.0)
     except ValueError:
         raise InputError(
-            f"{whole!r}: {match['weight']!r} is not a weight; write a number, as in 0.2"
+            f"{whole!r}: {match['weight']!r} is not a weight; write a number such as 0.2"
         ) from None
     if not 0 < weight < np.inf:
         raise InputError(

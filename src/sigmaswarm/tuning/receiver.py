@@ -148,7 +148,9 @@ def prior_warnings(
             "innovations and"
         )
         if np.isfinite(one.stated):
-            lasting = f". The fixes scatter by {one.scatter:.2g} m, so their errors are correlated. {UNKNOWN}"
+            lasting = (
+                f". The fixes scatter by only {one.scatter:.2g} m, so their errors seem correlated. {UNKNOWN}"
+            )
             addition = lasting if std > MAX_SCATTER_RATIO * one.scatter else ""
             return [f"{name}: {compromise} the stated {std:.2g} m{addition}"]
         if std == UNSTATED_GPS_STD:

@@ -131,7 +131,7 @@ def _whole_gain(evidence: Evidence) -> float:
 
 
 def _only_yaw_is_wrong(evidence: Evidence) -> bool:
-    """Return True if the roll of gravity's direction shows that the scale of gx is correct, unlike that of gz."""
+    """Return True if the roll angles from gravity show that gx, unlike gz, has a correct scale."""
     course, unit = evidence.course, abs(evidence.yaw.factor)
     if course is None or unit == 1 or evidence.yaw.column != "gz":
         return False
