@@ -244,7 +244,10 @@ def test_a_mended_copy_is_offered_where_something_can_be_mended_and_its_folder_i
     assert sigmaswarm(*shlex.split(command[1])[1:]).code == 0
     assert read_drive(here / "mended-2" / good.name).imu.gz.tobytes() == good.imu.gz.tobytes()
     write_drive(replace(good, imu=replace(good.imu, ax=good.imu.ax + 9.81)), here / "on its nose")
-    assert "(gravity-axis); run sigmaswarm doctor 'on its nose', or suppress" in told(Path("on its nose"))
+    assert (
+        "(gravity-axis), which distort the result; run sigmaswarm doctor 'on its nose', or suppress"
+        in told(Path("on its nose"))
+    )
 
 
 def test_for_machines(sigmaswarm, sick: Path):

@@ -51,8 +51,8 @@ FAULTS = {
     "an empty imu.csv": (lambda d: put(d / "imu.csv", []), r"imu.csv: is empty; the header line must name t, ax"),
     "an empty gps.csv": (lambda d: put(d / "gps.csv", []), r"gps.csv: is empty; the header line must name t"),
     "no rows": (lambda d: put(d / "imu.csv", lines_of(d / "imu.csv")[:1]), r"imu.csv: contains no rows"),
-    "one row": (lambda d: put(d / "imu.csv", lines_of(d / "imu.csv")[:2]), r"only 0 of \d+ fixes can be used"),
-    "one fix": (lambda d: put(d / "gps.csv", lines_of(d / "gps.csv")[:2]), r"only . of 1 fixes can be used"),
+    "one row": (lambda d: put(d / "imu.csv", lines_of(d / "imu.csv")[:2]), r"usable fixes \(0 of \d+\)"),
+    "one fix": (lambda d: put(d / "gps.csv", lines_of(d / "gps.csv")[:2]), r"usable fixes \(. of 1\)"),
     "no column": (
         lambda d: put(d / "imu.csv", [lines_of(d / "imu.csv")[0].replace("gz", "wz"), *lines_of(d / "imu.csv")[1:]]),
         r"imu.csv: no column gz, only .*wz",

@@ -554,7 +554,7 @@ def test_what_all_variances_have_in_common_is_said_once():
 
     assert said() == ()
     (common,) = said(scale=1.0)
-    assert common.startswith("all variances are 10 times")
+    assert common.startswith("the common factor of all variances is 10 times")
     (receiver,) = said(r=0.4, scale=0.4)
     assert receiver == "R is 6.3 times the tuned value, which indicates a different receiver"
     assert [s for s in said(r=1.0, scale=-1.0) if s.startswith("R is")] == []

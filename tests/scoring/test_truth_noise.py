@@ -122,5 +122,5 @@ def test_deviations_are_part_of_a_drive_s_identity():
 
 
 def test_both_axes_are_stated_or_none():
-    with pytest.raises(DriveError, match="std_x and std_y together"):
+    with pytest.raises(DriveError, match="std_x and std_y only together"):
         replace(DRIVE.truth, std_x=np.ones(len(DRIVE.truth)))
