@@ -470,9 +470,83 @@ def test_fixes_with_coarse_stamps_are_spread_evenly(tmp_path: Path):
     assert np.abs(got.drive.gps.time - GPS.time).max() < 0.2
 
 
+def bursts(count: int, lag: float, within: float) -> Cells:
+    """Stamps of rows that wait for the last one of their burst."""
+    times = (IMU if count == 10 else GPS).time
+    step, rng = times[1] - times[0], np.random.default_rng(1)
+    row = np.arange(len(times))
+    late = (
+        times[0]
+        + (row // count * count + count - 1) * step
+        + np.repeat(rng.uniform(0, lag, len(row)), count)[: len(row)]
+    )
+    late += row % count * within
+    return dict(zip(times.tolist(), (f"{v:.6f}" for v in late), strict=True)).get
+
+
+@pytest.mark.parametrize(("lag", "within"), [(0.001, 0.0003), (0.004, 0.0001), (0.0, 0.0005)])
+def test_samples_and_fixes_that_arrive_in_bursts_have_the_times_of_a_constant_rate(
+    tmp_path: Path, lag: float, within: float
+):
+    write(tmp_path, "t", bursts(10, lag, within), "t", bursts(5, lag, within))
+    got = imported(tmp_path)
+    assert np.abs(got.drive.imu.time - IMU.time).max() < 0.007
+    assert np.abs(got.drive.gps.time - GPS.time).max() < 0.007
+    assert sum("the stamps are the times of arrival" in note for note in got.notes) == 2
+
+
+@pytest.mark.parametrize("pause", [3.0, 300.0])
+def test_a_receiver_that_sleeps_has_no_bursts(tmp_path: Path, pause: float):
+    times = dict(zip(GPS.time.tolist(), GPS.time + np.arange(len(GPS)) // 20 * pause, strict=True))
+    write(tmp_path, "t", repr, "t", lambda t: repr(float(times[t])))
+    got = imported(tmp_path).drive.gps.time
+    np.testing.assert_allclose(got, [*times.values()], atol=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3])
+def test_samples_that_wait_for_the_next_one_keep_their_rate(tmp_path: Path, share: float):
+    """A driver stamps samples when it reads them: some have the stamp of the next one."""
+    waits = np.random.default_rng(2).random(len(IMU)) < share
+    waits[-1] = False
+    stamps = np.where(waits, np.roll(IMU.time, -1), IMU.time)
+    write(tmp_path, "t", dict(zip(IMU.time.tolist(), map(repr, stamps.tolist()), strict=True)).get, "t", repr)
+    assert np.abs(imported(tmp_path).drive.imu.time - IMU.time).max() < 0.0101
+
+
+@pytest.mark.parametrize("begin", [0.0, 0.3, 0.95])
+def test_whole_seconds_of_fixes_once_per_second(tmp_path: Path, begin: float):
+    """Because of jitter, some seconds have two fixes and some have none."""
+    times = np.arange(200) + begin
+    jitter = np.random.default_rng(3).uniform(-0.1, 0.1, len(times))
+    at = np.arange(0, 201, 0.01)
+    for name, t, columns in (("imu", at, "ax,ay,gz"), ("gps", np.floor(times + jitter), "x,y")):
+        cells = [
+            f"{v:.2f}," + (f"{np.sin(v)},0,0.01" if name == "imu" else f"{5 * times[k]},0")
+            for k, v in enumerate(t)
+        ]
+        (tmp_path / f"{name}.csv").write_text("\n".join([f"t,{columns}", *cells]))
+    got = imported(tmp_path).drive.gps
+    late = got.time - got.x / 5
+    assert len(got) == 200 and np.ptp(late) < 0.05 and -0.95 < np.median(late) < 0.15
+
+
+@pytest.mark.parametrize("between", ["held", "empty"])
+def test_rows_of_the_imu_show_the_time_of_a_fix_between_whole_seconds(tmp_path: Path, between: str):
+    rows = ["t,ax,ay,gz,lat,lon"]
+    fixes = np.searchsorted(GPS.time, IMU.time + 1e-9, side="right") - 1
+    for k, (t, i) in enumerate(zip(IMU.time.tolist(), fixes.tolist(), strict=True)):
+        shown = i >= 0 and (between == "held" or k == 0 or fixes[k - 1] != i)
+        place = f"{float(GPS.lat[i])!r},{float(GPS.lon[i])!r}" if shown else ","
+        rows.append(f"{int(t + 1e-6)},{IMU.ax[k]},{IMU.ay[k]},{IMU.gz[k]},{place}")
+    (tmp_path / "log.csv").write_text("\n".join(rows))
+    got = imported(tmp_path / "log.csv").drive
+    np.testing.assert_allclose(got.imu.time, IMU.time, atol=1e-3)
+    np.testing.assert_allclose(got.gps.time, GPS.time, atol=0.011)
+
+
 @pytest.mark.parametrize(
     "uneven",
-    [lambda t: int(t + 0.9 * np.sin(1.7 * int(t)) ** 2), lambda t: int(t**1.3), lambda t: int(t**0.9)],
+    [lambda t: int(t + 0.9 * np.sin(1.7 * int(t)) ** 2), lambda t: int(t**1.3), lambda t: int(t**0.8)],
 )
 def test_coarse_stamps_of_an_uneven_count_are_refused_and_the_remedy_helps(
     tmp_path: Path, uneven: Callable[[float], int]

@@ -1,6 +1,7 @@
 """Join the parts of a role into one table with sorted times and complete rows; report omissions."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import pairwise
 from typing import Any
 
@@ -20,6 +21,7 @@ from sigmaswarm.importing.timeline import (
     require_likely,
     require_unwrappable,
     sorted_times,
+    spread_stamps,
     unwrap,
 )
 from sigmaswarm.importing.times import quoted_column, scaled_column
@@ -30,6 +32,8 @@ MIN_STD = 1e-6  # m or rad; a standard deviation of at most this value counts as
 PERIODS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
 # Largest fraction of empty cells in an optional column: above it the column is left out, otherwise the rows
 MAX_EMPTY_SHARE = 0.1
+# Smallest share of rows with the previous stamp in a table whose stamps are spread over all rows, also empty ones
+MIN_SHARED = 0.5
 POSITIONS = ("lat", "lon", "x", "y")
 # Smallest bend at a corner of an interpolated path, in median bends; smallest number of corners, and the smallest
 # share of corners at a constant interval
@@ -120,6 +124,11 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
     tick = (scaled_column(part.part.columns["t"]) or ("", 0.0))[1]
     require_unwrappable(time, tick, where)
     time, part.period, note = unwrap(time, tick)  # from all rows: a counter may wrap before the first fix
+    if role != "imu" and np.mean(np.diff(time) == 0) > MIN_SHARED:
+        # the rows between fixes show the time of a fix between two coarse stamps
+        with suppress(InputError):
+            fine, coarse = spread_stamps(time, role, where)
+            time = fine if coarse and (np.diff(time) >= 0).all() else time
     filled = _finite(values, len(time)).any(axis=0)
     if 0 < (empty := int(np.count_nonzero(~filled))) < 0.5 * len(time):
         say(f"{role}: {rows_left_out(empty)}, since a cell is empty")

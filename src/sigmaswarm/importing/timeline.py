@@ -4,7 +4,9 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
+from sigmaswarm.arrays import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import MIN_DATE, SECOND, WEEK, Nanoseconds
 from sigmaswarm.importing.positions import Say
@@ -37,9 +39,14 @@ MIN_TIME_ERROR, MAX_JUMPS = 10.0, 100
 MAX_SECONDS = 5  # with more recordings of about one second, the fractions of the seconds are presumably wrong
 MIN_STEP_BACK, STEPS = 0.2, 2  # smallest step back of a clock between recordings: s, and median steps
 MAX_REPEATED_SHARE = 0.02  # if a larger fraction of rows repeats the previous time, rows share stamps
-# Median deviation of the steps of stamps, relative to a step, that rounding does not cause
+# Largest step within a burst of rows, relative to the mean step and to `MAX_STEP`; smallest share of such steps in a
+# log with bursts
+MAX_BURST_STEP, MAX_BURST_INTERVAL, MIN_BURST_SHARE = 0.25, 1 / 400, 0.4
+# Deviation of the steps of stamps, relative to a step, that rounding does not cause
 MIN_STEP_VARIATION = 0.005
-MAX_UNEVEN_SHARE = 0.1  # largest fraction of stamps with an unusual number of rows, or with an unusual step
+# Relative to the usual step of stamps: longest step without a pause, window in which rows have a constant rate, and
+# largest width of the band of stamps at a constant rate; smallest share of rows with this rate
+MAX_PAUSE, WINDOW, MAX_BAND, MIN_EVEN_SHARE = 2.5, 20, 1.25, 0.9
 
 
 def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
@@ -168,49 +175,67 @@ def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> 
 
 
 def spread_stamps(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]:
-    """Spread the rows of each shared stamp evenly in time; refuse stamps with varying numbers of rows.
+    """Spread rows that share a stamp or arrive in bursts evenly; refuse shared stamps of rows without a constant rate.
 
-    If the steps between stamps are constant, the stamps were rounded down, so the rows extend to the next stamp. If the
-    steps vary, a sensor stamped batches of earlier samples, so the rows extend back to the previous stamp.
+    At a constant rate, the stamps less a straight line over the rows are in a band. Coarse stamps are rounded down, so
+    the times are at the upper edge of the band. Other stamps are those of the arrival of the rows. They are late, so
+    the times are at the lower edge.
     """
-    new = np.flatnonzero(np.diff(time, prepend=time[0] - 1) != 0)
-    repeated = 1 - len(new) / len(time)
-    if len(time) > 2 and len(new) < 2:
+    steps = np.diff(time)
+    step = max(int(np.sum(steps)) / max(len(steps), 1), 1.0)
+    shared, ahead = float(np.mean(steps == 0)) if len(steps) else 0.0, steps[steps > 0]
+    if len(time) > 2 and not len(ahead):
         raise InputError(
             f"{where}: all {len(time)} rows have the same time; specify a finer time with --map {role}.t=..., or, if "
             f'the rate is known, compute it from the row number: --map "{role}.t=row/100" for 100 Hz'
         )
-    if repeated <= MAX_REPEATED_SHARE or len(new) < 2:
+    small = min(MAX_BURST_STEP * step, MAX_BURST_INTERVAL * MAX_STEP[role] * SECOND)
+    if shared <= MAX_REPEATED_SHARE and np.mean(steps < small) < MIN_BURST_SHARE:
         return time, ""
-    counts = np.diff(new, append=len(time))
-    steps = np.diff(time[new])
-    usual, step = float(np.median(counts)), float(np.median(steps))
-    inner = counts[1:-1] if len(counts) > 3 else counts
-    odd = np.abs(inner - usual) > max(1.0, 0.05 * usual)
-    irregular = np.abs(steps - step) > 0.2 * step
-    if usual < 2 or np.mean(odd) > MAX_UNEVEN_SHARE or np.mean(irregular) > MAX_UNEVEN_SHARE:
-        if repeated < 0.1:
-            return time, ""
-        lost, rate = len(time) - len(new), usual * SECOND / step
-        raise InputError(
-            f"{where}: {lost} of {len(time)} rows ({repeated:.0%}) repeat the previous time, and {counts.min()} to "
-            f"{counts.max()} rows share one time, so the times of the {role} are too coarse; specify a finer time "
-            f'with --map {role}.t=..., or, if the rate is constant, --map "{role}.t=row/{rate:.6g}"'
-        )
-    group = np.repeat(np.arange(len(new)), counts)
-    place = np.arange(len(time)) - new[group]
-    size = counts.astype(np.float64)
-    length = np.where(irregular, step, steps)
-    batches = float(np.median(np.abs(steps - step))) > MIN_STEP_VARIATION * step
-    length = np.append(step, length) if batches else np.append(length, step)
-    if counts[0] < usual:  # the recording begins with a part of a stamp's rows
-        place[group == 0] += round(usual) - counts[0]
-        size[0] = usual
-    size[-1] = max(size[-1], usual)
-    place = place - (size[group] - 1 if batches else 0.0)
-    fine = time + np.round(place / size[group] * length[group]).astype(np.int64)
-    until = ", the last of them at the stamp" * batches
-    return fine, f"{usual:g} rows share one stamp every {step / SECOND:g} s and are spread evenly{until}"
+    first = np.flatnonzero(np.append(True, steps >= small))  # row of each stamp or burst
+    apart = np.diff(time[first])
+    length = float(np.median(apart)) if len(apart) else step
+    off_grid = np.abs(apart - np.round(apart / length) * length) > MIN_STEP_VARIATION * length
+    coarse = np.mean(ahead < small) < 0.5 and np.mean(off_grid) < 0.5
+    late, low, high, step = _bands(time, first if coarse else first[1:] - 1, length)
+    if np.mean(high - low <= MAX_BAND * length) >= MIN_EVEN_SHARE:
+        edge = np.minimum(high, (high + low + length) / 2) if coarse else low
+        fine = np.maximum.accumulate(time + np.round(edge - late).astype(np.int64))
+        kind = "are coarse" if coarse else "are the times of arrival"
+        return fine, f"the stamps {kind}; rows are spread evenly at a constant rate of {SECOND / step:.4g} Hz"
+    if shared < 0.1:
+        return time, ""
+    lost, begin = int(np.count_nonzero(steps == 0)), f"{time[0] / SECOND:.10g} + " if time[0] else ""
+    raise InputError(
+        f"{where}: {lost} of {len(time)} rows ({shared:.0%}) repeat the previous time, so the times of the {role} are "
+        f"too coarse; specify a finer time with --map {role}.t=..., or, if the rate is constant, --map "
+        f'"{role}.t={begin}row/{SECOND / step:.4g}"'
+    )
+
+
+def _bands(time: Nanoseconds, known: NDArray[np.intp], length: float) -> tuple[Array, Array, Array, float]:
+    """Return stamps less a straight line over the rows, the band's lower and upper edge (n,), and the line's slope, ns.
+
+    ``known``: rows through which the line is fitted; ``length``: usual step between different stamps, ns. The line has
+    the same slope before and after a pause.
+    """
+    edges = np.flatnonzero(np.diff(time) > MAX_PAUSE * length) + 1
+    ends = [0, *edges.tolist(), len(time)]
+    parts = [slice(*part) for part in pairwise(ends)]
+    known = np.setdiff1d(known, [*ends, *(edges - 1)])  # a part may begin and end within a stamp's rows
+    inside = [known[(known >= p.start) & (known < p.stop)] for p in parts]
+    rows, since = (
+        np.concatenate([v[k] - v[k].mean() for k in inside if len(k)] or [[0.0]])
+        for v in (np.arange(len(time)), time)
+    )
+    step = float(rows @ since) / float(rows @ rows) if rows.any() else length
+    late = np.concatenate([time[p] - time[p.start] - step * np.arange(p.stop - p.start) for p in parts])
+    window = max(round(WINDOW * length / max(step, 1.0)), 3)
+    low, high = (
+        np.concatenate([edge(late[p], window, mode="nearest") for p in parts])
+        for edge in (minimum_filter1d, maximum_filter1d)
+    )
+    return late, low, high, step
 
 
 def sorted_times(

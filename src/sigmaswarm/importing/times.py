@@ -37,6 +37,9 @@ MIN_STEP, MIN_FIX_INTERVAL = 1e-4, 0.04
 FASTEST_IMU, SLOWEST_IMU = 4e-4, 0.15
 # Fraction of decreasing steps above which rows are unordered; a counter that wraps has fewer decreasing steps
 MAX_DECREASING_SHARE = 0.4
+# In bursts of up to 30 rows, this quantile of the steps exceeds the median by this ratio; pauses are rarer. Smallest
+# number of steps
+BURST_QUANTILE, MIN_BURST_RATIO, MIN_BURST_STEPS = 0.967, 10.0, 30
 # Smallest step of whole numbers that are read as ms; smaller steps may be row numbers, or 0.01 s
 MIN_COUNT_STEP = 4
 _DAYS_FIRST = (
@@ -177,13 +180,19 @@ def median_of(values: pl.Series) -> float:
 
 
 def step_of(values: pl.Series) -> float:
-    """Return the median forward step of a time; rows with the same stamp count as one."""
+    """Return the median forward step of a time, or the mean step if rows arrive in bursts.
+
+    Rows with the same stamp count as one.
+    """
     steps = column_numbers(values).diff().drop_nulls()
     if (steps < 0).sum() > MAX_DECREASING_SHARE * len(steps):
         steps = column_numbers(values).sort().diff().drop_nulls()
     forward = steps.filter(steps > 0)
     shared = len(forward) / (len(forward) + int((steps == 0).sum())) if len(forward) else 1.0
-    return median_of(forward) * (shared if shared < 0.9 else 1.0)
+    usual, long = median_of(forward), float(forward.quantile(BURST_QUANTILE) or 0.0)
+    if len(forward) > MIN_BURST_STEPS and long > MIN_BURST_RATIO * usual:
+        usual = float(forward.filter(forward <= 2 * long).mean())  # pyright: ignore[reportArgumentType]
+    return usual * (shared if shared < 0.9 else 1.0)
 
 
 def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> TimeExpression | None:
