@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sigmaswarm.doctor.checks.truth import truth_delay
+from sigmaswarm.doctor import evidence
 from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.doctor.repairs import repair
+from sigmaswarm.doctor.truth_clock import truth_delay
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.simulation.scenarios import simulate
@@ -54,7 +55,7 @@ def test_fixes_with_long_intervals_show_it(interval: int):
     for seconds in (10.0, -18.0, 0.0):
         truth = shifted(few, seconds).truth
         delay = truth_delay(few.gps.time, position, truth.time, truth.x + 1j * truth.y)
-        assert delay == (pytest.approx(seconds, abs=0.15) if seconds else None)
+        assert delay == pytest.approx(seconds, abs=0.15)
 
 
 @pytest.mark.parametrize("name", DRIVES)
@@ -74,7 +75,7 @@ def test_fixes_with_a_wrong_clock_are_the_fixes_fault():
     np.testing.assert_array_equal(again.truth.time, drive.truth.time)
 
 
-@pytest.mark.parametrize("seconds", [18.0, -7.3])
+@pytest.mark.parametrize("seconds", [18.0, -7.3, 1.2, -0.6])
 def test_fixes_and_truth_with_one_clock_move_together(seconds: float):
     """Only the clock of the IMU differs: one cause is one finding."""
     drive = DRIVES["urban"]
@@ -88,6 +89,28 @@ def test_fixes_and_truth_with_one_clock_move_together(seconds: float):
     np.testing.assert_allclose(moved, seconds, atol=0.15)
     np.testing.assert_allclose(again.truth.time - drive.truth.time, moved[0], atol=1e-9)
     assert not {"clock-offset", "truth-clock"} & set(diagnose(again).codes)
+
+
+@pytest.mark.parametrize("seconds", [1.2, -0.6])
+def test_a_small_offset_of_the_fixes_does_not_move_a_truth_with_the_clock_of_the_imu(seconds: float):
+    drive = DRIVES["urban"]
+    late = replace(drive, gps=replace(drive.gps, time=drive.gps.time + seconds))
+    again = repair(late, diagnose(late))
+    np.testing.assert_allclose(again.gps.time, drive.gps.time, atol=0.15)
+    np.testing.assert_array_equal(again.truth.time, drive.truth.time)
+
+
+def test_the_delay_of_the_truth_is_computed_once(monkeypatch: pytest.MonkeyPatch):
+    """Also a clock of 18.6 s is not called GPS time, for fixes and truth alike."""
+    calls: list[int] = []
+    monkeypatch.setattr(evidence, "truth_delay", lambda *given: calls.append(1) or truth_delay(*given))
+    drive = replace(DRIVES["urban"], name="counted")
+    late = replace(drive, gps=replace(drive.gps, time=drive.gps.time + 18.6))
+    repair(late, (found := diagnose(late)))
+    assert len(calls) == 1 and "clock-offset" in found.codes
+    findings = [*found.findings, *diagnose(shifted(drive, 18.6)).findings]
+    assert {"clock-offset", "truth-clock"} <= {f.code for f in findings}
+    assert not any("ahead of UTC" in f.remedy for f in findings)
 
 
 def test_three_clocks_are_two_findings():

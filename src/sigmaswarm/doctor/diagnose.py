@@ -10,8 +10,7 @@ from sigmaswarm.doctor.checks.mounting import check_handled, check_mirrored, che
 from sigmaswarm.doctor.checks.noise import check_noise
 from sigmaswarm.doctor.checks.observability import check_observability, check_use
 from sigmaswarm.doctor.checks.odometer import check_odometer
-from sigmaswarm.doctor.checks.timing import check_clock, check_sampling
-from sigmaswarm.doctor.checks.truth import check_truth
+from sigmaswarm.doctor.checks.timing import check_clock, check_sampling, check_truth
 from sigmaswarm.doctor.checks.velocity import check_velocity
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.findings import SEVERITIES, Diagnosis, Finding, finding_of

@@ -1,6 +1,7 @@
 """Fits and masks that all checks use."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -17,6 +18,7 @@ from sigmaswarm.doctor.fixes import (
     with_reversed_east,
 )
 from sigmaswarm.doctor.mounting import Mounting, mounting_of, rotate_imu
+from sigmaswarm.doctor.truth_clock import MIN_DELAY, truth_delay
 from sigmaswarm.doctor.verdicts import (
     MAX_RECORDED_ANGLE,
     MIN_GAIN_TURN,
@@ -86,6 +88,21 @@ class Evidence:
     def span(self) -> tuple[float, float]:
         """First and last time of the IMU, s."""
         return float(self.drive.imu.time[0]), float(self.drive.imu.time[-1])
+
+    @cached_property
+    def truth_delay(self) -> float | None:
+        """Delay of the truth's clock relative to that of the fixes as recorded, s; None if it is unknown."""
+        truth, gps = self.drive.truth, self.drive.gps
+        if truth is None:
+            return None
+        delay = truth_delay(gps.time, gps.x + 1j * gps.y, truth.time, truth.x + 1j * truth.y)
+        return None if delay is None else delay - self.moved
+
+    @property
+    def truth_has_clock_of_fixes(self) -> bool:
+        """True if the truth has the clock of the fixes, not that of the IMU."""
+        delay = self.truth_delay
+        return delay is not None and abs(delay) < min(abs(delay + self.clock.delay), MIN_DELAY)
 
 
 def gather(drive: Drive) -> Evidence:

@@ -11,7 +11,6 @@ import numpy as np
 from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.checks.heading import HEADINGS
 from sigmaswarm.doctor.checks.odometer import without_spans
-from sigmaswarm.doctor.checks.truth import moves_with_fixes
 from sigmaswarm.doctor.checks.velocity import CONVENTIONS
 from sigmaswarm.doctor.findings import Diagnosis, Repair
 from sigmaswarm.doctor.fixes import with_exchanged_axes
@@ -94,10 +93,10 @@ def _shift(sensor: str, drive: Drive, seconds: float) -> Drive:
     return _with(sensor, drive, time=table and table.time + seconds)
 
 
-def _shift_clock(drive: Drive, seconds: float) -> Drive:
-    """Add ``seconds`` to the times of the fixes, and to those of a truth with the same clock."""
+def _shift_clock(drive: Drive, seconds: float, with_truth: float = 0.0) -> Drive:
+    """Add ``seconds`` to the times of the fixes, and to those of the truth if ``with_truth`` is 1."""
     drive = _shift("gps", drive, seconds)
-    return _shift("truth", drive, seconds) if moves_with_fixes(drive, seconds) else drive
+    return _shift("truth", drive, seconds) if with_truth else drive
 
 
 def _stretch(drive: Drive, factor: float, begin: float) -> Drive:
@@ -227,7 +226,7 @@ ACTIONS: dict[str, Callable[..., Drive]] = {
     "accelerometer": _accelerometer,
     "turn": _turn,
     "level": _level,
-    "shift-fixes": partial(_shift, "gps"),
+    "shift-fixes": _shift_clock,
     "state-noise": _state_noise,
     "velocity": _velocity,
     "heading": _heading,

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.doctor.checks.truth import truth_delay
+from sigmaswarm.doctor.truth_clock import MIN_DELAY, truth_delay
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import Origin, enu_to_geodetic, geodetic_to_enu
 from sigmaswarm.importing.positions import MAX_DISTANCE, Values
@@ -35,7 +35,8 @@ def require_same_axes(
     otherwise return "".
     """
     places = [values["x"] + 1j * values["y"] for values in (gps, truth)]
-    if delay := truth_delay(seconds["gps"], places[0], seconds["truth"], places[1]):
+    delay = truth_delay(seconds["gps"], places[0], seconds["truth"], places[1]) or 0.0
+    if abs(delay) >= MIN_DELAY:
         message = (
             f"truth: the times are about {abs(delay):.2f} s {'later' if delay > 0 else 'earlier'} than those of the "
             f"fixes with the same velocity; write --truth-offset {-delay:.2f}"

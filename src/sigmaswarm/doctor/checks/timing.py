@@ -6,11 +6,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.doctor.checks.truth import moves_with_fixes
 from sigmaswarm.doctor.clock_drift import clock_drift
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of, finding_of
 from sigmaswarm.doctor.mounting import MIN_EXPLAINED
+from sigmaswarm.doctor.truth_clock import MIN_DELAY
 from sigmaswarm.doctor.verdicts import MIN_GAIN_TURN, OFFSET_SIGMAS
 from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, GapSummary, gaps_in, unshared_times
 from sigmaswarm.drives.drive import Gps
@@ -34,16 +34,16 @@ SIGMAS = 3.0  # standard deviations that distinguish a pause from a clock jump
 def check_clock(evidence: Evidence) -> Iterator[Finding]:
     delay, std, span, fit = evidence.clock.delay, evidence.clock.std, evidence.span, evidence.yaw_fit
     way, where, size = "late" if delay > 0 else "early", "gps.csv, t", f"{abs(delay):.2f} s"
-    move = f"subtract {size} from" if delay > 0 else f"add {size} to"
+    moved = "fixes and truth" if evidence.truth_has_clock_of_fixes else "the fixes"
+    remedy = f"{'subtract' if delay > 0 else 'add'} {{}} {'from' if delay > 0 else 'to'} the times of {moved}"
+    with_truth = float(evidence.truth_has_clock_of_fixes)
     if evidence.moved:
         what = f"gyro and course show that the fixes are {abs(delay):.1f} s {way} relative to the IMU"
-        remedy, shift = f"{move} the fixes' times", -evidence.moved
-        if abs(abs(delay) - LEAP_SECONDS) < max(MAX_LEAP_ERROR, 3 * std):
+        shift, remedy = -evidence.moved, remedy.format(size)
+        if _is_leap(delay, std):
             shift = -math.copysign(LEAP_SECONDS, delay)
-            remedy = f"{move.replace(size, '18 s')} the fixes' times, since GPS time is 18 s ahead of UTC"
-        if moves_with_fixes(evidence.drive, -evidence.moved):
-            remedy = remedy.replace("the fixes' times", "the times of fixes and truth")
-        repair = Repair("shift-clock", (shift,))
+            remedy = f"{remedy.replace(size, '18 s')}, since GPS time is 18 s ahead of UTC"
+        repair = Repair("shift-clock", (shift, with_truth))
         yield Finding("clock-offset", "serious", what, where, span, 0.999, remedy, repair)
     elif drift := clock_drift(evidence):
         percent, fast = 100 * abs(drift.rate), "slow" if drift.rate > 0 else "fast"
@@ -66,10 +66,10 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
             f"the fixes {'are' if clear else 'may be'} {size} {way} relative to the IMU "
             f"(standard deviation {std:.2f} s)",
             where, span, confidence_of(delay / std),
-            f"{move} the fixes' times{'' if clear else ' if other drives also show this offset'}, or tune the delay "
+            f"{remedy.format(size)}{'' if clear else ' if other drives also show this offset'}, or tune the delay "
             "with --use latency. The tuned delay is that with the lowest cost, so it may differ from this offset by a "
             "few standard deviations",
-            Repair("shift-fixes", (-delay,)) if clear else None,
+            Repair("shift-fixes", (-delay, with_truth)) if clear else None,
         )  # fmt: skip
     elif evidence.drives:
         visible = evidence.clock.visible
@@ -81,6 +81,26 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
             )
         remedy = "use a drive with turns, starts and stops to detect smaller offsets, or tune the delay (--use latency)"
         yield Finding("unseen-clock", "note", what, where, span, 0.95, remedy)
+
+
+def _is_leap(delay: float, std: float) -> bool:
+    return abs(abs(delay) - LEAP_SECONDS) < max(MAX_LEAP_ERROR, 3 * std)
+
+
+def check_truth(evidence: Evidence) -> Iterator[Finding]:
+    """Compare the clock of the truth with that of the fixes, or of the corrected fixes."""
+    truth, delay = evidence.drive.truth, evidence.truth_delay
+    if truth is None or delay is None or evidence.truth_has_clock_of_fixes:
+        return
+    if abs(delay := round(delay + evidence.moved, 2)) < MIN_DELAY:
+        return
+    size, way = f"{abs(delay):.2f} s", "late" if delay > 0 else "early"
+    what = f"the truth's clock is {size} {way}: with this offset, its velocity equals that of the fixes"
+    leap = "; GPS time is 18 s ahead of UTC" if _is_leap(delay, 0.0) else ""
+    remedy = f"{'subtract' if delay > 0 else 'add'} {size} {'from' if delay > 0 else 'to'} the truth's times{leap}, "
+    remedy += f"or import the log with --truth-offset {-delay:.2f}"
+    span, repair = (float(truth.time[0]), float(truth.time[-1])), Repair("shift-truth", (-delay,))
+    yield Finding("truth-clock", "serious", what, "truth.csv, t", span, 0.99, remedy, repair)
 
 
 def check_sampling(evidence: Evidence) -> Iterator[Finding]:

@@ -1,15 +1,10 @@
-"""Compare the clock of the truth with that of the fixes, by their velocities."""
-
-from collections.abc import Iterator
+"""Find the delay of the truth's clock relative to that of the fixes, by their velocities."""
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.doctor.evidence import Evidence
-from sigmaswarm.doctor.findings import Finding, Repair
-from sigmaswarm.drives.drive import Drive
 
 Positions = NDArray[np.complexfloating]
 STEP, FINE_STEP = 0.5, 0.01  # s, steps of the tried delays, and of those near the best delay
@@ -20,52 +15,17 @@ MAX_GAP, GAP_INTERVALS = 3.0, 1.5
 MAX_SPEED = 150.0  # m/s, largest velocity that is compared
 MIN_TIME = 20.0  # s, shortest time with both velocities
 MIN_SPEED = 1.0  # m/s, lowest RMS speed
-MIN_DELAY = 2.5  # s, larger than the delay of a receiver
+MIN_DELAY = 2.5  # s, of a wrong clock; larger than the delay of a receiver
 # Largest difference of the velocities at the best delay, relative to their size; smallest ratio of the difference at
 # other delays, and without a delay, to that at the best one; width of the best one, s
 MAX_DIFFERENCE, MIN_RATIO, PEAK_WIDTH = 0.1, 3.0, 10.0
 
 
-def check_truth(evidence: Evidence) -> Iterator[Finding]:
-    truth, delay = evidence.drive.truth, _delay(evidence.drive)
-    if truth is None or delay is None or _moves_with_fixes(delay, -evidence.moved):
-        return
-    size, way = f"{abs(delay):.2f} s", "large" if delay > 0 else "small"
-    what = (
-        f"the truth's times are {size} too {way}: after correction, the velocities of truth and fixes agree"
-    )
-    leap = " (GPS time is 18 s ahead of UTC)" if abs(abs(delay) - 18) < 1 else ""
-    remedy = f"{'subtract' if delay > 0 else 'add'} {size} {'from' if delay > 0 else 'to'} the truth's times{leap}, "
-    remedy += f"or import the log with --truth-offset {-delay:.2f}"
-    span = float(truth.time[0]), float(truth.time[-1])
-    yield Finding(
-        "truth-clock", "serious", what, "truth.csv, t", span, 0.99, remedy, Repair("shift-truth", (-delay,))
-    )
-
-
-def moves_with_fixes(drive: Drive, shift: float) -> bool:
-    """Return True if truth and fixes had the same clock before ``shift``, s, was added to the times of the fixes."""
-    delay = _delay(drive)
-    return delay is not None and _moves_with_fixes(delay, shift)
-
-
-def _moves_with_fixes(delay: float, shift: float) -> bool:
-    return abs(delay + shift) < MIN_DELAY
-
-
-def _delay(drive: Drive) -> float | None:
-    truth, gps = drive.truth, drive.gps
-    if truth is None:
-        return None
-    return truth_delay(gps.time, gps.x + 1j * gps.y, truth.time, truth.x + 1j * truth.y)
-
-
 def truth_delay(time: Array, fixes: Positions, truth_time: Array, truth: Positions) -> float | None:
     """Find the delay of the truth's clock, s, from the truth (m,) and the fixes (n,), east + i north, m.
 
-    Return None if the delay is small, or if the velocities agree at no delay or at more than one. The relative
-    difference of the velocities v and w at a delay is the sum of |v - w|^2 divided by the sum of |v|^2 + |w|^2, over
-    the times at which both are known.
+    Return None if no delay, or several delays, explain the velocities. The difference of the velocities is the sum of
+    |v - w|^2 over that of |v|^2 + |w|^2, in the time that both cover at a delay.
     """
     if min(len(time), len(truth_time)) < 3:
         return None
@@ -85,9 +45,9 @@ def truth_delay(time: Array, fixes: Positions, truth_time: Array, truth: Positio
     best, none = int(np.argmin(apart)), int(np.argmin(np.abs(delays)))
     least = MIN_RATIO * max(float(apart[best]), 1e-6)
     others = apart[np.abs(delays - delays[best]) > PEAK_WIDTH]
-    without = float(apart[none]) if abs(delays[none]) < STEP else np.inf
-    clear = apart[best] < MAX_DIFFERENCE and min(without, others.min(initial=np.inf)) > least
-    if not clear or abs(delays[best]) < MIN_DELAY:
+    wrong = abs(delays[best]) >= MIN_DELAY
+    without = float(apart[none]) if wrong and abs(delays[none]) < STEP else np.inf
+    if apart[best] >= MAX_DIFFERENCE or min(without, others.min(initial=np.inf)) <= least:
         return None
     near = delays[best] + np.arange(-STEP, STEP + FINE_STEP / 2, FINE_STEP)
     inside = (time + near[0] >= truth_time[0]) & (time + near[-1] <= truth_time[-1])
