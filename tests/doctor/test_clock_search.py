@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import sigmaswarm
 from sigmaswarm import Drive, Gps, Imu
@@ -156,6 +157,24 @@ def test_at_walking_speed_no_offset_is_invented():
     gps = Gps(time[::10], x[::10] + slow[:, 0], y[::10] + slow[:, 1])
     found = sigmaswarm.diagnose(Drive("robot", Imu(time, *force), gps))
     assert not [f for f in found.findings if f.code == "clock-offset" and f.severity == "serious"]
+
+
+@pytest.mark.parametrize("seed", quickly([(s,) for s in range(4)], lambda s: s < 2))
+def test_errors_of_the_fixes_that_turn_the_course_of_a_slow_robot_are_no_fault_of_its_gyro(seed: int):
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 240.0, 0.02)
+    rate = np.where(t % 24 < 4, 0.4, 0.0) * np.where(t % 48 < 24, 1, -1)
+    heading = np.cumsum(rate) * 0.02
+    where = np.cumsum(0.6 * np.exp(1j * heading)) * 0.02
+    keep = np.exp(-0.1 / 5.0)
+    wander = lfilter([1.0], [1.0, -keep], rng.standard_normal((2, len(t) // 5)) * np.sqrt(1 - keep**2))
+    zero = np.zeros(len(t))
+    imu = Imu(t, 0.05 * rng.standard_normal(len(t)), 0.6 * rate, rate + 0.004 * rng.standard_normal(len(t)))
+    for size, dead, told in ((1.0, False, False), (0.02, True, True)):
+        x, y = (
+            part[::5] + size * error for part, error in zip((where.real, where.imag), wander, strict=True)
+        )
+        drive = Drive("robot", replace(imu, gz=zero) if dead else imu, Gps(t[::5], x, y))
+        assert told == any("no column of the gyro" in f.what for f in sigmaswarm.diagnose(drive).findings)
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.5])

@@ -19,6 +19,8 @@ CIRCLE = 2 * np.pi  # rad, smallest range of the course of a car that drives in 
 REMEDY = "use a drive with turns, starts and stops to check for these faults"
 # RMS change of the course within windows, in standard deviations, above which the car turns
 MIN_TURN_SIGMAS = 3.0
+# m/s, largest error of the velocity due to errors of the fixes that last for seconds; 1/s, ratio to their scatter
+MAX_WANDER, WANDER_RATE = 0.25, 2.5
 MIN_DETERMINED_TURN = np.radians(5.0)  # rad, RMS change of the course within windows; swaying causes less
 
 
@@ -57,13 +59,16 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
     if fit is None:
         return f"{shown}. No part is long enough to compare the course with the gyro", REMEDY
     change = np.degrees(fit.course_change)
-    if fit.course_change > max(
-        MIN_DETERMINED_TURN, MIN_TURN_SIGMAS * course.std / np.median(np.abs(course.velocity[moving]))
-    ):
+    wander = max(course.std, min(MAX_WANDER, WANDER_RATE * evidence.scatter))
+    explained = MIN_TURN_SIGMAS * wander / float(np.median(np.abs(course.velocity[moving])))
+    if fit.course_change > max(MIN_DETERMINED_TURN, explained):
         return (
             f"the RMS change of the course within 20 s is {change:.0f} deg, but no column of the gyro follows it",
             f"check the gyro's unit and the clocks; clock offsets above {MAX_OFFSET:.0f} s are not searched for",
         )
+    if fit.course_change > MIN_DETERMINED_TURN:
+        what = f"the course changes by {change:.0f} deg (RMS) within 20 s"
+        return f"{what}. At this speed, errors of the fixes may cause this change", REMEDY
     if np.ptp(course.angle[moving]) > CIRCLE:
         steady = (
             "The car turns at a nearly constant rate, which does not separate the gyro's scale from its bias"
