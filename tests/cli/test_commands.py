@@ -532,7 +532,10 @@ def test_an_unused_velocity_is_the_next_step(sigmaswarm, here: Path, delay: floa
     write_drive(replace(drive, gps=replace(drive.gps, **velocity)), "car")
     tune = ("--particles", 6, "--generations", 2)
     said = [sigmaswarm("doctor", "car").out, sigmaswarm("split", "car", "--out", "parts").out]
-    said.append(sigmaswarm("tune", "car", "--out", "t", "--trust-log", *tune).out)
+    write_drive(simulate("urban", duration=60.0, imu_rate=50.0, run=2, gps="white-1m"), "held")
+    more = ("--validation", "held") if delay == 0.1 else ()
+    said.append(sigmaswarm("tune", "car", "--out", "t", "--trust-log", *tune, *more).out)
+    assert delay != 0.1 or said[2].count("--validation held") == 1
     options = [re.findall(r"--use ([a-z -]*velocity)", text) for text in said]
     assert all(map(bool, options)) is proposed
     assert "sigmaswarm tune car --out tuned-velocity --use" in said[2] or not proposed
@@ -555,9 +558,11 @@ def test_few_drives_are_diagnosed_for_an_unused_velocity(
     )
     read = LocalDataset([driven] * recorded + [drive] * others)
     stated = {"model": "planar8", "kind": "ekf", "use": ["standstill"], "as_recorded": True}
-    said = _with_velocity(["drives"], TuneConfig(**stated), read, stated)
+    started = {**stated, "start": Path("first"), "validation": ["held out", "more"]}
+    said = _with_velocity(["drives"], TuneConfig(**stated), read, started)
     assert bool(said) is (diagnosed > 0)
     assert len(names) == diagnosed
+    assert not said or said[0].endswith(" --start first --validation 'held out' more")
     assert not said or "--use standstill velocity --model planar8 --kind ekf --as-recorded" in said[0]
 
 

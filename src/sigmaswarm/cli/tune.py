@@ -171,7 +171,8 @@ def _tune(
     )
     compare = _compare(evaluate, out, [one["sha256"] for one in tuning.data])
     if isinstance(tuning.config, TuneConfig) and not options.paper:
-        compare += _with_velocity(given, tuning.config, read, config)
+        more = {"start": options.start, "validation": options.validation}
+        compare += _with_velocity(given, tuning.config, read, config | {k: v for k, v in more.items() if v})
     lines = [f"next:     {evaluate} --out {free_path('evaluation')}", *splitting, *compare]
     return tuning, track, [f"model:    {tuning.choice}"] if tuning.choice else [], lines
 

@@ -176,14 +176,14 @@ class EvaluationView:
         return f"On {drives}, the tuned filter failed, or there is no truth, so scores are missing."
 
     def _not_better(self) -> str:
-        """Return sentences on the drifts in which another method is at least as good as the tuned filter."""
+        """Return sentences on drifts and heading in which another method is at least as good as the tuned filter."""
         mean_of = self.scores.mean_of
         sentences = ""
         for method in (m for m in (AGAINST, FIXES, BASELINE) if m in self.names):
             name = in_sentence(method, self.names[method])
             lost = [
-                f"{self.measures[m].title} ({tuned:.3g} instead of {other:.3g} m)"
-                for m in DRIFTS
+                f"{self.measures[m].title} ({tuned:.3g} instead of {other:.3g} {self.measures[m].unit})"
+                for m in (*DRIFTS, "heading_rmse_deg")
                 if m in self.measures
                 and (tuned := mean_of("tuned", m)) is not None
                 and (other := mean_of(method, m)) is not None
