@@ -170,7 +170,7 @@ def _tune(
         _next(out, given[0], tuning.data[0]["name"], part=part) if alone else (_evaluate(out), [])
     )
     compare = _compare(evaluate, out, [one["sha256"] for one in tuning.data])
-    if isinstance(tuning.config, TuneConfig) and not options.paper:
+    if isinstance(tuning.config, TuneConfig) and not options.paper and all(held_back.map(_has_velocity)):
         more = {"start": options.start, "validation": options.validation}
         compare += _with_velocity(given, tuning.config, read, config | {k: v for k, v in more.items() if v})
     lines = [f"next:     {evaluate} --out {free_path('evaluation')}", *splitting, *compare]
