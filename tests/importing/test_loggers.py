@@ -197,14 +197,15 @@ def test_rows_of_several_kinds_are_separated_by_the_named_command(tmp_path: Path
     require_same(as_proposed(tmp_path / "kinds"))
 
 
+@pytest.mark.parametrize("flags", ["01", "VA", "13", "ny"])
 @pytest.mark.parametrize("place", [0, 1])
-def test_shorter_rows_without_a_fix_are_not_another_kind(tmp_path: Path, place: int):
-    """A flag of 0 or 1 states whether the cells of the fix follow."""
+def test_shorter_rows_without_a_fix_are_not_another_kind(tmp_path: Path, place: int, flags: str):
+    """A flag states whether the cells of the fix follow."""
     fixes = dict(zip(NEW.tolist(), zip(LAT, LON, strict=True), strict=True))
     rows: list[str] = []
     for k, t in enumerate(TIME.tolist()):
         begin = [f"{t:.3f}"]
-        begin.insert(place, "1" if k in fixes else "0")
+        begin.insert(place, flags[k in fixes])
         rows.append(",".join([*begin, *numbers(k), *(f"{v:.9f}" for v in fixes.get(k, ()))]))
     (tmp_path / "log.csv").write_text("\n".join(rows) + "\n")
     require_same(as_proposed(tmp_path / "log.csv"))
@@ -376,11 +377,52 @@ def test_a_speed_of_minus_1_is_invalid(tmp_path: Path, invalid: slice):
     fixes = {"t": FIXED, "latitude": LAT, "longitude": LON, "speed": speed, "course": course % 360}
     write(tmp_path / "log" / "location.csv", fixes)
     got = imported(tmp_path / "log")
-    assert got.drive.gps.speed is None and len(got.drive.gps) == len(FIXED)
-    if maps := re.findall(r'"(gps\.keep=[^"]+)"', " ".join(got.notes)):
-        kept = imported(tmp_path / "log", maps=maps).drive.gps
-        assert kept.speed is not None and len(kept) == np.count_nonzero(speed > -1)
-    assert bool(maps) == (speed > -1).any()
+    missing = int(np.count_nonzero(speed == -1))
+    assert f"{missing} values of speed are left out, since -1 is a placeholder" in " ".join(got.notes)
+    few = missing <= 0.1 * len(speed)
+    assert (got.drive.gps.speed is not None) == few
+    assert len(got.drive.gps) == len(FIXED) - few * missing
+
+
+@pytest.mark.parametrize("names", [("Time IMU (s)", "Time GPS (s)"), ("Time", "Time"), ("t_imu", "gps_time")])
+def test_tables_that_were_pasted_side_by_side_have_a_time_each(tmp_path: Path, names: tuple[str, str]):
+    rows = [",".join([names[0], *IMU, "", names[1], "lat", "lon"])]
+    for k, t in enumerate(TIME.tolist()):
+        fix = f"{FIXED[k]:.3f},{LAT[k]:.9f},{LON[k]:.9f}" if k < len(FIXED) else ",,"
+        rows.append(f"{t:.3f},{','.join(numbers(k))},,{fix}")
+    (tmp_path / "both.csv").write_text("\n".join(rows) + "\n")
+    require_same(imported(tmp_path / "both.csv").drive)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1 / 9.80665])
+def test_zeros_of_a_failed_bus_are_no_samples(tmp_path: Path, scale: float):
+    failed = np.random.default_rng(0).random(len(TIME)) < 0.03
+    write(
+        tmp_path / "log" / "imu.csv",
+        {
+            "t": TIME,
+            **{n: np.where(failed, 0.0, v * (scale if n[0] == "a" else 1.0)) for n, v in IMU.items()},
+        },
+    )
+    write(tmp_path / "log" / "gps.csv", {"t": FIXED, "lat": LAT, "lon": LON})
+    got = imported(tmp_path / "log")
+    np.testing.assert_allclose(got.drive.imu.time, TIME[~failed], atol=1e-3)
+    assert f"{failed.sum()} values of ax are left out, since 0 is a placeholder" in " ".join(got.notes)
+
+
+@pytest.mark.parametrize(("ahead", "both"), [(3600.0, True), (8e8, False), (5e4, True)])
+def test_a_clock_that_is_set_while_it_runs_makes_two_recordings(tmp_path: Path, ahead: float, both: bool):
+    """Summer time begins, or the first fix sets the clock."""
+    for name, time, columns in (("imu", TIME, IMU), ("gps", FIXED, {"lat": LAT, "lon": LON})):
+        used = (time >= 0) if name == "imu" or both else (time >= 20)
+        write(
+            tmp_path / "log" / f"{name}.csv",
+            {"t": (1e9 + time + ahead * (time >= 20))[used], **{n: v[used] for n, v in columns.items()}},
+        )
+    with pytest.raises(InputError, match=rf"the clock jumps by {ahead:.0f} s at row .* --part 1 to --part 2"):
+        imported(tmp_path / "log")
+    got = imported(tmp_path / "log", part=2).drive
+    assert len(got.imu) == np.count_nonzero(TIME >= 20) and len(got.gps) == np.count_nonzero(FIXED >= 20)
 
 
 @pytest.mark.parametrize(("decimals", "said"), [(2, "1112 m"), (3, "111 m"), (4, "11 m")])

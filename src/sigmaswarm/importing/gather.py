@@ -20,7 +20,7 @@ from sigmaswarm.importing.guess import SAMPLE_ROWS
 from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.quantities import MAX_DAMAGED_SHARE, NO_NUMBER, NO_VALUE, PLACEHOLDERS
 from sigmaswarm.importing.source import FILES, ImportProgress, Limits, Log, Part, Role
-from sigmaswarm.importing.times import rising_time, time_of, wrong_unit
+from sigmaswarm.importing.times import median_of, rising_time, time_of, wrong_unit
 from sigmaswarm.wording import list_names, printable, quoted
 
 ROW = "row"  # column of row numbers, from 0, in tables without a column of this name
@@ -28,6 +28,8 @@ ROW = "row"  # column of row numbers, from 0, in tables without a column of this
 MAX_TIMELESS_ROWS = 10
 # Smallest distance of a placeholder from the median of the other values, in units of their 1% to 99% range
 MIN_PLACEHOLDER_DISTANCE = 10
+# Smallest 5% quantile of the specific force that includes gravity, relative to the median
+MIN_FORCE = 0.3
 
 
 def with_row_numbers(frame: pl.DataFrame, first: int = 0) -> pl.DataFrame:
@@ -136,6 +138,12 @@ class PartColumns:
             if len(pair) == 2 and all(c in alone for c in pair):
                 both = marks[pair[0]] & (numbers[pair[0]] == numbers[pair[1]]).fill_null(False)
                 alone |= {c: alone[c] | both for c in pair}
+        forces = [c for n in ("ax", "ay", "az") for c in used.get(n, ()) if len(used[n]) == 1 and c in names]
+        if len(forces) == 3:  # gravity acts on a working sensor, so zeros are those of a failed bus
+            size = sum(numbers[c].pow(2) for c in forces[1:])
+            size = (size + numbers[forces[0]].pow(2)).sqrt()
+            if (size.filter(size > 0).quantile(0.05) or 0.0) > MIN_FORCE * median_of(size):
+                alone[forces[0]] = alone.get(forces[0], False) | (size == 0).fill_null(False)
         for column in used.get("speed", frozenset()) & {*names} if "lat" in used else ():
             invalid = (numbers[column] == -1).fill_null(False)  # as phones write it
             if not (numbers[column].filter(~invalid) < -0.5).any():

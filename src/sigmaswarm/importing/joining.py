@@ -24,7 +24,7 @@ from sigmaswarm.importing.timeline import (
     spread_stamps,
     unwrap,
 )
-from sigmaswarm.importing.times import quoted_column, scaled_column
+from sigmaswarm.importing.times import scaled_column
 from sigmaswarm.wording import count_of, printable, rows_left_out
 
 MIN_STD = 1e-6  # m or rad; a standard deviation of at most this value counts as missing
@@ -67,9 +67,7 @@ def join(
                 target = name.removeprefix("+")
                 added = values.get(target, 0.0) if name.startswith("+") else 0.0
                 values[target] = added + _between(at, known_at[known], column[known], PERIODS.get(target))
-    speed = parts[0].expressions.get("speed")
-    invalid = [n for n in (speed.numbers if speed else ()) if parts[0].placeholders.get(n, (0.0, 0))[0] == -1]
-    return _complete_rows(time, _with_known_headings(values), role, required, say, "".join(invalid))
+    return _complete_rows(time, _with_known_headings(values), role, required, say)
 
 
 def _with_known_headings(values: Values) -> Values:
@@ -146,7 +144,11 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
         note = "; ".join(filter(None, (digits, note)))
     if note:
         say(f"{where}: {note}")
-    ends = [(int(time[r.start]), int(time[r.stop - 1])) for r in recordings(time)[:number]] if number else []
+    ends = (
+        [(int(time[r.start]), int(time[r.stop - 1])) for r in recordings(time, pauses=True)[:number]]
+        if number
+        else []
+    )
     part.set_back = sum(end - begin for (_, end), (begin, _) in pairwise(ends))
     time, rows = sorted_times(time, role, where, number, say)
     require_likely(time, role, where, part.part.columns["t"])
@@ -181,12 +183,9 @@ def without_column(role: Role, name: str) -> str:
 
 
 def _complete_rows(
-    time: Nanoseconds, values: Values, role: Role, required: Sequence[str], say: Say, invalid: str = ""
+    time: Nanoseconds, values: Values, role: Role, required: Sequence[str], say: Say
 ) -> tuple[Nanoseconds, Values]:
-    """Leave out optional columns with more than 10% empty cells, then rows with an empty cell.
-
-    ``invalid``: column in which a speed of -1 is invalid. The positions of these rows are valid, so the rows remain.
-    """
+    """Leave out mostly empty columns, then rows with an empty cell."""
     for name in required:
         if name not in values or not np.isfinite(values[name]).any():
             raise InputError(without_column(role, name))
@@ -199,19 +198,12 @@ def _complete_rows(
         if name not in values or not placed.any():
             continue
         empty = ~np.isfinite(values[name][placed])
-        kept = invalid if name == "speed" else ""
-        if np.mean(empty) > (0.0 if kept else MAX_EMPTY_SHARE):
+        if np.mean(empty) > MAX_EMPTY_SHARE:
             gone = next((pair for pair in COLUMN_PAIRS if name in pair), (name,))
             if not empty.all():
                 are = "is" if len(gone) == 1 else "are"
-                share = f"{np.count_nonzero(empty)}" if kept else f"{np.mean(empty):.0%} of the"
-                keep = (
-                    f'; to leave out these rows instead, write --map "{role}.keep={quoted_column(kept)} > -1"'
-                )
-                say(
-                    f"{role}: {' and '.join(gone)} {are} left out, since {share} cells of {name} "
-                    f"are empty{keep if kept else ''}"
-                )
+                share = f"{np.mean(empty):.0%} of the cells of {name} are empty"
+                say(f"{role}: {' and '.join(gone)} {are} left out, since {share}")
             values = {n: column for n, column in values.items() if n not in gone}
     full = _finite(values, len(time)).all(axis=0)
     if not full.any():

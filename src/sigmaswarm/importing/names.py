@@ -18,7 +18,7 @@ TIME = (
 )
 # Names of times, for tables without a more usual name
 CLOCK = (
-    "received|boot|date|cts|(?:esp_)?timer|up_?time|ticks?|sample_?time_?fine|time_?(?:startup|gps|utc|boot)|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
+    "received|boot|date|cts|(?:esp_)?timer|up_?time|ticks?|sample_?time_?fine|time_?(?:startup|imu|gps|gnss|fix|utc|boot)|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
     "datenum|t_?(?:imu|gps|gnss|acc|gyro?|truth|ref|gt)|(?:imu|gps|gnss|fix|truth)_?t|(?:(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|utc|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed|offset)_?){1,2}(?:time|clock|stamp)"
 )
 STAMP = "(?:.*_)?header_(?:time_?)?stamp"  # ROS header stamps, in tables converted from bags
@@ -260,8 +260,9 @@ def read_name(column: str) -> Name:
 
     An unrecognized name is interpreted again with its words split at capitals: "gyroRotationX(rad/s)".
     """
-    name, split = _read(column, column.strip()), _with_underscores(column.strip())
-    if name.meaning is not None or split == column.strip():
+    text = re.sub(r"_duplicated_\d+$", "", column.strip())
+    name, split = _read(column, text), _with_underscores(text)
+    if name.meaning is not None or split == text:
         return name
     again = _read(column, split)
     timed = re.fullmatch(CLOCK, again.plain) is not None

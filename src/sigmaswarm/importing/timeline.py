@@ -38,6 +38,7 @@ MIN_ROWS = 20
 MIN_TIME_ERROR, MAX_JUMPS = 10.0, 100
 MAX_SECONDS = 5  # with more recordings of about one second, the fractions of the seconds are presumably wrong
 MIN_STEP_BACK, STEPS = 0.2, 2  # smallest step back of a clock between recordings: s, and median steps
+MAX_STEP_AHEAD = 3590 * SECOND  # longest pause within a recording; a change to summer time is an hour
 MAX_REPEATED_SHARE = 0.02  # if a larger fraction of rows repeats the previous time, rows share stamps
 # Largest step within a burst of rows, relative to the mean step and to `MAX_STEP`; smallest share of such steps in a
 # log with bursts
@@ -111,8 +112,10 @@ def require_unwrappable(time: Nanoseconds, tick: float, where: str) -> None:
         )
 
 
-def recordings(time: Nanoseconds) -> list[slice]:
-    falls = np.flatnonzero(np.diff(time) < 0) + 1
+def recordings(time: Nanoseconds, *, pauses: bool) -> list[slice]:
+    """Return the rows of each recording: the clock goes back between two of them, or jumps ahead if ``pauses``."""
+    steps = np.diff(time)
+    falls = np.flatnonzero((steps < 0) | ((steps > MAX_STEP_AHEAD) & pauses)) + 1
     whole = [slice(0, len(time))]
     if not len(falls) or len(falls) > max(len(time) // MIN_ROWS, 1):
         return whole
@@ -120,7 +123,7 @@ def recordings(time: Nanoseconds) -> list[slice]:
     ends = [0]
     for fall in falls.tolist():
         enough = min(fall - ends[-1], len(time) - fall) >= MIN_ROWS
-        if enough and int(time[fall - 1]) - int(time[fall]) > least:
+        if enough and abs(int(time[fall - 1]) - int(time[fall])) > least:
             ends.append(fall)
     parts = [slice(*ends) for ends in pairwise([*ends, len(time)])]
     spans = sorted((int(time[p].min()), int(time[p].max())) for p in parts)
@@ -155,7 +158,9 @@ def _stray(time: Nanoseconds) -> NDArray[np.bool_]:
 
 def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> tuple[slice, str]:
     """Return the rows of the chosen recording, and a sentence or ""; refuse several recordings if none is chosen."""
-    parts = recordings(time)
+    parts = recordings(
+        time, pauses=role == "imu" or part is not None
+    )  # a receiver may be without fixes for hours
     if len(parts) == 1:
         return parts[0], f"{where}: the clock does not restart; all rows are used" if part else ""
     if part is None and len(parts) > MAX_SECONDS and (rate := _rate_by_rows(time, parts)):
@@ -166,7 +171,9 @@ def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> 
         )
     lengths = [f"{(int(time[p].max()) - int(time[p].min())) / SECOND:.1f} s" for p in parts]
     many = f"{len(parts)} recordings ({list_names(lengths)})"
-    message = f"{where}: the clock restarts at row {parts[1].start + 1}: {many}"
+    ahead = (int(time[parts[1].start]) - int(time[parts[1].start - 1])) / SECOND
+    what = "restarts" if ahead < 0 else f"jumps by {ahead:.0f} s"
+    message = f"{where}: the clock {what} at row {parts[1].start + 1}: {many}"
     if part is None:
         raise InputError(f"{message}; import each recording separately: --part 1 to --part {len(parts)}")
     if not 1 <= part <= len(parts):

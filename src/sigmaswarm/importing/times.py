@@ -1,7 +1,7 @@
 """Find the columns with the time of a table, and the expression of the time in seconds."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -127,9 +127,12 @@ def time_of_rows(
     """Find the time of a role in a table whose rows contain only some of the sensors.
 
     ``keys``: a column that is filled in the rows of each role; ``rows_of``: role whose usual rate determines the unit.
-    If each role has header stamps, these have priority over a clock that is filled in the rows of all roles.
+    Header stamps have priority over a clock that is filled in the rows of all roles, if each role has one. Tables that
+    were pasted side by side have different numbers of rows, so each has its own time.
     """
     known = frame.with_columns(pl.selectors.float().fill_nan(None))
+    if role in keys and (beside := _pasted(known, keys.values())):
+        return find_time(frame.select(beside[known[keys[role]].count()]), role)
     rows = {of: some for of, key in keys.items() if len(some := known.drop_nulls(key))}
     filled = {
         of: [c for c in some.columns if 2 * some[c].null_count() <= len(some)] for of, some in rows.items()
@@ -142,6 +145,19 @@ def time_of_rows(
     )
     found = None if filled and all(stamped) else find_time(frame.select(common), rows_of)
     return found or find_time(rows[role].select(own) if role in rows else frame, role)
+
+
+def _pasted(frame: pl.DataFrame, keys: Collection[str]) -> dict[int, list[str]]:
+    """Return the columns of each table that was pasted beside the others, by number of rows; {} for other tables.
+
+    The rows of such a table are the first ones, and each table has a time. ``keys``: a column of each role.
+    """
+    counts = {name: frame[name].count() for name in frame.columns}
+    tables = {counts[key]: [n for n, count in counts.items() if count == counts[key]] for key in keys}
+    if len(tables) < 2 or 0 in tables or any(frame[key].head(counts[key]).null_count() for key in keys):
+        return {}
+    timed = all(find_time(frame.select(names).head(rows), "gps") for rows, names in tables.items())
+    return tables if timed else {}
 
 
 def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:

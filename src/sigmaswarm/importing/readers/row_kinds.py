@@ -12,6 +12,7 @@ from sigmaswarm.wording import list_names
 
 MAX_KINDS = 20
 MAX_ROWS = 20_000  # largest number of rows that are examined
+NO_FIX = {"0", "1", "v", "n", "f", "no", "none", "false", "void", "invalid"}  # flags, in lower case
 KIND_CELLS = 2  # the kind is in the first or second cell, perhaps after a time
 _WORD, _CODE = re.compile(r" *\$?([A-Za-z]\w*)(?= *$|:)"), re.compile(r" *(\d{1,3}|[A-Za-z]\w*) *$")
 
@@ -20,7 +21,7 @@ def require_one_kind(rows: Sequence[Sequence[str]], separator: str, shown_as: Pa
     """Raise an `InputError` if rows state their kind, and the kinds have different numbers of cells."""
     for place in range(KIND_CELLS):
         kinds = _words(rows) if place == 0 else {}
-        if kinds := kinds or _codes(rows, place):
+        if (kinds := kinds or _codes(rows, place)) and not _are_cut(rows, place):
             break
     else:
         return
@@ -50,8 +51,7 @@ def _words(rows: Sequence[Sequence[str]]) -> set[str]:
 def _codes(rows: Sequence[Sequence[str]], place: int) -> set[str]:
     """Return the words and numbers in a column if each has one number of cells, but not all have the same; else {}.
 
-    A row with only a code and a time is not a separate kind, nor are rows in which a flag of 0 means that the last
-    cells are missing.
+    A row with only a code and a time is not a separate kind.
     """
     sizes: dict[str, set[int]] = {}
     for row in rows:
@@ -62,20 +62,28 @@ def _codes(rows: Sequence[Sequence[str]], place: int) -> set[str]:
             sizes.setdefault(code[1], set()).add(len(row))
     known = [*sizes.values()]
     fits = 1 < len(sizes) <= MAX_KINDS and all(len(of) == 1 for of in known) and len(set.union(*known)) > 1
-    return {*sizes} if fits and not _are_cut(rows, place) else set()
+    return {*sizes} if fits else set()
 
 
 def _are_cut(rows: Sequence[Sequence[str]], place: int) -> bool:
-    """Return True if rows with a flag of 0 contain the first cells of the other rows, with numbers in their range."""
-    short = [row for row in rows if row[place].strip() == "0" and len(row) > KIND_CELLS]
-    long = [row for row in rows if row[place].strip() != "0" and len(row) > KIND_CELLS]
+    """Return True if rows whose flag means no fix are the first cells of the others: numbers in the range of theirs."""
+    least = min((row for row in rows if len(row) > max(KIND_CELLS, place)), key=len, default=[""])
+    flag = least[place].strip() if place < len(least) else ""
+    short, long = (
+        [row for row in rows if len(row) > KIND_CELLS and (row[place].strip() == flag) == cut]
+        for cut in (True, False)
+    )
+    if flag.lower() not in NO_FIX:
+        return False
     width = max(map(len, short), default=0)
-    if not short or width >= min(map(len, long)):
+    if not short or width >= min(map(len, long), default=0):
         return False
+    cells = [k for k in range(width) if k != place]
     try:
-        of_short, of_long = (np.array([row[:width] for row in kind], np.float64) for kind in (short, long))
-    except ValueError:  # a text
+        of_short, of_long = (
+            np.array([[row[k] for k in cells] for row in kind], np.float64) for kind in (short, long)
+        )
+    except (ValueError, IndexError):  # a text, or rows of several lengths
         return False
-    middle = np.delete(np.median(of_short, axis=0), place)
-    least, most = (np.delete(end(of_long, axis=0), place) for end in (np.min, np.max))
-    return bool(np.all((least <= middle) & (middle <= most)))
+    middle, low, high = np.median(of_short, axis=0), np.min(of_long, axis=0), np.max(of_long, axis=0)
+    return bool(np.all((low <= middle) & (middle <= high)))
