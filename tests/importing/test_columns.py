@@ -1,5 +1,6 @@
 """CSV and Parquet, with guessed columns and with mapped ones."""
 
+import re
 import shutil
 from datetime import UTC, datetime
 from pathlib import Path
@@ -111,6 +112,32 @@ def test_of_a_folder_with_two_days_it_says_which_is_taken(tmp_path: Path):
 
 LONG = a_drive(30.0)
 NUMBERED = ["imu_{}.csv", "2024-05-01_1{}.csv", "imu ({}).csv"]
+
+
+@pytest.mark.parametrize(
+    ("fixes", "reference"),
+    [("gps", "rtk"), ("uwb", "mocap"), ("position", "vicon"), ("beacon", "Total_Station")],
+)
+def test_of_several_position_sources_the_reference_is_proposed_as_truth(
+    tmp_path: Path, fixes: str, reference: str
+):
+    drive = a_drive(20.0)
+    imu, gps, true = drive.imu, drive.gps, drive.truth
+    tables = {
+        "imu": {"t": imu.time, "ax": imu.ax, "ay": imu.ay, "gz": imu.gz},
+        fixes: {"t": gps.time, "x": gps.x, "y": gps.y},
+        reference: {"t": true.time, "x": true.x, "y": true.y, "z": 0 * true.x}
+        | ({"qz": np.sin(true.theta / 2), "qw": np.cos(true.theta / 2)} if fixes == "uwb" else {}),
+    }
+    for name, columns in tables.items():
+        pl.DataFrame(columns).write_csv(tmp_path / f"{name}.csv")
+    got = imported(tmp_path)
+    assert len(got.drive.gps) == len(gps) and got.drive.truth is None
+    (said,) = (note for note in got.notes if "also has positions" in note)
+    assert said.startswith(f"the fixes are those of {fixes}.csv; {reference}.csv also has positions")
+    role, table = re.search(r"--(truth)-table (\S+) reads", said).groups()
+    again = imported(tmp_path, choice=TableChoice({role: table}))
+    assert len(again.drive.truth) == len(true) and not any("also has" in note for note in again.notes)
 
 
 @pytest.mark.parametrize("name", [*NUMBERED, "x{}.csv without headers"])

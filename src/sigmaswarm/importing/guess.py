@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from shlex import quote
 
 import polars as pl
 
@@ -50,6 +51,10 @@ _NO_PLACES = re.compile(
 # Names of tables whose positions are estimates, not measurements
 _ESTIMATE = re.compile(
     r"filter|estimat|kalman|(?:^|[^a-z])[eu]?kf|fused|fusion|smooth|predict", re.IGNORECASE
+)
+# Names of tables whose positions are accurate, and presumably a reference for those of other tables
+_REFERENCE = re.compile(
+    r"mocap|vicon|opti_?track|leica|total_?station|rtk|ppk|ppp|survey|ins(?:[^a-z]|$)", re.IGNORECASE
 )
 # Names of columns that state whether a row has a fix: 0 means no fix, or -1 if 0 means a fix, as in ROS
 _FIXED = "(?:gps|gnss)?_?fix_?(?:type|quality|mode|valid|ok|status)?|(?:(?:gps|gnss)_?)?valid|(?:gps|gnss)_?quality"
@@ -133,6 +138,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
                 faults += [Fault(role, what, table, fault)] if fault else []
                 expressions |= {what: found_as.expression} if found_as.expression else {}
             roles[role] = (*roles.get(role, ()), Part(table, expressions))
+    notes += [] if "gps" in chosen else _other_positions(roles, found, samples)
     roles, shared_clock = on_common_clock(roles, samples)
     notes += shared_clock
     downward = _downward(found[roles["imu"][0].table]) if "imu" in roles else ""
@@ -153,12 +159,35 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
     )
 
 
+def _other_positions(
+    roles: Mapping[Role, Sequence[Part]], found: Mapping[str, Columns], samples: Mapping[str, pl.DataFrame]
+) -> list[str]:
+    """Name the tables with positions that no role uses, and the options that read them."""
+    used = {part.table for parts in roles.values() for part in parts}
+    best = roles["gps"][0].table if "gps" in roles else ""
+    located = [t for t, c in found.items() if c.has("lat", "lon") or c.has("x", "y")]
+    others = (
+        [t for t in located if t not in used and samples[t].columns != samples[best].columns] if best else []
+    )
+    if not others:
+        return []
+    reference = next(filter(_REFERENCE.search, others), others[0])
+    verbs = ("has", "is") if len(others) == 1 else ("have", "are")
+    truth = f"--truth-table {quote(reference)} reads {reference} as the truth, "
+    truth = truth if "truth" not in roles and _REFERENCE.search(reference) else ""
+    return [
+        f"the fixes are those of {best}; {list_names(others)} also {verbs[0]} positions, but {verbs[1]} not read: "
+        f"{truth}--gps-table {quote(reference)} reads it as the fixes"
+    ]
+
+
 def _best_table(role: Role, tables: Sequence[str], found: Mapping[str, Columns]) -> str:
     """Return the first table with a fitting name, else the first; tables that may contain estimates come last."""
     return max(
         tables,
         key=lambda t: (
             not _ESTIMATE.search(t),
+            role != "gps" or not _REFERENCE.search(t),
             bool(re.search(_HINTS[role], t, re.IGNORECASE)),
             role == "gps" and "ax" not in found[t],
         ),
@@ -193,7 +222,8 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
         for axis in "xyz":
             if axis in columns:
                 columns.names.setdefault(f"{letter}{axis}", columns.names.pop(axis))
-    dropped = {"x", "y"} if _NO_PLACES.search(table) or "q" in columns or letter else set[str]()
+    turned = "q" in columns and columns.names["q"].plain == "w"  # x, y, z are those of a quaternion
+    dropped = {"x", "y"} if _NO_PLACES.search(table) or turned or letter else set[str]()
     if "ax" in columns and columns.names["ax"].plain == "linear_x":  # velocities also have this name
         size = median_of(columns.norms(["ax", "ay", "az"])) if columns.has("ax", "ay", "az") else 0.0
         dropped |= set() if 8.0 < size < 12.0 or 0.85 < size < 1.15 else {"ax", "ay", "az"}
@@ -220,7 +250,8 @@ def _candidates(found: Mapping[str, Columns]) -> dict[Role, list[str]]:
     chosen: dict[Role, set[str]] = {
         "imu": forces & rates or loose,
         "truth": truth & located,
-        "gps": degrees - truth or located - truth,
+        # a pose in meters is that of another system, or an estimate
+        "gps": degrees - truth or {t for t in located - truth if "q" not in found[t]},
         "odometer": counted,
     }
     return {role: [t for t in found if t in tables] for role, tables in chosen.items()}
