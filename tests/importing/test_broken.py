@@ -5,6 +5,7 @@ import struct
 import warnings
 import zipfile
 from collections.abc import Callable
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -363,9 +364,12 @@ def test_an_offset_of_centuries(tmp_path: Path, offset: float):
 def test_fixes_are_not_made_of_a_truth_without_end(tmp_path: Path):
     log = write_kitti(tmp_path, make_drive(duration=12.0, imu_rate=10.0))
     lines = (log / "oxts" / "timestamps.txt").read_text().splitlines()
-    later = [f"2200{line[4:]}" for line in lines[60:]]  # a few such rows would be left out
-    (log / "oxts" / "timestamps.txt").write_text("\n".join([*lines[:60], *later]))
-    recipe = Recipe(gps_from_truth=(5.0, 1.0))
+    pauses = [timedelta(minutes=59 * max(k - 80, 0)) for k in range(len(lines))]
+    later = [
+        str(datetime.fromisoformat(line[:26]) + pause) for line, pause in zip(lines, pauses, strict=True)
+    ]
+    (log / "oxts" / "timestamps.txt").write_text("\n".join(later))
+    recipe = Recipe(gps_from_truth=(1000.0, 1.0))
     refused("would make more than", lambda: imported(log, recipe=recipe))
 
 

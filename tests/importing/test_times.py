@@ -10,6 +10,8 @@ import pytest
 
 from importing.logs import EPOCH, a_drive, assert_close, imported
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.convert import Request
+from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.timeline import unwrap
 from support import quickly, several, some
 
@@ -203,7 +205,7 @@ def test_a_unit_that_can_not_be_known_is_refused_and_the_remedy_helps(tmp_path: 
     write(tmp_path, "time", lambda t: f"{t / scale:.14f}")
     with pytest.raises(InputError, match="too short for seconds") as caught:
         imported(tmp_path)
-    time = re.search(r'--time "([^"]+)\*86400"', str(caught.value))[1]
+    time = re.search(r'--map "imu\.t=([^"]+)\*86400"', str(caught.value))[1]
     assert apart(tmp_path, time=f"{time}*{scale:g}") < 1e-4
 
 
@@ -396,8 +398,9 @@ def test_times_in_two_formats_are_refused(tmp_path: Path, cells: Cells, first: s
         InputError, match=f"{first}.*(?:has a format different from that|different days)"
     ) as caught:
         imported(tmp_path)
-    remedy = re.search('--time "([^"]+)"', str(caught.value))[1]
-    assert 0.6 * len(IMU) < len(imported(tmp_path, time=remedy).drive.imu) <= len(IMU)
+    found = dict(remedy.split(".t=", 1) for remedy in reversed(maps_in(str(caught.value))))
+    maps = [f"{role}.t={text}" for role, text in found.items()]
+    assert 0.6 * len(IMU) < len(imported(tmp_path, maps=maps).drive.imu) <= len(IMU)
 
 
 @pytest.mark.parametrize(
@@ -441,8 +444,9 @@ def test_a_date_that_may_be_two_days_is_refused_and_the_remedy_helps(tmp_path: P
     write(tmp_path, "time", lambda t: datetime.datetime.fromtimestamp(begin + t, datetime.UTC).strftime(form))
     with pytest.raises(InputError, match="may be two different days") as caught:
         imported(tmp_path)
-    time = next(t for t in re.findall(r'--time "([^"]+)"', str(caught.value)) if first in t)
-    drive = imported(tmp_path, time=time).drive
+    maps = [text for text in maps_in(str(caught.value)) if first in text]
+    drive = imported(tmp_path, maps=maps).drive
+    assert len(maps) == 2
     assert drive.metadata["time_origin_s"] == begin
 
 
@@ -560,6 +564,14 @@ def test_coarse_stamps_of_an_uneven_count_are_refused_and_the_remedy_helps(
         imported(tmp_path)
     assert "row/" in str(caught.value)
     assert apart(tmp_path, maps=["imu.t=row/100"]) < 1e-9
+
+
+@pytest.mark.parametrize("form", ["{}", "{:.0f}.5"])
+def test_a_remedy_for_one_of_several_tables_names_its_role(tmp_path: Path, form: str):
+    """--time applies to every table of a folder, but gps.csv has no column `beat_time`."""
+    write(tmp_path, "beat_time", lambda t: form.format(round(t * 100)), "t", repr)
+    said = " ".join(inspect_request(Request(tmp_path)).notes)
+    assert "--time" not in said and '--map "imu.t=' in said
 
 
 @pytest.mark.parametrize("begins", some([(0.0, 0.0), (0.0, 2.0), (0.0, 5.5), (9.0, 0.0)], 3))

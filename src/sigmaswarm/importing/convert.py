@@ -38,7 +38,7 @@ from sigmaswarm.importing.source import (
 )
 from sigmaswarm.importing.tick_evidence import rate_by_duration, rate_by_motion, shown_rate, wrong_tick
 from sigmaswarm.importing.ticks import Counter, describe_rate, time_of_ticks
-from sigmaswarm.importing.times import UNKNOWN_TICK
+from sigmaswarm.importing.times import UNKNOWN_TICK, of_one_table
 from sigmaswarm.wording import list_names
 
 
@@ -309,7 +309,9 @@ def faults_left(request: Request, recipe: Recipe, logs: Mapping[Path, Log], gues
             mapped = {fault.column, f"{fault.role}.{fault.column}"} & stated
             if used and parts and not mapped and not any(fault.column in part.columns for part in parts):
                 where = path if path.name == fault.table else path / fault.table
-                left.append(f"{where}, {fault.sentence}")
+                several = len(logs[path].tables) > 1
+                sentence = of_one_table(fault.sentence, fault.role) if several else fault.sentence
+                left.append(f"{where}, {sentence}")
     left = _with_rate_of_ticks(list(dict.fromkeys(left)), request, logs, recipe, guesses)
     return _with_unit_of_rates(left, request, logs, recipe, guesses[request.source].unitless)
 

@@ -20,7 +20,7 @@ from sigmaswarm.importing.guess import SAMPLE_ROWS
 from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.quantities import MAX_DAMAGED_SHARE, NO_NUMBER, NO_VALUE, PLACEHOLDERS
 from sigmaswarm.importing.source import FILES, ImportProgress, Limits, Log, Part, Role
-from sigmaswarm.importing.times import median_of, rising_time, time_of, wrong_unit
+from sigmaswarm.importing.times import median_of, of_one_table, rising_time, time_of, wrong_unit
 from sigmaswarm.wording import list_names, printable, quoted
 
 ROW = "row"  # column of row numbers, from 0, in tables without a column of this name
@@ -184,7 +184,7 @@ def _complete(part: Part, log: Log, role: Role, first: Mapping[str, pl.DataFrame
         if "t" not in part.columns and (time := time_of(rows)) is not None:
             part = replace(part, columns={"t": time, **part.columns})
         elif unit := wrong_unit(part.columns.get("t", ""), rows, role):
-            raise InputError(f"{log.path}: {unit}")
+            raise InputError(f"{log.path}: {unit if len(log.tables) == 1 else of_one_table(unit, role)}")
     if "t" not in part.columns and (rows is not None or first is None):
         where = log.path if log.path.name == part.table else f"{log.path}, {printable(part.table)}"
         time = "--time {}" if role == "imu" and len(log.tables) == 1 else f'--map "{role}.t={{}}"'

@@ -112,7 +112,7 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
     if not len(time):
         why = "no usable row; --show shows the contents of the log"
         if part.timeless:
-            why = "no time within 292 years of 1970; specify the column of the time and its unit with --time"
+            why = f"no time within 292 years of 1970; specify its column and unit with --map {role}.t=..."
         raise InputError(f"{role}: {table} contains {why}")
     for name, (value, count) in part.placeholders.items():
         are = "is" if count == 1 else "are"

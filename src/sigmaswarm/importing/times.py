@@ -490,6 +490,13 @@ def _too_short(numbers: pl.Series, text: str, column: str, step: float, role: Ro
     return TimeExpression("", fault=f"{seen}; specify the unit: {message}")
 
 
+def of_one_table(message: str, role: Role) -> str:
+    """Replace --time in the remedy of a log with several tables, since it applies to all of them."""
+    return message.replace('--time "', f'--map "{role}.t=').replace(
+        "--time:", f'--map "{role}.t=EXPRESSION":'
+    )
+
+
 def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
     """Describe the wrong unit of a time ``column`` or ``column*number``, with the remedy; otherwise return "".
 
