@@ -384,6 +384,48 @@ def test_a_speed_of_minus_1_is_invalid(tmp_path: Path, invalid: slice):
     assert len(got.drive.gps) == len(FIXED) - few * missing
 
 
+@pytest.mark.parametrize("clock", ["ms", "week"])
+def test_rates_behind_a_magnetic_field_and_a_time_in_three_columns_are_found_by_values(
+    tmp_path: Path, clock: str
+):
+    heading = np.interp(TIME, DRIVE.truth.time, DRIVE.truth.theta)
+    field = zip(20 * np.cos(heading) + 2, -20 * np.sin(heading), np.full(len(TIME), -43.0), strict=True)
+    fixes = np.searchsorted(FIXED, TIME + 1e-9, side="right") - 1
+    rows: list[str] = []
+    for k, (t, b) in enumerate(zip((TIME - TIME[0]).tolist(), field, strict=True)):
+        time = (
+            f"{t * 1000:.0f}"
+            if clock == "ms"
+            else f"2394 {200000 + int(t + 1e-6)} {t % 1 * (t % 1 < 0.9999):.4f}"
+        )
+        cells = [f"{IMU[n][k]:.5f}" for n in AXES]
+        place = f"{LAT[fixes[k]]:.9f} {LON[fixes[k]]:.9f}" if fixes[k] >= 0 else "0 0"
+        rows.append(" ".join([time, *cells[:3], *(f"{v:.2f}" for v in b), *cells[3:], place]))
+    (tmp_path / "log.txt").write_text("\n".join(rows) + "\n")
+    require_same(as_proposed(tmp_path / "log.txt"))
+
+
+@pytest.mark.parametrize("more", ["", "1,", "acc,"])
+def test_headers_of_separate_tables_without_names_are_written_by_the_named_command(tmp_path: Path, more: str):
+    tables = {
+        "a": (TIME, AXES[:3], IMU),
+        "b": (TIME, AXES[3:], IMU),
+        "c": (FIXED, ("lat", "lon"), {"lat": LAT, "lon": LON}),
+    }
+    (tmp_path / "my log").mkdir()
+    for name, (time, columns, values) in tables.items():
+        rows = (
+            f"{more}{t:.3f}," + ",".join(f"{values[n][k]:.9f}" for n in columns) for k, t in enumerate(time)
+        )
+        (tmp_path / "my log" / f"{name}.txt").write_text("\n".join(rows) + "\n")
+    with pytest.raises(InputError, match="no IMU samples") as caught:
+        imported(tmp_path / "my log")
+    found = re.search(r"suggest: (mkdir .*?), and import the folder named", str(caught.value))
+    assert found is not None
+    run(found[1], tmp_path / "my log")
+    require_same(imported(tmp_path / "my log" / "named").drive)
+
+
 @pytest.mark.parametrize("names", [("Time IMU (s)", "Time GPS (s)"), ("Time", "Time"), ("t_imu", "gps_time")])
 def test_tables_that_were_pasted_side_by_side_have_a_time_each(tmp_path: Path, names: tuple[str, str]):
     rows = [",".join([names[0], *IMU, "", names[1], "lat", "lon"])]

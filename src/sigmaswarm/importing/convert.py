@@ -5,6 +5,7 @@ import re
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, fields, replace
+from itertools import islice
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -39,6 +40,7 @@ from sigmaswarm.importing.source import (
 from sigmaswarm.importing.tick_evidence import rate_by_duration, rate_by_motion, shown_rate, wrong_tick
 from sigmaswarm.importing.ticks import Counter, describe_rate, time_of_ticks
 from sigmaswarm.importing.times import UNKNOWN_TICK, of_one_table
+from sigmaswarm.importing.unnamed import header_by_values
 from sigmaswarm.wording import list_names
 
 
@@ -441,7 +443,16 @@ def missing_sensor(
 
 
 def _unnamed(log: Log, role: Role) -> str:
-    """Propose a mapping for a table whose columns have numbers instead of names; "" if there is none."""
+    """Propose headers for tables whose columns have numbers instead of names, or a mapping; "" if there is none."""
+    headers = {
+        name: header
+        for name, table in log.tables.items()
+        for _, rows, _ in islice(log.batches({name: table.columns}), 1)
+        if (header := header_by_values(rows))
+    }
+    if log.path.is_dir() and {"ax", "gz"} <= {*",".join(headers.values()).split(",")}:
+        lines = [f"(echo {text}; cat {quote(name)}) > named/{quote(name)}" for name, text in headers.items()]
+        return f"write headers as the values suggest: mkdir -p named; {'; '.join(lines)}, and import the folder named"
     order = COLUMN_ORDERS[role]
     for name, table in log.tables.items():
         columns = [c for c in table.columns if re.fullmatch(r"(?:c|.*_)\d+", c)]

@@ -21,6 +21,8 @@ GRAVITY = (G, *PER_G, 1.0)
 TOLERANCE = 0.05  # relative deviation of the median specific force from gravity
 MIN_SPREAD = 1e-3  # smallest relative spread of the specific force; a quaternion's magnitude is constant
 DATE_AND_CLOCK = r"^\d+[-/.]\d+[-/.]\d+$", r"^\d+:\d+:\d+"  # in two columns
+AXES = ("ax", "ay", "az", "gx", "gy", "gz")
+MIN_TURN_RATIO = 2.0  # smallest ratio of the 95% to the 25% quantile of angular rates
 MAX_DEGREES = 2.0  # largest range of latitude and longitude in a log
 
 
@@ -32,8 +34,10 @@ def columns_by_values(frame: pl.DataFrame, role: Role) -> dict[str, str]:
     if len(frame) < 2 or any(name not in (*names, *TIMES) and "." not in name for name in frame.columns):
         return {}
     values = {name: frame[name].cast(pl.Float64, strict=False).to_numpy() for name in names}
-    place = _place(values) if role == "gps" else _axes(values)
-    time = next(_times(frame, role), "")
+    axes = _axes(values)
+    place = _place(values) if role == "gps" else axes if "gx" in axes else {}
+    # in a table with an IMU, its rate determines the unit of the times
+    time = _summed(values) or next(_times(frame, "imu" if "gx" in axes else role), "")
     return (
         {"t": time, **{what: quoted_column(name) for what, name in place.items()}} if place and time else {}
     )
@@ -73,9 +77,45 @@ def _times(frame: pl.DataFrame, role: Role) -> Iterator[str]:
     yield from (text for _, text in sorted(found, key=lambda pair: pair[0]))
 
 
+def _summed(values: dict[str, Array]) -> str:
+    """Find whole seconds, perhaps after a GPS week, and their fractions in the next column; return the time, or ""."""
+    columns = [*values.items()]
+    for k, ((name, whole), (rest, part)) in enumerate(pairwise(columns)):
+        both = whole + part
+        fits = len(both) > 2 and np.all(whole == np.round(whole)) and np.all((part >= 0) & (part < 1))
+        if not fits or not np.ptp(whole) or not np.all(np.diff(both) > 0):
+            continue
+        week = columns[k - 1] if k else ("", np.zeros(1))
+        weeks = 1000 < float(week[1][0]) < 5000 and not np.ptp(week[1]) and float(whole.max()) <= 604_800
+        if not weeks and not np.ptp(part):
+            continue
+        seconds = f"{quoted_column(name)} + {quoted_column(rest)}"
+        return f"gps_time({quoted_column(week[0])}, {seconds})" if weeks else seconds
+    return ""
+
+
+def header_by_values(frame: pl.DataFrame) -> str:
+    """Return a header for a table without names: t, and the axes of one sensor or a position; "" if it has neither."""
+    names = [name for name in frame.columns if UNNAMED.fullmatch(name)]
+    if len(frame) < 2 or len(names) < len(frame.columns):
+        return ""
+    values = {name: frame[name].cast(pl.Float64, strict=False).to_numpy() for name in names}
+    axes = _axes(values)
+    found = axes if "gx" in axes else _place(values) or axes
+    time = next(_times(frame, "gps" if "lat" in found else "imu"), "")
+    clock = next((n for n in names if re.search(rf"\b{n}\b", time)), "")
+    # other columns than clocks and constants
+    rest = [n for n, v in values.items() if np.isfinite(v).all() and (np.diff(v) < 0).any() and n != clock]
+    if not found and len(rest) == 3 and _turns(values, rest):
+        found = dict(zip(AXES[3:], rest, strict=True))
+    given = {clock: "t"} | {name: what for what, name in found.items()}
+    return ",".join(given.get(name, name) for name in names) if found and clock else ""
+
+
 def _axes(values: dict[str, Array]) -> dict[str, str]:
-    """Find three columns whose magnitude is gravity, and the rates in the three columns before or after them."""
-    names = [*values]
+    """Find three columns whose magnitude is gravity, and the rates in three other columns if there are any."""
+    place = _place(values).values()  # with an altitude, their magnitude is about constant
+    names = [name for name, column in values.items() if np.isfinite(column).any() and name not in place]
     for gravity in GRAVITY:
         for k in range(len(names) - 2):
             size = np.sqrt(sum(values[n] ** 2 for n in names[k : k + 3]))
@@ -85,11 +125,23 @@ def _axes(values: dict[str, Array]) -> dict[str, str]:
             fits = abs(middle / gravity - 1) <= TOLERANCE
             if not fits or not MIN_SPREAD < high / low - 1 < MAX_QUARTILE_RATIO - 1:
                 continue
-            near = [names[i : i + 3] for i in (k - 3, k + 3) if i >= 0]
-            rates = min((b for b in near if len(b) == 3), key=lambda b: _median_ratio(values, b), default=[])
-            found = zip(("ax", "ay", "az", "gx", "gy", "gz"), [*names[k : k + 3], *rates], strict=False)
-            return dict(found) if rates else {}
+            return dict(zip(AXES, [*names[k : k + 3], *_rates(values, names, k)], strict=False))
     return {}
+
+
+def _rates(values: dict[str, Array], names: Sequence[str], k: int) -> Sequence[str]:
+    """Return the columns of the rates, preferably next to those of the specific force, which begin at index ``k``."""
+    triples = {i: names[i : i + 3] for i in range(len(names) - 2) if abs(i - k) >= 3}
+    turning = {i: triple for i, triple in triples.items() if _turns(values, triple)}
+    order = {i: (abs(i - k) != 3, _median_ratio(values, triple)) for i, triple in turning.items()}
+    return turning[min(order, key=order.__getitem__)] if order else ()
+
+
+def _turns(values: dict[str, Array], names: Sequence[str]) -> bool:
+    """Return True if the magnitude of three columns varies, unlike that of a magnetic field or of a position."""
+    size = np.sqrt(sum(values[n] ** 2 for n in names))
+    low, high = np.nanquantile(size, (0.25, 0.75))
+    return float(np.nanquantile(size, 0.95)) > MIN_TURN_RATIO * max(low, 1e-12) and high > 0
 
 
 def _median_ratio(values: dict[str, Array], names: Sequence[str]) -> float:
