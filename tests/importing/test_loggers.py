@@ -436,6 +436,23 @@ def test_tables_that_were_pasted_side_by_side_have_a_time_each(tmp_path: Path, n
     require_same(imported(tmp_path / "both.csv").drive)
 
 
+@pytest.mark.parametrize("scales", [(16384, 131), (8192, 65.5), (4096, 32.8)])
+def test_counts_that_were_written_without_a_sign_are_refused_and_the_remedy_helps(
+    tmp_path: Path, scales: tuple[float, float]
+):
+    per = {n: scales[0] / 9.80665 if n[0] == "a" else np.degrees(scales[1]) for n in AXES}
+    words = {n: np.round(IMU[n] * per[n]).astype(int) % 65536 for n in AXES}
+    write(tmp_path / "log" / "imu.csv", {"t": TIME, **words})
+    write(tmp_path / "log" / "gps.csv", {"t": FIXED, "lat": LAT, "lon": LON})
+    with pytest.raises(InputError, match="raw counts") as caught:
+        imported(tmp_path / "log")
+    maps = dict(re.findall(r'"imu\.([ag][xyz])=([^"]+)"', str(caught.value)))
+    assert "where(ay > 32767, ay - 65536, ay)" in maps["ay"]
+    got = imported(tmp_path / "log", maps=[f"imu.{n}={text}" for n, text in maps.items()]).drive
+    for name in AXES:
+        np.testing.assert_allclose(getattr(got.imu, name), IMU[name], atol=0.6 / per[name], err_msg=name)
+
+
 @pytest.mark.parametrize("scale", [1.0, 1 / 9.80665])
 def test_zeros_of_a_failed_bus_are_no_samples(tmp_path: Path, scale: float):
     failed = np.random.default_rng(0).random(len(TIME)) < 0.03

@@ -237,6 +237,17 @@ DATES = (
 )
 
 
+@pytest.mark.parametrize(("begin", "form"), [(EPOCH, "%Y%m%d%H%M%S%f"), (EPOCH + 86_390, "%Y%m%d%H%M%S%f")])
+def test_whole_numbers_with_the_digits_of_a_date(tmp_path: Path, begin: int, form: str):
+    """Milliseconds since 1970 and the next day; 20231114221320123 is neither."""
+
+    def cells(t: float) -> str:
+        return datetime.datetime.fromtimestamp(begin + t + 1e-5, datetime.UTC).strftime(form)[:-3]
+
+    write(tmp_path, "timestamp", cells)
+    assert apart(tmp_path) < 1.1e-3 and imported(tmp_path).drive.metadata["time_origin_s"] == begin
+
+
 @pytest.mark.parametrize("form", some(DATES, 4))
 def test_dates(tmp_path: Path, form: str):
     write(

@@ -29,6 +29,8 @@ DIMENSIONS: dict[str, UnitDimension] = {
 REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta", "wheel_speed")
 # Largest fraction of rows that may contradict the form of the others; they are presumably damaged
 MAX_DAMAGED_SHARE = 0.02
+AXES = ("ax", "ay", "az", "gx", "gy", "gz")
+WORD = 2**16
 # Largest ratio of the third to the first quartile of the magnitude of accelerations with gravity
 MAX_QUARTILE_RATIO = 1.5
 MAX_ACCELERATION = 100.0  # m/s2, largest acceleration of a car on a smooth road
@@ -65,7 +67,7 @@ class Columns:
         """Return the numbers of a column, without placeholders."""
         column = self.names[what].column
         if column not in self._numbers:
-            values = column_numbers(self.frame[column])
+            values = column_numbers(self._signed(what))
             self._numbers[column] = values.filter(~values.is_in(PLACEHOLDERS))
         return self._numbers[column]
 
@@ -78,7 +80,7 @@ class Columns:
 
     def norms(self, axes: Sequence[str]) -> pl.Series:
         """Return the magnitudes of a vector, without placeholders and zeros; empty for fewer than three columns."""
-        series = [self.frame[self.names[a].column] for a in axes]
+        series = [self._signed(a) for a in axes]
         if len(axes) < 3 or any(s.dtype.is_nested() for s in series):
             return pl.Series([], dtype=pl.Float64)
         known = [s.cast(pl.Float64, strict=False) for s in series]
@@ -91,7 +93,26 @@ class Columns:
         return unit is not None and unit.dimension == DIMENSIONS[what]
 
     def text(self, what: str) -> str:
-        return quoted_column(self.names[what].column)
+        text = quoted_column(self.names[what].column)
+        return (
+            f"where({text} > {WORD // 2 - 1}, {text} - {WORD}, {text})" if self._is_unsigned(what) else text
+        )
+
+    def _is_unsigned(self, what: str) -> bool:
+        """Return True for signed words of 16 bits that were written without a sign: -1 is 65535."""
+        values = self.frame[self.names[what].column]
+        if what not in AXES or not values.dtype.is_integer() or not len(values.drop_nulls()):
+            return False
+        middle = values.is_between(0.35 * WORD, 0.65 * WORD).mean() or 0.0
+        low, high = (float(end or 0) for end in (values.min(), values.max()))  # pyright: ignore[reportArgumentType]
+        return low >= 0 and 0.9 * WORD < high < WORD and float(middle) < MAX_DAMAGED_SHARE  # pyright: ignore
+
+    def _signed(self, what: str) -> pl.Series:
+        values = self.frame[self.names[what].column]
+        if not self._is_unsigned(what):
+            return values
+        signed = values.cast(pl.Int64)
+        return signed - WORD * (signed >= WORD // 2).cast(pl.Int64)
 
 
 def quantity(columns: Columns, what: str, role: Role) -> TimeExpression:

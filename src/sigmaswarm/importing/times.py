@@ -375,6 +375,8 @@ def column_time(name: Name, frame: pl.DataFrame, role: Role) -> TimeExpression:
         return TimeExpression(
             f"{text}*1e-4", f"{name.column} is read as ticks of 0.1 ms, as in logs of Xsens"
         )
+    if values.dtype.is_integer() and (digits := _of_digits(values, text)) is not None:
+        return digits
     if name.unit is None:
         return _of_numbers(values, text, role)
     if name.unit.dimension == "time":
@@ -441,6 +443,16 @@ def _date_in(form: str) -> pl.Expr:
     """Return an expression that parses the column ``date`` with the format ``form``, s; null for other texts."""
     dates = pl.col("date")
     return parse_dates(dates if form else pl.when(dates.str.contains(r"^\d{4}-\d")).then(dates), form)
+
+
+def _of_digits(values: pl.Series, text: str) -> TimeExpression | None:
+    """Read whole numbers with the digits of a date and a time of day: 20261130092026, or with ms."""
+    known = values.drop_nulls().cast(pl.String).to_frame("date")
+    lengths = known["date"].str.len_chars().unique().to_list()
+    form = {14: "%Y%m%d%H%M%S", 17: "%Y%m%d%H%M%S%3f"}.get(lengths[0] if len(lengths) == 1 else 0)
+    if form is None or known.select(_date_in(form)).to_series().null_count():
+        return None
+    return TimeExpression(f"utc({text}, '{form}')", f"{text} is read as the digits of date and time of day")
 
 
 def _of_numbers(values: pl.Series, text: str, role: Role) -> TimeExpression:
