@@ -104,7 +104,7 @@ def test_of_a_folder_with_two_days_it_says_which_is_taken(tmp_path: Path):
             pl.DataFrame(columns).write_csv(tmp_path / f"{role}_{day}.csv")
     said = [note for note in imported(tmp_path).notes if "is used for the" in note]
     assert said == [
-        f"{role}_tuesday.csv has the same columns as {role}_monday.csv. Only {role}_monday.csv is used for the {name}; "
+        f"{role}_tuesday.csv also has the same columns, but only {role}_monday.csv is used for the {name}; "
         f"import each table as a separate drive, for example with --{name}-table {role}_tuesday.csv"
         for role, name in (("imu", "imu"), ("gnss", "gps"))
     ]
@@ -134,7 +134,7 @@ def test_of_several_position_sources_the_reference_is_proposed_as_truth(
     got = imported(tmp_path)
     assert len(got.drive.gps) == len(gps) and got.drive.truth is None
     (said,) = (note for note in got.notes if "also has positions" in note)
-    assert said.startswith(f"the fixes are those of {fixes}.csv; {reference}.csv also has positions")
+    assert said.startswith(f"{reference}.csv also has positions, but only {fixes}.csv is used for the gps")
     role, table = re.search(r"--(truth)-table (\S+) reads", said).groups()
     again = imported(tmp_path, choice=TableChoice({role: table}))
     assert len(again.drive.truth) == len(true) and not any("also has" in note for note in again.notes)

@@ -1,11 +1,9 @@
 """Import of a log: open the log, guess or read a recipe, gather the columns, assemble the drive."""
 
 import os
-import re
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, fields, replace
-from itertools import islice
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -81,11 +79,6 @@ class ImportResult:
 
 Guesses = Mapping[Path, Guess]
 SHOW_HINT = " (--show lists the columns, and proposes a mapping if their names or values suggest one)"
-# Usual orders of columns without names
-COLUMN_ORDERS: dict[Role, tuple[str, ...]] = {
-    "imu": ("t", "ax", "ay", "az", "gx", "gy", "gz"),
-    "gps": ("t", "lat", "lon"),
-}
 # Columns of the IMU, with the meaning of the required ones
 IMU = dict.fromkeys(("az", "gx", "gy"), "") | {
     "ax": "ax (the forward acceleration)",
@@ -413,7 +406,7 @@ def missing_sensor(
             continue
         path = request.home(role)
         there = list_names(logs[path].tables)
-        if example := _unnamed(logs[path], role) or (role == "imu" and describe_kinds(logs[path])):
+        if example := _headers(logs[path]) or (role == "imu" and describe_kinds(logs[path])):
             remedy = f"{example}; or {remedy}"
         texts = (*logs[path].remarks, *guesses[path].notes)
         reasons = "has no header", "can't be decoded", "is empty", "cells contain"
@@ -442,26 +435,17 @@ def missing_sensor(
     return ""
 
 
-def _unnamed(log: Log, role: Role) -> str:
-    """Propose headers for tables whose columns have numbers instead of names, or a mapping; "" if there is none."""
-    headers = {
-        name: header
-        for name, table in log.tables.items()
-        for _, rows, _ in islice(log.batches({name: table.columns}), 1)
-        if (header := header_by_values(rows))
-    }
-    if log.path.is_dir() and {"ax", "gz"} <= {*",".join(headers.values()).split(",")}:
-        lines = [f"(echo {text}; cat {quote(name)}) > named/{quote(name)}" for name, text in headers.items()]
-        return f"write headers as the values suggest: mkdir -p named; {'; '.join(lines)}, and import the folder named"
-    order = COLUMN_ORDERS[role]
-    for name, table in log.tables.items():
-        columns = [c for c in table.columns if re.fullmatch(r"(?:c|.*_)\d+", c)]
-        if len(columns) < len(table.columns) or not len(order) <= len(columns) < len(order) + 4:
-            continue
-        chosen = f"--{role}-table {quote(name)} " if len(log.tables) > 1 else ""
-        maps = " ".join(f'"{role}.{what}={column}"' for what, column in zip(order, columns, strict=False))
-        return f"if the columns of {name} begin with {', '.join(order)}, write {chosen}--map {maps}"
-    return ""
+def _headers(log: Log) -> str:
+    """Propose headers for the tables of a folder whose columns have numbers instead of names; "" if there are none."""
+    first = (
+        next(iter(log.batches({name: t.columns})), ("", pl.DataFrame(), 0.0))
+        for name, t in log.tables.items()
+    )
+    headers = {name: header for name, rows, _ in first if (header := header_by_values(rows))}
+    if not log.path.is_dir() or not {"ax", "gz"} <= {*",".join(headers.values()).split(",")}:
+        return ""
+    lines = [f"(echo {text}; cat {quote(name)}) > named/{quote(name)}" for name, text in headers.items()]
+    return f"write headers as the values suggest: mkdir -p named; {'; '.join(lines)}, and import the folder named"
 
 
 def complete_all(

@@ -53,9 +53,7 @@ _ESTIMATE = re.compile(
     r"filter|estimat|kalman|(?:^|[^a-z])[eu]?kf|fused|fusion|smooth|predict", re.IGNORECASE
 )
 # Names of tables whose positions are accurate, and presumably a reference for those of other tables
-_REFERENCE = re.compile(
-    r"mocap|vicon|opti_?track|leica|total_?station|rtk|ppk|ppp|survey|ins(?:[^a-z]|$)", re.IGNORECASE
-)
+_REFERENCE = re.compile(r"mocap|vicon|opti_?track|leica|total_?station|rtk|ppk|survey", re.IGNORECASE)
 # Names of columns that state whether a row has a fix: 0 means no fix, or -1 if 0 means a fix, as in ROS
 _FIXED = "(?:gps|gnss)?_?fix_?(?:type|quality|mode|valid|ok|status)?|(?:(?:gps|gnss)_?)?valid|(?:gps|gnss)_?quality"
 # Names of columns with the number of satellites; 0 means no fix
@@ -117,13 +115,10 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
         if not tables and role not in chosen:
             continue
         best = chosen.get(role) or _best_table(role, tables, found)
-        others = [t for t in tables if t not in (best, *chosen.values())]
-        if alike := [t for t in others if samples[t].columns == samples[best].columns]:
-            notes.append(
-                f"{list_names(alike)} {'has' if len(alike) == 1 else 'have'} the same columns as {best}. Only {best} "
-                f"is used for the {role}; import each table as a separate drive, for example with "
-                f"--{role}-table {alike[0]}"
-            )
+        used = {best, *chosen.values(), *(part.table for parts in roles.values() for part in parts)}
+        located = [t for t, c in found.items() if c.has("lat", "lon") or c.has("x", "y")]
+        others = [t for t in (located if role == "gps" else tables) if t not in used]
+        notes += _other_tables(role, best, others, samples, ask=role == "gps" and role not in chosen)
         rates = [t for t, c in found.items() if "gz" in c and not c.has("ax", "ay")][:1]
         for table in [best, *rates] if role == "imu" and "gz" not in found[best] else [best]:
             expressions: dict[str, str] = {}
@@ -138,7 +133,6 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
                 faults += [Fault(role, what, table, fault)] if fault else []
                 expressions |= {what: found_as.expression} if found_as.expression else {}
             roles[role] = (*roles.get(role, ()), Part(table, expressions))
-    notes += [] if "gps" in chosen else _other_positions(roles, found, samples)
     roles, shared_clock = on_common_clock(roles, samples)
     notes += shared_clock
     downward = _downward(found[roles["imu"][0].table]) if "imu" in roles else ""
@@ -159,26 +153,19 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
     )
 
 
-def _other_positions(
-    roles: Mapping[Role, Sequence[Part]], found: Mapping[str, Columns], samples: Mapping[str, pl.DataFrame]
+def _other_tables(
+    role: Role, best: str, others: Sequence[str], samples: Mapping[str, pl.DataFrame], *, ask: bool
 ) -> list[str]:
-    """Name the tables with positions that no role uses, and the options that read them."""
-    used = {part.table for parts in roles.values() for part in parts}
-    best = roles["gps"][0].table if "gps" in roles else ""
-    located = [t for t, c in found.items() if c.has("lat", "lon") or c.has("x", "y")]
-    others = (
-        [t for t in located if t not in used and samples[t].columns != samples[best].columns] if best else []
-    )
-    if not others:
+    """Name the tables with the columns of the chosen one; if ``ask``, also others, and the options that read them."""
+    alike = [table for table in others if samples[table].columns == samples[best].columns]
+    if not (others := alike or (others if ask else [])):
         return []
-    reference = next(filter(_REFERENCE.search, others), others[0])
-    verbs = ("has", "is") if len(others) == 1 else ("have", "are")
-    truth = f"--truth-table {quote(reference)} reads {reference} as the truth, "
-    truth = truth if "truth" not in roles and _REFERENCE.search(reference) else ""
-    return [
-        f"the fixes are those of {best}; {list_names(others)} also {verbs[0]} positions, but {verbs[1]} not read: "
-        f"{truth}--gps-table {quote(reference)} reads it as the fixes"
-    ]
+    other = quote(next(filter(_REFERENCE.search, others), others[0]))
+    have = f"{list_names(others)} also {'has' if len(others) == 1 else 'have'}"
+    have += f" {'the same columns' if alike else 'positions'}, but only {best} is used for the {role}"
+    how = f"--truth-table {other} reads a reference, " if _REFERENCE.search(other) and not alike else ""
+    how += "import each table as a separate drive, for example with " if alike else ""
+    return [f"{have}; {how}--{role}-table {other}{'' if alike else ' other fixes'}"]
 
 
 def _best_table(role: Role, tables: Sequence[str], found: Mapping[str, Columns]) -> str:

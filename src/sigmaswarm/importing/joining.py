@@ -133,9 +133,6 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
     if (copies := _copies(time, values)) is not None:
         say(f"{where}: {rows_left_out(int(copies.sum()))}, since other rows have the same content")
         filled &= ~copies
-    if role == "gps":  # leave out rows that repeat the time and position of the previous row
-        same = [np.diff(column) == 0 for column in (time, *(values[n] for n in POSITIONS if n in values))]
-        filled &= ~np.append(False, np.all(same, axis=0))
     if filled.any():
         time, values = time[filled], _rows(values, filled)
     if not note:  # rows without values, now left out, may have had other times
@@ -144,11 +141,8 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
         note = "; ".join(filter(None, (digits, note)))
     if note:
         say(f"{where}: {note}")
-    ends = (
-        [(int(time[r.start]), int(time[r.stop - 1])) for r in recordings(time, pauses=True)[:number]]
-        if number
-        else []
-    )
+    before = recordings(time, pauses=True)[: number or 0]
+    ends = [(int(time[r.start]), int(time[r.stop - 1])) for r in before]
     part.set_back = sum(end - begin for (_, end), (begin, _) in pairwise(ends))
     time, rows = sorted_times(time, role, where, number, say)
     require_likely(time, role, where, part.part.columns["t"])

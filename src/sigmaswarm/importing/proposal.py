@@ -20,6 +20,7 @@ from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.table_files import MAX_VALUE
 from sigmaswarm.errors import InputError, SigmaswarmError
 from sigmaswarm.importing.names import plain_words, read_name, unit_of
+from sigmaswarm.importing.quantities import AXES
 from sigmaswarm.importing.rates import unit_of_rates
 from sigmaswarm.importing.source import Part, Role
 from sigmaswarm.importing.times import quoted_column
@@ -63,7 +64,6 @@ EXCHANGE_TOLERANCE = 0.2
 # Warnings of contradictory signs, axes or units
 CONTRADICTIONS = {"gyro-unit", "gyro-tilt", "accelerometer-unit", "accelerometer-up", "gravity-size"}
 UNKNOWN_UNITS = {"gyro-unit", "accelerometer-unit"}
-IMU = ("ax", "ay", "az", "gx", "gy", "gz")
 CHECKED_TIME = 900.0  # s, the longest part of a drive that is checked
 
 
@@ -237,7 +237,7 @@ def _busiest_part(drive: Drive) -> Drive:
 
 def _with_shown_unit(proposal: Proposal, drive: Drive) -> Proposal:
     imu = proposal.columns.get("imu", {})
-    rates = {name: imu[name] for name in IMU[3:] if name in imu}
+    rates = {name: imu[name] for name in AXES[3:] if name in imu}
     shown = unit_of_rates(drive, {"imu": [Part("", rates)]}, rates).expressions
     return replace(proposal, columns={**proposal.columns, "imu": {**imu, **shown}}) if shown else proposal
 
@@ -262,8 +262,8 @@ def _corrected(proposal: Proposal, drive: Drive, diagnosis: Diagnosis) -> Propos
 
     The repairs are applied to an IMU whose columns are unit vectors, which shows their effect on each column.
     """
-    units = dict(zip(IMU, np.eye(len(IMU)), strict=True))
-    probe = replace(drive, imu=Imu(np.arange(len(IMU), dtype=np.float64), **units))
+    units = dict(zip(AXES, np.eye(len(AXES)), strict=True))
+    probe = replace(drive, imu=Imu(np.arange(len(AXES), dtype=np.float64), **units))
     repairs = [f.repair for f in diagnosis.findings if f.repair is not None and f.repair.action in CORRECTED]
     for repair in sorted(repairs, key=lambda r: CORRECTED.index(r.action)):
         values = np.array(repair.values)
@@ -274,11 +274,11 @@ def _corrected(proposal: Proposal, drive: Drive, diagnosis: Diagnosis) -> Propos
         probe = ACTIONS[repair.action](probe, *values.tolist())
     imu = proposal.columns.get("imu", {})
     corrected: dict[str, str] = {}
-    for name in IMU:
+    for name in AXES:
         row = np.asarray(getattr(probe.imu, name))
         k = int(np.argmax(np.abs(row)))
-        if np.count_nonzero(row) == 1 and {name, IMU[k]} <= imu.keys():
-            corrected[name] = _times(imu[IMU[k]], float(row[k]))
+        if np.count_nonzero(row) == 1 and {name, AXES[k]} <= imu.keys():
+            corrected[name] = _times(imu[AXES[k]], float(row[k]))
     return replace(proposal, columns={**proposal.columns, "imu": {**imu, **corrected}}) if imu else proposal
 
 

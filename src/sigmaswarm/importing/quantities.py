@@ -30,7 +30,6 @@ REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta",
 # Largest fraction of rows that may contradict the form of the others; they are presumably damaged
 MAX_DAMAGED_SHARE = 0.02
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
-WORD = 2**16
 # Largest ratio of the third to the first quartile of the magnitude of accelerations with gravity
 MAX_QUARTILE_RATIO = 1.5
 MAX_ACCELERATION = 100.0  # m/s2, largest acceleration of a car on a smooth road
@@ -94,25 +93,20 @@ class Columns:
 
     def text(self, what: str) -> str:
         text = quoted_column(self.names[what].column)
-        return (
-            f"where({text} > {WORD // 2 - 1}, {text} - {WORD}, {text})" if self._is_unsigned(what) else text
-        )
+        return f"where({text} > 32767, {text} - 65536, {text})" if self._is_unsigned(what) else text
 
     def _is_unsigned(self, what: str) -> bool:
         """Return True for signed words of 16 bits that were written without a sign: -1 is 65535."""
         values = self.frame[self.names[what].column]
-        if what not in AXES or not values.dtype.is_integer() or not len(values.drop_nulls()):
+        if what not in AXES or not values.dtype.is_integer():
             return False
-        middle = values.is_between(0.35 * WORD, 0.65 * WORD).mean() or 0.0
-        low, high = (float(end or 0) for end in (values.min(), values.max()))  # pyright: ignore[reportArgumentType]
-        return low >= 0 and 0.9 * WORD < high < WORD and float(middle) < MAX_DAMAGED_SHARE  # pyright: ignore
+        low, high = (values.quantile(q) or 0.0 for q in (0.0, 1.0))
+        middle = float(values.is_between(23_000, 42_000).mean() or 0)  # pyright: ignore[reportArgumentType]
+        return low >= 0 and 59_000 < high < 65_536 and middle < MAX_DAMAGED_SHARE
 
     def _signed(self, what: str) -> pl.Series:
         values = self.frame[self.names[what].column]
-        if not self._is_unsigned(what):
-            return values
-        signed = values.cast(pl.Int64)
-        return signed - WORD * (signed >= WORD // 2).cast(pl.Int64)
+        return (values.cast(pl.Int64) + 32_768) % 65_536 - 32_768 if self._is_unsigned(what) else values
 
 
 def quantity(columns: Columns, what: str, role: Role) -> TimeExpression:

@@ -158,9 +158,8 @@ def _stray(time: Nanoseconds) -> NDArray[np.bool_]:
 
 def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> tuple[slice, str]:
     """Return the rows of the chosen recording, and a sentence or ""; refuse several recordings if none is chosen."""
-    parts = recordings(
-        time, pauses=role == "imu" or part is not None
-    )  # a receiver may be without fixes for hours
+    # a receiver may be without fixes for hours
+    parts = recordings(time, pauses=role == "imu" or part is not None)
     if len(parts) == 1:
         return parts[0], f"{where}: the clock does not restart; all rows are used" if part else ""
     if part is None and len(parts) > MAX_SECONDS and (rate := _rate_by_rows(time, parts)):
@@ -184,9 +183,8 @@ def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> 
 def spread_stamps(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]:
     """Spread rows that share a stamp or arrive in bursts evenly; refuse shared stamps of rows without a constant rate.
 
-    At a constant rate, the stamps less a straight line over the rows are in a band. Coarse stamps are rounded down, so
-    the times are at the upper edge of the band. Other stamps are those of the arrival of the rows. They are late, so
-    the times are at the lower edge.
+    At a constant rate, the stamps less a straight line over the rows are in a band. The times are at its upper edge
+    for coarse stamps, which are rounded down, and at its lower edge for stamps of the arrival, which are late.
     """
     steps = np.diff(time)
     step = max(int(np.sum(steps)) / max(len(steps), 1), 1.0)
@@ -223,25 +221,17 @@ def spread_stamps(time: Nanoseconds, role: Role, where: str) -> tuple[Nanosecond
 def _bands(time: Nanoseconds, known: NDArray[np.intp], length: float) -> tuple[Array, Array, Array, float]:
     """Return stamps less a straight line over the rows, the band's lower and upper edge (n,), and the line's slope, ns.
 
-    ``known``: rows through which the line is fitted; ``length``: usual step between different stamps, ns. The line has
-    the same slope before and after a pause.
+    ``known``: rows through which the line is fitted; ``length``: usual step between different stamps, ns.
     """
-    edges = np.flatnonzero(np.diff(time) > MAX_PAUSE * length) + 1
-    ends = [0, *edges.tolist(), len(time)]
-    parts = [slice(*part) for part in pairwise(ends)]
-    known = np.setdiff1d(known, [*ends, *(edges - 1)])  # a part may begin and end within a stamp's rows
-    inside = [known[(known >= p.start) & (known < p.stop)] for p in parts]
-    rows, since = (
-        np.concatenate([v[k] - v[k].mean() for k in inside if len(k)] or [[0.0]])
-        for v in (np.arange(len(time)), time)
-    )
-    step = float(rows @ since) / float(rows @ rows) if rows.any() else length
-    late = np.concatenate([time[p] - time[p.start] - step * np.arange(p.stop - p.start) for p in parts])
-    window = max(round(WINDOW * length / max(step, 1.0)), 3)
-    low, high = (
-        np.concatenate([edge(late[p], window, mode="nearest") for p in parts])
-        for edge in (minimum_filter1d, maximum_filter1d)
-    )
+    steps = np.diff(time)
+    pauses = np.where(steps > MAX_PAUSE * length, steps - round(length), 0)
+    edges, since = np.flatnonzero(pauses) + 1, time - time[0] - np.append(0, np.cumsum(pauses))
+    known = np.setdiff1d(known, [0, *edges, *(edges - 1)])  # a part may begin and end within a stamp's rows
+    step = float(np.polyfit(known, since[known], 1)[0]) if len(known) > 1 else length
+    late = since - step * np.arange(len(time))
+    window, parts = max(round(WINDOW * length / max(step, 1.0)), 3), np.split(late, edges)
+    filters = (minimum_filter1d, maximum_filter1d)
+    low, high = (np.concatenate([edge(part, window, mode="nearest") for part in parts]) for edge in filters)
     return late, low, high, step
 
 

@@ -54,6 +54,7 @@ DATE_FORMATS = (
     *(f"{day} %I:%M:%S%.f %p" for day in ("%m/%d/%Y", "%d/%m/%Y", "%Y-%m-%d")),
     "%Y-%m-%d %H:%M:%S:%3f",
     *("%Y-%m-%d_%H-%M-%S%.f", "%Y-%m-%d %H-%M-%S%.f", "%Y%m%d %H%M%S%.f", "%Y%m%d %H:%M:%S%.f"),
+    *("%Y%m%d%H%M%S", "%Y%m%d%H%M%S%3f"),
     *("%H:%M:%S%.f", "%H:%M:%S:%3f", "%I:%M:%S%.f %p", "%M:%S%.f"),
 )
 # Smallest fraction of dates that must fit a format; the others are presumably damaged
@@ -375,8 +376,10 @@ def column_time(name: Name, frame: pl.DataFrame, role: Role) -> TimeExpression:
         return TimeExpression(
             f"{text}*1e-4", f"{name.column} is read as ticks of 0.1 ms, as in logs of Xsens"
         )
-    if values.dtype.is_integer() and (digits := _of_digits(values, text)) is not None:
-        return digits
+    if values.dtype.is_integer() and median_of(values) > 19e12:  # perhaps the digits of a date
+        digits = date_time([name.column], frame.select(pl.col(name.column).cast(pl.String)))
+        if not digits.fault:
+            return digits
     if name.unit is None:
         return _of_numbers(values, text, role)
     if name.unit.dimension == "time":
@@ -445,16 +448,6 @@ def _date_in(form: str) -> pl.Expr:
     return parse_dates(dates if form else pl.when(dates.str.contains(r"^\d{4}-\d")).then(dates), form)
 
 
-def _of_digits(values: pl.Series, text: str) -> TimeExpression | None:
-    """Read whole numbers with the digits of a date and a time of day: 20261130092026, or with ms."""
-    known = values.drop_nulls().cast(pl.String).to_frame("date")
-    lengths = known["date"].str.len_chars().unique().to_list()
-    form = {14: "%Y%m%d%H%M%S", 17: "%Y%m%d%H%M%S%3f"}.get(lengths[0] if len(lengths) == 1 else 0)
-    if form is None or known.select(_date_in(form)).to_series().null_count():
-        return None
-    return TimeExpression(f"utc({text}, '{form}')", f"{text} is read as the digits of date and time of day")
-
-
 def _of_numbers(values: pl.Series, text: str, role: Role) -> TimeExpression:
     """Read numbers without a unit: by their size if they count from a known epoch, otherwise by plausible steps."""
     numbers = column_numbers(values)
@@ -504,9 +497,8 @@ def _too_short(numbers: pl.Series, text: str, column: str, step: float, role: Ro
 
 def of_one_table(message: str, role: Role) -> str:
     """Replace --time in the remedy of a log with several tables, since it applies to all of them."""
-    return message.replace('--time "', f'--map "{role}.t=').replace(
-        "--time:", f'--map "{role}.t=EXPRESSION":'
-    )
+    option = f'--map "{role}.t='
+    return message.replace('--time "', option).replace("--time:", f'{option}EXPRESSION":')
 
 
 def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:

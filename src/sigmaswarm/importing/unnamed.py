@@ -9,7 +9,7 @@ import polars as pl
 
 from sigmaswarm.arrays import Array
 from sigmaswarm.importing.names import read_name, read_names
-from sigmaswarm.importing.quantities import MAX_QUARTILE_RATIO, PER_G
+from sigmaswarm.importing.quantities import AXES, MAX_QUARTILE_RATIO, PER_G
 from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.times import column_time, date_time, median_of, quoted_column, time_of
 from sigmaswarm.importing.units import G, in_si
@@ -21,7 +21,6 @@ GRAVITY = (G, *PER_G, 1.0)
 TOLERANCE = 0.05  # relative deviation of the median specific force from gravity
 MIN_SPREAD = 1e-3  # smallest relative spread of the specific force; a quaternion's magnitude is constant
 DATE_AND_CLOCK = r"^\d+[-/.]\d+[-/.]\d+$", r"^\d+:\d+:\d+"  # in two columns
-AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 MIN_TURN_RATIO = 2.0  # smallest ratio of the 95% to the 25% quantile of angular rates
 MAX_DEGREES = 2.0  # largest range of latitude and longitude in a log
 
@@ -79,37 +78,37 @@ def _times(frame: pl.DataFrame, role: Role) -> Iterator[str]:
 
 def _summed(values: dict[str, Array]) -> str:
     """Find whole seconds, perhaps after a GPS week, and their fractions in the next column; return the time, or ""."""
-    columns = [*values.items()]
-    for k, ((name, whole), (rest, part)) in enumerate(pairwise(columns)):
-        both = whole + part
-        fits = len(both) > 2 and np.all(whole == np.round(whole)) and np.all((part >= 0) & (part < 1))
-        if not fits or not np.ptp(whole) or not np.all(np.diff(both) > 0):
-            continue
-        week = columns[k - 1] if k else ("", np.zeros(1))
-        weeks = 1000 < float(week[1][0]) < 5000 and not np.ptp(week[1]) and float(whole.max()) <= 604_800
-        if not weeks and not np.ptp(part):
+    names = [*values]
+    for week, name, rest in zip(["", *names], names, names[1:], strict=False):
+        whole, part = values[name], values[rest]
+        fits = len(whole) > 2 and np.all(whole == np.round(whole)) and np.all((part >= 0) & (part < 1))
+        if not fits or not np.ptp(whole) or not np.all(np.diff(whole + part) > 0):
             continue
         seconds = f"{quoted_column(name)} + {quoted_column(rest)}"
-        return f"gps_time({quoted_column(week[0])}, {seconds})" if weeks else seconds
+        if week and not np.ptp(values[week]) and 1000 < values[week][0] < 5000 and whole.max() <= 604_800:
+            return f"gps_time({quoted_column(week)}, {seconds})"
+        if np.ptp(part):
+            return seconds
     return ""
 
 
 def header_by_values(frame: pl.DataFrame) -> str:
     """Return a header for a table without names: t, and the axes of one sensor or a position; "" if it has neither."""
-    names = [name for name in frame.columns if UNNAMED.fullmatch(name)]
-    if len(frame) < 2 or len(names) < len(frame.columns):
+    values = {
+        n: frame[n].cast(pl.Float64, strict=False).to_numpy() for n in frame.columns if UNNAMED.fullmatch(n)
+    }
+    if len(frame) < 2 or len(values) < len(frame.columns):
         return ""
-    values = {name: frame[name].cast(pl.Float64, strict=False).to_numpy() for name in names}
     axes = _axes(values)
     found = axes if "gx" in axes else _place(values) or axes
     time = next(_times(frame, "gps" if "lat" in found else "imu"), "")
-    clock = next((n for n in names if re.search(rf"\b{n}\b", time)), "")
+    clock = next((n for n in values if re.search(rf"\b{n}\b", time)), "")
     # other columns than clocks and constants
     rest = [n for n, v in values.items() if np.isfinite(v).all() and (np.diff(v) < 0).any() and n != clock]
     if not found and len(rest) == 3 and _turns(values, rest):
         found = dict(zip(AXES[3:], rest, strict=True))
     given = {clock: "t"} | {name: what for what, name in found.items()}
-    return ",".join(given.get(name, name) for name in names) if found and clock else ""
+    return ",".join(given.get(name, name) for name in values) if found and clock else ""
 
 
 def _axes(values: dict[str, Array]) -> dict[str, str]:

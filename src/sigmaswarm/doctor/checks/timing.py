@@ -89,10 +89,9 @@ def _is_leap(delay: float, std: float) -> bool:
 
 def check_truth(evidence: Evidence) -> Iterator[Finding]:
     """Compare the clock of the truth with that of the fixes, or of the corrected fixes."""
-    truth, delay = evidence.drive.truth, evidence.truth_delay
-    if truth is None or delay is None or evidence.truth_has_clock_of_fixes:
-        return
-    if abs(delay := round(delay + evidence.moved, 2)) < MIN_DELAY:
+    truth, known = evidence.drive.truth, evidence.truth_delay
+    delay = round((known or 0.0) + evidence.moved, 2)
+    if truth is None or known is None or evidence.truth_has_clock_of_fixes or abs(delay) < MIN_DELAY:
         return
     size, way = f"{abs(delay):.2f} s", "late" if delay > 0 else "early"
     what = f"the truth's clock is {size} {way}: with this offset, its velocity equals that of the fixes"

@@ -67,23 +67,18 @@ def _codes(rows: Sequence[Sequence[str]], place: int) -> set[str]:
 
 def _are_cut(rows: Sequence[Sequence[str]], place: int) -> bool:
     """Return True if rows whose flag means no fix are the first cells of the others: numbers in the range of theirs."""
-    least = min((row for row in rows if len(row) > max(KIND_CELLS, place)), key=len, default=[""])
-    flag = least[place].strip() if place < len(least) else ""
-    short, long = (
-        [row for row in rows if len(row) > KIND_CELLS and (row[place].strip() == flag) == cut]
-        for cut in (True, False)
-    )
-    if flag.lower() not in NO_FIX:
-        return False
-    width = max(map(len, short), default=0)
-    if not short or width >= min(map(len, long), default=0):
+    whole = [row for row in rows if len(row) > KIND_CELLS]
+    flag = min(whole, key=len)[place].strip() if whole else ""
+    kinds = [[row for row in whole if (row[place].strip() == flag) == cut] for cut in (True, False)]
+    width = min(map(len, whole), default=0)
+    if flag.lower() not in NO_FIX or not kinds[1] or width == min(map(len, kinds[1])):
         return False
     cells = [k for k in range(width) if k != place]
     try:
         of_short, of_long = (
-            np.array([[row[k] for k in cells] for row in kind], np.float64) for kind in (short, long)
+            np.array([[row[k] for k in cells] for row in kind], np.float64) for kind in kinds
         )
-    except (ValueError, IndexError):  # a text, or rows of several lengths
+    except ValueError:  # a text
         return False
     middle, low, high = np.median(of_short, axis=0), np.min(of_long, axis=0), np.max(of_long, axis=0)
     return bool(np.all((low <= middle) & (middle <= high)))
