@@ -132,8 +132,8 @@ def time_of_rows(
     were pasted side by side have different numbers of rows, so each has its own time.
     """
     known = frame.with_columns(pl.selectors.float().fill_nan(None))
-    if role in keys and (beside := _pasted(known, keys.values())):
-        return find_time(frame.select(beside[known[keys[role]].count()]), role)
+    if role in keys and (pasted := _pasted(known, keys.values())):
+        return find_time(frame.select(pasted[known[keys[role]].count()]), role)
     rows = {of: some for of, key in keys.items() if len(some := known.drop_nulls(key))}
     filled = {
         of: [c for c in some.columns if 2 * some[c].null_count() <= len(some)] for of, some in rows.items()
@@ -149,7 +149,7 @@ def time_of_rows(
 
 
 def _pasted(frame: pl.DataFrame, keys: Collection[str]) -> dict[int, list[str]]:
-    """Return the columns of each table that was pasted beside the others, by number of rows; {} for other tables.
+    """Return the columns of each table that was pasted next to others, by number of rows; {} for other tables.
 
     The rows of such a table are the first ones, and each table has a time. ``keys``: a column of each role.
     """
