@@ -14,8 +14,8 @@ from sigmaswarm.importing.source import Part
 from sigmaswarm.importing.units import factor_of, scaled
 
 UNITS = ("mm/s", "cm/s", "km/h", "ft/s", "mph", "knots")
-# Ratio of the recorded speed to that of the positions above which the speed is wrong; largest ratio of this ratio's 90%
-# quantile to its 10% quantile, since a wrong unit changes the speed by a constant factor
+# Ratio of the recorded speed to that of the positions above which, or below whose inverse, the speed is wrong; largest
+# ratio of its 90% quantile to its 10% quantile, since a wrong unit changes the speed by a constant factor
 MAX_SPEED_RATIO, MAX_RATIO_SPREAD = 1.5, 2.0
 # m/s, lowest speed at which positions are compared with a recorded speed: robots are slow
 MIN_COMPARED_SPEED = 0.2
@@ -49,8 +49,11 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
     if speed is not None and len(begin) < MIN_STRETCHES:
         usual = float(np.median(np.abs(speed))) if len(speed) else 0.0
         wrong = f"a median of {usual:.4g} m/s is not the speed of a vehicle" if usual > MAX_SPEED else ""
-    elif speed is not None and (ratio := _ratio(time, values, speed, begin, end)) > MAX_SPEED_RATIO:
-        wrong = f"the speed is {ratio:.3g} times the speed from the positions (median){_remedy(ratio, texts, role)}"
+    elif (
+        speed is not None
+        and not 1 / MAX_SPEED_RATIO < (ratio := _ratio(time, values, speed, begin, end)) < MAX_SPEED_RATIO
+    ):
+        wrong = f"the speed is {ratio:.3g} times that of the positions (median){_remedy(ratio, texts, role)}"
     elif course is not None and len(begin) >= MIN_STRETCHES:
         dx, dy = (values[n][end] - values[n][begin] for n in ("x", "y"))
         apart = np.abs(wrap_angle(course[(begin + end) // 2] - np.arctan2(dy, dx)))
