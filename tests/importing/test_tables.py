@@ -185,32 +185,19 @@ def test_of_several_columns_of_text_the_first_is_named(tmp_path: Path):
         imported(tmp_path)
 
 
-def test_columns_without_a_header_can_be_mapped(tmp_path: Path):
+@pytest.mark.parametrize("titled", [True, False])
+def test_columns_without_a_header_can_be_mapped(tmp_path: Path, titled: bool):
     (tmp_path / "imu.csv").write_text(table(joined(ROWS)))
     write_fixes(tmp_path)
-    with pytest.raises(
-        InputError, match=r"imu\.csv begin with t, ax, ay, az, gx, gy, gz, write --map "
-    ) as caught:
-        imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv")
-    got = imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", maps=maps_in(str(caught.value)))
-    assert_close(got.drive.imu, IMU, "time ax ay az gx gy gz", 1e-12)
-    (tmp_path / "gps.csv").write_text((tmp_path / "gps.csv").read_text().partition("\n")[2])
-    with pytest.raises(InputError, match=r"write --imu-table imu\.csv --map ") as caught:
+    if not titled:
+        (tmp_path / "gps.csv").write_text((tmp_path / "gps.csv").read_text().partition("\n")[2])
+    with pytest.raises(InputError, match=r"has no header; .* map them with --map; .*--show .*proposes"):
         imported(tmp_path)
-    options: dict[str, Any] = {"choice": TableChoice({"imu": "imu.csv"}), "maps": maps_in(str(caught.value))}
-    with pytest.raises(
-        InputError, match=r"gps\.csv begin with t, lat, lon, write --gps-table gps\.csv --map "
-    ) as caught:
-        imported(tmp_path, **options)
-    options["maps"] += maps_in(str(caught.value))
-    assert_close(
-        imported(
-            tmp_path, **options | {"choice": TableChoice({"imu": "imu.csv", "gps": "gps.csv"})}
-        ).drive.gps,
-        GPS,
-        "lat",
-        1e-9,
-    )
+    settings = inspect_request(Request(tmp_path)).settings
+    maps = [f"{column}={text}" for column, text in settings["maps"].items()]
+    drive = imported(tmp_path, choice=TableChoice(dict(settings["tables"])), maps=maps).drive
+    assert_close(drive.imu, IMU, "time ax ay az gx gy gz", 1e-12)
+    assert_close(drive.gps, GPS, "lat", 1e-9)
 
 
 def test_a_name_of_any_length_is_read_in_a_moment(tmp_path: Path):
