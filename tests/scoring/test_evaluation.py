@@ -298,7 +298,7 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
     }
     headline = Evaluation({"town": DriveResult(others | {"tuned": good} | close)}).view.result()
     assert headline.endswith(
-        " It is NOT better than the filter of the fixes alone in the 5 s outage drift (2 instead of 2"
+        " It is NOT better than the filter that uses only the fixes in the 5 s outage drift (2 instead of 2"
         " m), heading error (0.4 instead of 0.4 deg). It is NOT better than the baseline in the 30 s outage drift"
         " (7 instead of 6.9 m), heading error (0.4 instead of 0.3 deg)."
     )

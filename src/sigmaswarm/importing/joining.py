@@ -179,7 +179,7 @@ def without_column(role: Role, name: str) -> str:
 def _complete_rows(
     time: Nanoseconds, values: Values, role: Role, required: Sequence[str], say: Say
 ) -> tuple[Nanoseconds, Values]:
-    """Leave out mostly empty columns, then rows with an empty cell."""
+    """Leave out optional columns with more than 10% empty cells, then rows with an empty cell."""
     for name in required:
         if name not in values or not np.isfinite(values[name]).any():
             raise InputError(without_column(role, name))

@@ -93,9 +93,9 @@ def check_truth(evidence: Evidence) -> Iterator[Finding]:
     delay = round((known or 0.0) + evidence.moved, 2)
     if truth is None or known is None or evidence.truth_has_clock_of_fixes or abs(delay) < MIN_DELAY:
         return
-    size, way = f"{abs(delay):.2f} s", "late" if delay > 0 else "early"
-    what = f"the truth's clock is {size} {way}: with this offset, its velocity equals that of the fixes"
-    leap = "; GPS time is 18 s ahead of UTC" if _is_leap(delay, 0.0) else ""
+    size, way = f"{abs(delay):.2f} s", "large" if delay > 0 else "small"
+    what = f"the truth's times are {size} too {way}: corrected, the velocities of truth and fixes agree"
+    leap = " (GPS time is 18 s ahead of UTC)" if _is_leap(delay, 0.0) else ""
     remedy = f"{'subtract' if delay > 0 else 'add'} {size} {'from' if delay > 0 else 'to'} the truth's times{leap}, "
     remedy += f"or import the log with --truth-offset {-delay:.2f}"
     span, repair = (float(truth.time[0]), float(truth.time[-1])), Repair("shift-truth", (-delay,))
