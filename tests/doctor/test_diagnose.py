@@ -324,7 +324,7 @@ def test_a_gyro_that_does_not_follow_the_course_is_no_straight_road():
     rng = np.random.default_rng(0)
     still = {n: 0.01 * rng.standard_normal(len(drive.imu)) for n in ("gx", "gy", "gz")}
     found = {f.code: f for f in sigmaswarm.diagnose(replace(drive, imu=replace(drive.imu, **still))).findings}
-    assert "no column of the gyro follows this" in found["unseen-yaw"].what
+    assert "no column of the gyro follows it" in found["unseen-yaw"].what
     assert "Slower turns" not in found["unseen-yaw"].what
 
 

@@ -299,8 +299,8 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
     headline = Evaluation({"town": DriveResult(others | {"tuned": good} | close)}).view.result()
     assert headline.endswith(
         " It is NOT better than the filter that uses only the fixes in the 5 s outage drift (2 instead of 2"
-        " m), heading error (0.4 instead of 0.4 deg). It is NOT better than the baseline in the 30 s outage drift"
-        " (7 instead of 6.9 m), heading error (0.4 instead of 0.3 deg)."
+        " m). It is NOT better than the baseline in the 30 s outage drift (7 instead of 6.9 m), heading error (0.4"
+        " instead of 0.3 deg)."
     )
     other = {"against": replace(good, outage_drift=3.0, long_outage_drift=1.5)}
     whole = Evaluation(

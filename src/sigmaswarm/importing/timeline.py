@@ -226,9 +226,7 @@ def _bands(time: Nanoseconds, known: NDArray[np.intp], length: float) -> tuple[A
     steps = np.diff(time)
     pauses = np.where(steps > MAX_PAUSE * length, steps - round(length), 0)
     edges, since = np.flatnonzero(pauses) + 1, time - time[0] - np.append(0, np.cumsum(pauses))
-    known = np.setdiff1d(
-        known, np.concatenate([[0], edges, edges - 1])
-    )  # a part may begin and end within a stamp's rows
+    known = np.setdiff1d(known, np.concatenate([[0], edges, edges - 1]))  # without cut groups of rows
     step = float(np.polyfit(known, since[known], 1)[0]) if len(known) > 1 else length
     late = since - step * np.arange(len(time))
     window, parts = max(round(WINDOW * length / max(step, 1.0)), 3), np.split(late, edges)

@@ -183,7 +183,7 @@ class EvaluationView:
             name = in_sentence(method, self.names[method])
             lost = [
                 f"{self.measures[m].title} ({tuned:.3g} instead of {other:.3g} {self.measures[m].unit})"
-                for m in (*DRIFTS, "heading_rmse_deg")
+                for m in (*DRIFTS, *["heading_rmse_deg"] * (method != FIXES))
                 if m in self.measures
                 and (tuned := mean_of("tuned", m)) is not None
                 and (other := mean_of(method, m)) is not None

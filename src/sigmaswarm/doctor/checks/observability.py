@@ -67,7 +67,7 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
             f"check the gyro's unit and the clocks; clock offsets above {MAX_OFFSET:.0f} s are not searched for",
         )
     if fit.course_change > MIN_DETERMINED_TURN:
-        what = f"the course changes by {change:.0f} deg (RMS) within 20 s"
+        what = f"the RMS change of the course within 20 s is {change:.0f} deg"
         return f"{what}. At this speed, errors of the fixes may cause this change", REMEDY
     if np.ptp(course.angle[moving]) > CIRCLE:
         steady = (
