@@ -499,6 +499,7 @@ def test_errors_that_last_are_told_from_what_is_stated_against_the_scatter():
     assert not found_of(states(drive, np.full(n, 2.0)), "gps-correlated")
     said = found_of(states(drive, np.full(n, 3.0)), "gps-correlated")
     assert "3 m is stated. Averaging hardly reduces correlated errors" in said
+    assert "or their stated standard deviation is too large" in said
     assert found_of(
         states(drive, np.full(n, 9.0)), "gps-noise"
     )  # white noise so far below it: it is stated wrong
@@ -606,9 +607,9 @@ def test_a_stretch_of_multipath_is_named_unless_the_receiver_states_it(every: in
 @needs_shared
 def test_a_city_s_receiver():
     kingston = recorded("kingston-1")
-    asked = "--model planar8 --use lateral standstill accuracy robust:"
+    asked = "--model planar8 --use lateral standstill accuracy robust, since"
     assert found_of(kingston, "use").startswith(f"tune uses {asked}")
-    assert "the receiver states 2.6 m" in found_of(kingston, "gps-correlated")
+    assert "2.6 m is stated" in found_of(kingston, "gps-correlated")
     assert found_of(kingston, "gps-repeats").startswith("18 fixes")
 
 

@@ -323,6 +323,17 @@ def test_accelerations_without_gravity_show_no_moved_imu():
     assert find_movement(replace(drive, imu=replace(drive.imu, az=drive.imu.az - 9.81))) is None
 
 
+def test_az_in_another_unit_shows_no_moved_imu():
+    """With az in g, a constant change of ax of 0.5 m/s2 looks like a rotation by 26 deg."""
+    drive = drive_of("icm-20602", "flat")
+    imu = drive.imu
+    assert imu.az is not None
+    gentle = replace(imu, ax=imu.ax / 5 + 0.5 * (imu.time > 80), ay=imu.ay / 5)
+    assert find_movement(replace(drive, imu=gentle)) is None
+    for sign in (1, -1):
+        assert find_movement(replace(drive, imu=replace(gentle, az=sign * imu.az / 9.80665))) is None
+
+
 def blind(drive: Drive) -> Drive:
     """The IMU of a drive with the fixes of a parked receiver: no course shows an axis."""
     noise = np.random.default_rng(1).standard_normal((2, len(drive.gps)))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.fixes import Course
-from sigmaswarm.doctor.windows import Complex, Regression, integral, regress, smoothed, windows_of
+from sigmaswarm.doctor.windows import Complex, Regression, integral, regress, smoothed, windows_of, with_prior
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.sensors import white_noise
 
@@ -156,9 +156,7 @@ class _Fit:
         solution, covariance = found.solution, found.covariance * (1 + SMALL_SAMPLE / len(self._rows))
         if self._known is None:
             return solution, covariance
-        gain = covariance[:, 4] / (covariance[4, 4] + self._known[1] ** 2)
-        solution = solution + gain * (self._known[0] - delay - solution[4])
-        return solution, covariance - np.outer(gain, covariance[4])
+        return with_prior(solution, covariance, 4, self._known[0] - delay, self._known[1])
 
     def learn(self, found: Regression, delay: float) -> None:
         """Store M, the mean bias, and the bias of each window from a regression."""

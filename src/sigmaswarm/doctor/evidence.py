@@ -17,11 +17,13 @@ from sigmaswarm.doctor.fixes import (
     with_exchanged_axes,
     with_reversed_east,
 )
+from sigmaswarm.doctor.leveled_fit import leveled_delay
 from sigmaswarm.doctor.mounting import Mounting, mounting_of, rotate_imu
 from sigmaswarm.doctor.truth_clock import MIN_DELAY, truth_delay
 from sigmaswarm.doctor.verdicts import (
     MAX_RECORDED_ANGLE,
     MIN_GAIN_TURN,
+    MIN_VARIED,
     ClockOffset,
     PlanarMounting,
     Yaw,
@@ -203,7 +205,7 @@ def _gather(drive: Drive) -> Evidence:
         imu = rotate_imu(imu, mounting.repair)
         drive = replace(drive, imu=imu)
     yaw_fit = course and fit_yaw(drive, course)
-    yaw, acceleration, mount = yaw_of(yaw_fit, imu), None, None
+    yaw, acceleration, mount, clock = yaw_of(yaw_fit, imu), None, None, ClockOffset()
     if course and course.moving.any():
         delay = yaw_fit if yaw_fit and yaw.known and yaw_fit.share > 0.5 else None
         rate, tried = yaw.factor * getattr(imu, yaw.column), (delay.delay if delay else 0.0) + DELAYS
@@ -216,7 +218,10 @@ def _gather(drive: Drive) -> Evidence:
             # Other axes are reported only if they agree with the delay that the gyro shows.
             known = fit_acceleration(drive, course, rate, np.array([delay.delay]), delay.delay_prior)
             mount = known and planar_mounting(known)
-    clock = clock_of(yaw_fit, yaw, acceleration, mount)
+        clock = clock_of(yaw_fit, yaw, acceleration, mount)
+        if acceleration and acceleration.varied > MIN_VARIED and as_recorded and yaw == AS_RECORDED:
+            leveled = leveled_delay(drive, course, clock.delay)
+            clock = clock.refined(*leveled) if leveled else clock
     noise, scatter = white_noise(course.position) if course else 0.0, 0.0
     if acceleration:
         n = acceleration.rows.shape[1]  # the three unknowns of each window reduce the residuals

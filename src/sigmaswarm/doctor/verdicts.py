@@ -44,6 +44,7 @@ MIN_OFFSET = 0.1  # s, smallest reported offset; the receiver's noise hides smal
 MIN_VARIED = 0.1
 # Ratios of an offset to its standard deviation: note, warning with repair, serious
 OFFSET_SIGMAS = (2.5, 3.3, 4.5)
+MAX_CONTRADICTION = 3.0  # standard deviations by which two estimates of the offset may differ
 MAX_RECORDED_ANGLE = math.radians(5)  # rad, largest rotation about z without a penalty
 ANGLES = np.radians(np.arange(-40.0, 40.5, 0.5))
 
@@ -188,6 +189,11 @@ class ClockOffset:
         half = max(MIN_OFFSET, 2 * self.std)
         low, high = self.delay - half, self.delay + half
         return (low, high) if max(-low, high) < self.max_offset else None
+
+    def refined(self, delay: float, std: float) -> "ClockOffset":
+        """Return another estimate from the same data if it is more accurate and does not contradict this one."""
+        agrees = abs(delay - self.delay) < MAX_CONTRADICTION * math.hypot(std, self.std)
+        return ClockOffset(delay, std, self.max_offset) if std < self.std and agrees else self
 
 
 def clock_of(

@@ -131,6 +131,12 @@ def pinv(gram: Array) -> Array:
     return (vectors * np.sign(values)) @ (inverse[:, None] * vectors.T)
 
 
+def with_prior(solution: Array, covariance: Array, k: int, mean: float, std: float) -> tuple[Array, Array]:
+    """Return the solution and its covariance after a Kalman update with a prior of unknown ``k``."""
+    gain = covariance[:, k] / (covariance[k, k] + std**2)
+    return solution + gain * (mean - solution[k]), covariance - np.outer(gain, covariance[k])
+
+
 def _covariance(a: Array, left: Array, own: int) -> Array:
     """Return the covariance of the solution, from the columns (w, k, n) and the residuals (w, n).
 

@@ -24,6 +24,9 @@ MIN_MOVEMENT, MIN_MOVEMENT_RATIO = math.radians(18.0), 4.0
 MIN_PART, MIN_COHERENCE, MIN_TURNED = 20.0, 0.7, math.radians(45.0)
 # Smallest change of the direction of acceleration, rad, that driving backward explains
 BACKWARD = math.radians(150.0)
+# Largest relative deviation of the magnitude of the specific force from its median, for 90% of the intervals of 5 s. In
+# drives it is up to 0.04; if az is in g and ax, ay in m/s2, it is 0.2 or more.
+MAX_SIZE_CHANGE = 0.1
 MAX_SCATTER = 0.5  # rad, largest typical deviation of directions from their median that shows gravity
 MIN_DIFFERENCE = math.radians(0.5)  # smallest difference from the mounting of drive.toml that a note reports
 WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
@@ -154,8 +157,8 @@ def find_movement(drive: Drive) -> tuple[float, float] | None:
     """Find the time, s, at which the IMU was moved, and the turn of gravity's direction, rad; None if it was not moved.
 
     The time minimizes the scatter of the directions of the specific force (averages over 5 s) about their
-    medians before and after this time. The median magnitude of the force must be that of gravity in m/s2 or in g.
-    Otherwise the unit of az differs from that of ax and ay, so the force has no meaningful direction.
+    medians before and after this time. The magnitude of the force must be constant in each part, as that of gravity
+    is. Otherwise gravity was subtracted, or the unit of az differs from that of ax and ay.
     """
     imu = drive.imu
     if imu.az is None:
@@ -166,14 +169,14 @@ def find_movement(drive: Drive) -> tuple[float, float] | None:
     least = 4  # windows on each side: 20 s
     if len(direction) < 2 * least:
         return None
-    sizes = np.median(size) * np.array([1.0, GRAVITY]) / GRAVITY
-    if not np.any((sizes > 0.8) & (sizes < 1.2)):
-        return None
 
     def spread(cut: int) -> float:
         return sum(float(np.abs(v - np.median(v, axis=0)).sum()) for v in (direction[:cut], direction[cut:]))
 
     cut = min(range(least, len(direction) - least + 1), key=spread)
+    change = [np.abs(part / np.median(part) - 1) for part in (size[:cut], size[cut:])]
+    if float(np.quantile(np.concatenate(change), 0.9)) > MAX_SIZE_CHANGE:
+        return None
     parts = direction[:cut], direction[cut:]
     before, after = (np.median(part, axis=0) for part in parts)
     angle = float(np.arccos(np.clip(before @ after / np.linalg.norm(before) / np.linalg.norm(after), -1, 1)))
