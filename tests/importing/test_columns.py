@@ -140,6 +140,40 @@ def test_of_several_position_sources_the_reference_is_proposed_as_truth(
     assert len(again.drive.truth) == len(true) and not any("also has" in note for note in again.notes)
 
 
+@pytest.mark.parametrize(
+    ("fixes", "wheels"), [("gps_rtk", "odom"), ("smartkart_gps", "wheel_odometry"), ("rtk", "odo")]
+)
+def test_positions_from_wheels_are_not_used_in_place_of_fixes(tmp_path: Path, fixes: str, wheels: str):
+    drive = a_drive(20.0)
+    imu, gps, true = drive.imu, drive.gps, drive.truth
+    tables = {
+        "imu": {"t": imu.time, "ax": imu.ax, "ay": imu.ay, "gz": imu.gz},
+        fixes: {"t": gps.time, "x": gps.x, "y": gps.y},
+        wheels: {"t": true.time, "x": 1.1 * true.x, "y": 1.1 * true.y, "theta": true.theta},
+    }
+    for name, columns in tables.items():
+        pl.DataFrame(columns).write_csv(tmp_path / f"{name}.csv")
+    got = imported(tmp_path)
+    assert len(got.drive.gps) == len(gps) and not any(f"{wheels}.csv also" in note for note in got.notes)
+
+
+@pytest.mark.parametrize("form", ["true_{}", "gt_{}", "{}_truth", "ref_{}", "ground_truth_{}"])
+def test_columns_of_a_truth_may_be_named_truth(tmp_path: Path, form: str):
+    drive = a_drive(20.0)
+    imu, gps, true = drive.imu, drive.gps, drive.truth
+    truth = {"x": true.x, "y": true.y, "yaw_deg": np.degrees(true.theta)}
+    tables = {
+        "imu": {"t": imu.time, "ax": imu.ax, "ay": imu.ay, "gz": imu.gz},
+        "gps": {"t": gps.time, "x": gps.x, "y": gps.y},
+        "truth": {"t": true.time, **{form.format(name): values for name, values in truth.items()}},
+    }
+    for name, columns in tables.items():
+        pl.DataFrame(columns).write_csv(tmp_path / f"{name}.csv")
+    got = imported(tmp_path).drive.truth
+    np.testing.assert_allclose(got.x, true.x, atol=1e-9)
+    np.testing.assert_allclose(np.sin(got.theta - true.theta), 0.0, atol=1e-9)
+
+
 @pytest.mark.parametrize("name", [*NUMBERED, "x{}.csv without headers"])
 @pytest.mark.parametrize("pause", [0.0, 20.0])
 def test_files_that_continue_each_other_are_joined(tmp_path: Path, name: str, pause: float):

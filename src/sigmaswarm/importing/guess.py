@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from shlex import quote
 
 import polars as pl
@@ -11,7 +12,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.common_clock import on_common_clock
 from sigmaswarm.importing.degree_parts import degree_parts
 from sigmaswarm.importing.expressions import compile_expression
-from sigmaswarm.importing.names import Name, plain_words, read_names
+from sigmaswarm.importing.names import Name, plain_words, read_name, read_names
 from sigmaswarm.importing.quantities import (
     PLACEHOLDERS,
     Columns,
@@ -41,6 +42,10 @@ SAMPLE_ROWS = 2000
 BLOCKS, BLOCK = 16, 500
 _WHEELS = re.compile(r"odo|wheel|(?:^|[^a-z])can(?:[^a-z]|$)", re.IGNORECASE)
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|[^a-z])(?:gt|ref)(?:[^a-z]|$)", re.IGNORECASE)
+# Words of a truth's columns that do not change the meaning of a name
+_OF_TRUTH = re.compile(
+    r"^(?:(?:ground_?)?truth|true|gt|ref(?:erence)?)_|_(?:(?:ground_?)?truth|true|gt|ref)$", re.IGNORECASE
+)
 _FORCES = re.compile(r"acc", re.IGNORECASE)
 _RATES = re.compile(r"gyr|ang(?:ular)?_?(?:vel|rate)|rotation_?rate|rotationrate", re.IGNORECASE)
 # Names of tables whose x, y, z are neither a position nor axes of the IMU
@@ -53,7 +58,9 @@ _ESTIMATE = re.compile(
     r"filter|estimat|kalman|(?:^|[^a-z])[eu]?kf|fused|fusion|smooth|predict", re.IGNORECASE
 )
 # Names of tables whose positions are accurate, and presumably a reference for those of other tables
-_REFERENCE = re.compile(r"mocap|vicon|opti_?track|leica|total_?station|rtk|ppk|survey", re.IGNORECASE)
+_REFERENCE = re.compile(
+    r"mocap|vicon|opti_?track|leica|total_?station|survey|(?:^|[^a-z])(?:rtk|ppk)(?:[^a-z]|$)", re.IGNORECASE
+)
 # Names of columns that state whether a row has a fix: 0 means no fix, or -1 if 0 means a fix, as in ROS
 _FIXED = "(?:gps|gnss)?_?fix_?(?:type|quality|mode|valid|ok|status)?|(?:(?:gps|gnss)_?)?valid|(?:gps|gnss)_?quality"
 # Names of columns with the number of satellites; 0 means no fix
@@ -117,8 +124,9 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
         best = chosen.get(role) or _best_table(role, tables, found)
         used = {best, *chosen.values(), *(part.table for parts in roles.values() for part in parts)}
         located = [t for t, c in found.items() if c.has("lat", "lon") or c.has("x", "y")]
+        ask = role == "gps" and role not in chosen
         others = [t for t in (located if role == "gps" else tables) if t not in used]
-        notes += _other_tables(role, best, others, samples, ask=role == "gps" and role not in chosen)
+        notes += _other_tables(role, best, others, samples, ask=ask)
         rates = [t for t, c in found.items() if "gz" in c and not c.has("ax", "ay")][:1]
         for table in [best, *rates] if role == "imu" and "gz" not in found[best] else [best]:
             expressions: dict[str, str] = {}
@@ -156,26 +164,36 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
 def _other_tables(
     role: Role, best: str, others: Sequence[str], samples: Mapping[str, pl.DataFrame], *, ask: bool
 ) -> list[str]:
-    """Name the tables with the columns of the chosen one; if ``ask``, also others, and the options that read them."""
+    """Name the tables with the columns of the chosen one; if ``ask``, also others, and the options that read them.
+
+    Positions from wheels and estimates are not offered as fixes.
+    """
     alike = [table for table in others if samples[table].columns == samples[best].columns]
-    if not (others := alike or (others if ask else [])):
+    measured = [table for table in others if not (_WHEELS.search(table) or _ESTIMATE.search(table))]
+    if not (others := alike or (measured if ask else [])):
         return []
     other = quote(next(filter(_REFERENCE.search, others), others[0]))
     have = f"{list_names(others)} also {'has' if len(others) == 1 else 'have'}"
     have += f" {'the same columns' if alike else 'positions'}, but only {best} is used for the {role}"
-    how = f"--truth-table {other} reads a reference, " if _REFERENCE.search(other) and not alike else ""
-    how += "import each table as a separate drive, for example with " if alike else ""
-    return [f"{have}; {how}--{role}-table {other}{'' if alike else ' other fixes'}"]
+    if alike:
+        return [f"{have}; import each table as a separate drive, for example with --{role}-table {other}"]
+    how = f"--truth-table {other} reads a reference, and " if _REFERENCE.search(other) else ""
+    return [f"{have}; {how}--{role}-table {other} reads other fixes"]
 
 
 def _best_table(role: Role, tables: Sequence[str], found: Mapping[str, Columns]) -> str:
-    """Return the first table with a fitting name, else the first; tables that may contain estimates come last."""
+    """Return the first table with a fitting name, else the first.
+
+    Tables that may contain estimates come last. Among fixes, positions from wheels come after all measured positions,
+    and a reference comes after other measurements.
+    """
     return max(
         tables,
         key=lambda t: (
             not _ESTIMATE.search(t),
-            role != "gps" or not _REFERENCE.search(t),
+            role != "gps" or not _WHEELS.search(t),
             bool(re.search(_HINTS[role], t, re.IGNORECASE)),
+            role != "gps" or not _REFERENCE.search(t),
             role == "gps" and "ax" not in found[t],
         ),
     )
@@ -195,6 +213,8 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
     """Assign to each quantity the first column with its name; in a table named after a sensor, x, y, z are axes."""
     columns = Columns(frame)
     for name in read_names(frame.columns):
+        if _TRUTH.search(table) and name.meaning is None:
+            name = replace(read_name(_OF_TRUTH.sub("", name.column)), column=name.column)
         if (what := name.meaning) is None or what == "t":
             continue
         if what != "bearing" or len(column_numbers(frame[name.column])):  # a direction may be N or NE
