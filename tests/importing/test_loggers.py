@@ -469,6 +469,16 @@ def test_zeros_of_a_failed_bus_are_no_samples(tmp_path: Path, scale: float):
     assert f"{failed.sum()} values of ax are left out, since 0 is a placeholder" in " ".join(got.notes)
 
 
+def test_zeros_of_a_log_without_gravity_are_samples(tmp_path: Path):
+    """Linear accelerations are exactly 0 at rest, and the magnitude of noise in three axes is seldom near 0."""
+    rng, rest = np.random.default_rng(0), np.random.default_rng(1).random(len(TIME)) < 0.1
+    linear = {n: np.where(rest, 0.0, rng.normal(0.0, 0.5, len(TIME))) for n in ("ax", "ay", "az")}
+    write(tmp_path / "log" / "imu.csv", {"t": TIME, **IMU, **linear})
+    write(tmp_path / "log" / "gps.csv", {"t": FIXED, "lat": LAT, "lon": LON})
+    got = imported(tmp_path / "log")
+    assert len(got.drive.imu) == len(TIME) and "0 is a placeholder" not in " ".join(got.notes)
+
+
 @pytest.mark.parametrize(("ahead", "both"), [(3600.0, True), (8e8, False), (5e4, True)])
 def test_a_clock_that_is_set_while_it_runs_makes_two_recordings(tmp_path: Path, ahead: float, both: bool):
     """Summer time begins, or the first fix sets the clock."""

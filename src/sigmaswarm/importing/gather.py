@@ -18,9 +18,15 @@ from sigmaswarm.importing.expressions import (
 )
 from sigmaswarm.importing.guess import SAMPLE_ROWS
 from sigmaswarm.importing.names import read_name
-from sigmaswarm.importing.quantities import MAX_DAMAGED_SHARE, NO_NUMBER, NO_VALUE, PLACEHOLDERS
+from sigmaswarm.importing.quantities import (
+    MAX_DAMAGED_SHARE,
+    MAX_QUARTILE_RATIO,
+    NO_NUMBER,
+    NO_VALUE,
+    PLACEHOLDERS,
+)
 from sigmaswarm.importing.source import FILES, ImportProgress, Limits, Log, Part, Role
-from sigmaswarm.importing.times import median_of, of_one_table, rising_time, time_of, wrong_unit
+from sigmaswarm.importing.times import of_one_table, rising_time, time_of, wrong_unit
 from sigmaswarm.wording import list_names, printable, quoted
 
 ROW = "row"  # column of row numbers, from 0, in tables without a column of this name
@@ -28,7 +34,7 @@ ROW = "row"  # column of row numbers, from 0, in tables without a column of this
 MAX_TIMELESS_ROWS = 10
 # Smallest distance of a placeholder from the median of the other values, in units of their 1% to 99% range
 MIN_PLACEHOLDER_DISTANCE = 10
-# Smallest 5% quantile of the specific force that includes gravity, relative to the median
+# Smallest 5% quantile of the specific force that includes gravity, relative to the upper quartile
 MIN_FORCE = 0.3
 
 
@@ -142,7 +148,8 @@ class PartColumns:
         if len(forces) == 3:  # gravity acts on a working sensor, so zeros are those of a failed bus
             size = sum(numbers[c].pow(2) for c in forces[1:])
             size = (size + numbers[forces[0]].pow(2)).sqrt()
-            if (size.filter(size > 0).quantile(0.05) or 0.0) > MIN_FORCE * median_of(size):
+            least, low, high = (size.filter(size > 0).quantile(q) or 0.0 for q in (0.05, 0.25, 0.75))
+            if least > MIN_FORCE * high and high < MAX_QUARTILE_RATIO * low:
                 alone[forces[0]] = alone.get(forces[0], False) | (size == 0).fill_null(False)
         for column in used.get("speed", frozenset()) & {*names} if "lat" in used else ():
             invalid = (numbers[column] == -1).fill_null(False)  # as phones write it
