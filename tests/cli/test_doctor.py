@@ -13,6 +13,8 @@ import pytest
 import sigmaswarm as library
 from doctor.faults import FAULTS, flipped_yaw
 from sigmaswarm.cli.common import read_datasets
+from sigmaswarm.cli.findings import print_diagnosis
+from sigmaswarm.doctor.findings import Diagnosis, Finding
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import SigmaswarmWarning
@@ -248,6 +250,16 @@ def test_a_mended_copy_is_offered_where_something_can_be_mended_and_its_folder_i
         "(gravity-axis), which distort the result; run sigmaswarm doctor 'on its nose', or suppress"
         in told(Path("on its nose"))
     )
+
+
+def test_a_remedy_can_be_pasted(here: Path, capsys: pytest.CaptureFixture[str]):
+    remedy = "leave them out: sigmaswarm split DRIVE --at 3 40 --out parts"
+    found = Finding("gps-disturbed", "warning", "multipath", "gps.csv", (3.0, 40.0), 0.99, remedy)
+    (here / "parts").mkdir()
+    (here / "parts" / "a").touch()
+    print_diagnosis(Diagnosis("monday", (found,)), folder=Path("my drives/monday"))
+    said = " ".join(capsys.readouterr().out.split())
+    assert "sigmaswarm split 'my drives/monday' --at 3 40 --out parts-2" in said
 
 
 def test_for_machines(sigmaswarm, sick: Path):

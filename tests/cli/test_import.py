@@ -328,6 +328,10 @@ def test_show_says_what_nobody_reads(sigmaswarm: Command, here: Path):
     said = sigmaswarm("import", "log.csv", "--show").out
     tail = "not used:\nlog.csv: Engine Temp (C), fix_type\n\nnext: sigmaswarm import log.csv --out drive "
     assert tail in said, said
+    (here / "drive").mkdir()
+    (here / "drive" / "imu.csv").touch()
+    said = sigmaswarm("import", "log.csv", "--show").out
+    assert "next: sigmaswarm import log.csv --out drive-2 " in said, "no earlier drive is replaced"
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,7 @@ def doctor(
         diagnosis = sigmaswarm.diagnose(drive)
         content = diagnosis.to_dict()
         if not options.json:
-            print_diagnosis(diagnosis, explained)
+            print_diagnosis(diagnosis, explained, drive_folders(drives[0])[0] if len(read) == 1 else None)
         if fix is not None:
             diagnosis, content["copy"] = _repair(drive, diagnosis, fix / drive.name, arm, options, explained)
         result.append(content)
@@ -106,7 +106,7 @@ def _repair(
     remaining = sigmaswarm.diagnose(copy)
     if repaired and not options.json:
         print_lines(f"wrote {folder}. Repaired: {', '.join(repaired)}. Remaining findings:\n")
-        print_diagnosis(remaining, explained)
+        print_diagnosis(remaining, explained, folder)
     elif not options.json:
         why = "every repair was rejected" if codes else "there is no fault that the doctor can repair"
         print_lines(f"wrote {folder}, an unchanged copy, since {why}\n")

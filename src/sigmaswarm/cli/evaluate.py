@@ -37,6 +37,10 @@ WORSE_STEP = (
     "accurate than the tuned filter)"
 )
 
+WORSE_THAN_OTHER = (
+    1.0  # %, excess of the outage drift over that of the filter of --against for which no export follows
+)
+
 
 @dataclass(frozen=True)
 class EvaluateOptions:
@@ -110,6 +114,7 @@ def evaluate(
     """
     from sigmaswarm.learned.folder import load_learned
     from sigmaswarm.reports.evaluation import save_evaluation
+    from sigmaswarm.scoring.methods import AGAINST
     from sigmaswarm.scoring.remarks import other_sensors
     from sigmaswarm.tuning.record import TunedFilter
 
@@ -136,6 +141,8 @@ def evaluate(
     unusable = warn_of_unusable(tuning, record)
     if result.is_worse_than_untuned:
         steps: Iterable[str] = (WORSE_STEP,)
+    elif options.against and (result.improvement(AGAINST, "outage_drift_m") or 0.0) < -WORSE_THAN_OTHER:
+        steps = (f"then: use the filter with the smaller drift, {options.against}, or tune again",)
     else:
         steps = () if learned or unusable else _export(tuning, tuned, drives)
     print_lines(*_next_steps(out, remedies, steps))

@@ -22,11 +22,13 @@ Remedy = tuple[str, Path | None]
 _STYLES = {"serious": "bold red", "warning": "yellow", "note": "dim"}
 
 
-def print_diagnosis(diagnosis: "Diagnosis", explained: set[str] | None = None) -> None:
+def print_diagnosis(
+    diagnosis: "Diagnosis", explained: set[str] | None = None, folder: "Location | None" = None
+) -> None:
     """Print the findings about a drive.
 
     ``explained``: messages that were printed before. A note that was printed before is only counted; new messages are
-    added to the set.
+    added to the set. ``folder``: folder of the drive, for commands in remedies.
     """
     from rich.table import Table
     from rich.text import Text
@@ -42,6 +44,7 @@ def print_diagnosis(diagnosis: "Diagnosis", explained: set[str] | None = None) -
     explained, repeated = set() if explained is None else explained, 0
     for finding in diagnosis.findings:
         message = _in_words(finding, part=bool(diagnosis.whole))
+        message = message if folder is None else _with_names(message, folder)
         if finding.severity == "note" and message in explained:
             repeated += 1
             continue
@@ -99,10 +102,16 @@ def split_command(diagnosis: "Diagnosis", folder: "Location") -> str:
     """Return the command that splits a drive, if a serious finding recommends a split; otherwise an empty string."""
     remedies = [finding.remedy for finding in diagnosis.findings if finding.severity == "serious"]
     match = re.search(r"sigmaswarm split DRIVE --at \S+ --out parts", " ".join(remedies))
-    if not match:
-        return ""
-    command = match[0].removesuffix("parts").replace("DRIVE", shlex.quote(str(folder)))
-    return f"{command}{free_path('parts')}"
+    return _with_names(match[0], folder) if match else ""
+
+
+def _with_names(text: str, folder: "Location") -> str:
+    """Insert the drive and a free folder in the command that splits a drive."""
+    return re.sub(
+        r"(sigmaswarm split )DRIVE( --at [\d. ]+ --out )parts",
+        lambda found: f"{found[1]}{shlex.quote(str(folder))}{found[2]}{free_path('parts')}",
+        text,
+    )
 
 
 def affects_axes(diagnosis: "Diagnosis") -> bool:

@@ -16,6 +16,7 @@ from sigmaswarm.cli.findings import affects_axes, mirror_maps, next_steps, print
 from sigmaswarm.cli.options import FIELDS, MORE, Hyphened, Json, Overwrite
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.errors import DriveWarning, InputError
+from sigmaswarm.files import free_path
 from sigmaswarm.wording import printable
 
 if TYPE_CHECKING:
@@ -227,7 +228,7 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
         print_json(_summary(imported, out) | {"doctor": diagnosis.to_dict()})
         return
     print_lines(*_report(imported, out, diagnosis))
-    print_diagnosis(diagnosis)
+    print_diagnosis(diagnosis, folder=out)
     again = _with_corrected_fixes(diagnosis)
     print_lines(*([f"next: {again}"] if again else next_steps(diagnosis, out, imported.drive)))
 
@@ -336,7 +337,7 @@ def _print_inspection(inspection: "Inspection", options: ImportOptions) -> None:
 
 def _command(inspection: "Inspection", options: ImportOptions) -> str:
     typed = [word for word in sys.argv[1:] if word != "--show"]
-    out = [] if options.out else ["--out", "drive"]
+    out = [] if options.out else ["--out", str(free_path("drive"))]
     # A proposal for the IMU's columns is corrected to the drive's axes.
     corrected = inspection.proposal and re.search(r"\b[ag][xyz]=", inspection.proposal)
     out += ["--mount", inspection.mount] if inspection.mount and not corrected else []

@@ -91,8 +91,8 @@ def _diagnosed(drive: Drive) -> Diagnosis:
 def _contradicted(finding: Finding) -> Finding:
     """Return a finding whose repair made forecasts worse: it is at most a warning, and is not repaired again."""
     remedy = (
-        "no action is needed if the log is known to be correct: the repair was rejected, since it makes a filter's "
-        f"forecasts of the fixes worse. Rejected repair: {finding.remedy}"
+        "no action is needed unless you know that this fault exists: the repair was rejected, since it makes a "
+        f"filter's forecasts of the fixes worse. Rejected repair: {finding.remedy}"
     )
     severity = "warning" if finding.severity == "serious" else finding.severity
     return replace(finding, severity=severity, remedy=remedy, repair=None)

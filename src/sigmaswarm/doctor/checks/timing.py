@@ -15,6 +15,7 @@ from sigmaswarm.doctor.verdicts import MIN_GAIN_TURN, OFFSET_SIGMAS
 from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, GapSummary, gaps_in, unshared_times
 from sigmaswarm.drives.drive import Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
+from sigmaswarm.drives.suggestion import suggest_filter
 
 SERIOUS_OFFSET = 0.3  # s, clock offset above which errors are meters
 # s, GPS time minus UTC; largest difference of an offset from it that is the delay of a receiver
@@ -67,8 +68,8 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
             f"(standard deviation {std:.2f} s)",
             where, span, confidence_of(delay / std),
             f"{remedy.format(size)}{'' if clear else ' if other drives also show this offset'}, or tune the delay "
-            "with --use latency. The tuned delay is that with the lowest cost, so it may differ from this offset by a "
-            "few standard deviations",
+            f"({_latency_option(evidence)}). The tuned delay is that with the lowest cost, so it may differ from this "
+            "offset by a few standard deviations",
             Repair("shift-fixes", (-delay, with_truth)) if clear else None,
         )  # fmt: skip
     elif evidence.drives:
@@ -79,8 +80,14 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
             what += ". The estimated delay of the fixes is {:.2f} to {:.2f} s (95% interval)".format(
                 *interval
             )
-        remedy = "use a drive with turns, starts and stops to detect smaller offsets, or tune the delay (--use latency)"
+        remedy = "use a drive with turns, starts and stops to detect smaller offsets, or tune the delay "
+        remedy += f"({_latency_option(evidence)})"
         yield Finding("unseen-clock", "note", what, where, span, 0.95, remedy)
+
+
+def _latency_option(evidence: Evidence) -> str:
+    """Return the options of the default filter and the delay of the fixes, since --use replaces the default."""
+    return f"tune --use {' '.join((*suggest_filter([evidence.drive]).use, 'latency'))}"
 
 
 def _is_leap(delay: float, std: float) -> bool:
