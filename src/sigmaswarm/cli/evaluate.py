@@ -115,7 +115,7 @@ def evaluate(
     from sigmaswarm.learned.folder import load_learned
     from sigmaswarm.reports.evaluation import save_evaluation
     from sigmaswarm.scoring.methods import AGAINST
-    from sigmaswarm.scoring.remarks import other_sensors
+    from sigmaswarm.scoring.remarks import other_sensors, worse_than_raw
     from sigmaswarm.tuning.record import TunedFilter
 
     _check_input(tuning, options)
@@ -139,7 +139,7 @@ def evaluate(
         names = ", ".join(path.name for path in written) if options.verbose else f"{len(written)} files"
         print_lines(f"wrote {names} to {out}")
     unusable = warn_of_unusable(tuning, record)
-    if result.is_worse_than_untuned:
+    if result.is_worse_than_untuned or worse_than_raw(result.record):
         steps: Iterable[str] = (WORSE_STEP,)
     elif options.against and (result.improvement(AGAINST, "outage_drift_m") or 0.0) < -WORSE_THAN_OTHER:
         steps = (f"then: use the filter with the smaller drift, {options.against}, or tune again",)
