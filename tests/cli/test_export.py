@@ -78,6 +78,25 @@ def test_robot_localization_from_its_yaml_and_back(sigmaswarm: Command, drives: 
     assert (ended.code, ended.err.count("\n")) == (2, 1) and "ekf.yaml: has neither" in ended.err
 
 
+@pytest.mark.parametrize(("improvement", "exported"), [(-5.0, False), (-0.5, True), (5.0, True)])
+def test_no_export_is_proposed_if_the_other_filter_has_the_smaller_drift(
+    sigmaswarm: Command,
+    tuned: Path,
+    drives: Path,
+    here: Path,
+    monkeypatch,
+    improvement: float,
+    exported: bool,
+):
+    monkeypatch.setattr(Evaluation, "is_worse_than_untuned", False)
+    monkeypatch.setattr(Evaluation, "improvement", lambda *_, **__: improvement)
+    monkeypatch.setattr("sigmaswarm.scoring.remarks.worse_than_raw", lambda _: ())
+    ended = sigmaswarm("evaluate", tuned, drives / "urban-clear-01", "--against", tuned, "--out", "e")
+    assert ended.code == 0, ended.err
+    assert ("sigmaswarm export" in ended.out) == exported
+    assert (f"smaller drift, {tuned}" in ended.out) != exported
+
+
 def test_no_use_is_proposed_of_a_filter_that_should_not_be_used(
     sigmaswarm: Command, tuned: Path, drives: Path, here: Path, monkeypatch
 ):
