@@ -12,7 +12,7 @@ from importing.logs import EPOCH, a_drive, assert_close, imported
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.convert import Request
 from sigmaswarm.importing.inspection import inspect_request
-from sigmaswarm.importing.timeline import unwrap
+from sigmaswarm.importing.timeline import spread_stamps, unwrap
 from support import quickly, several, some
 
 DRIVE = a_drive(12.0)
@@ -508,6 +508,17 @@ def test_samples_and_fixes_that_arrive_in_bursts_have_the_times_of_a_constant_ra
     assert np.abs(got.drive.imu.time - IMU.time).max() < 0.007
     assert np.abs(got.drive.gps.time - GPS.time).max() < 0.007
     assert sum("the stamps are the times of arrival" in note for note in got.notes) == 2
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("rows", [1, 2])
+def test_one_or_two_rows_have_no_rate(tmp_path: Path, rows: int):
+    write(tmp_path, "t", repr)
+    head = (tmp_path / "gps.csv").read_text().splitlines()[: rows + 1]
+    (tmp_path / "gps.csv").write_text("\n".join(head))
+    with pytest.raises(InputError, match=f"{rows} fixes within the IMU's time span"):
+        imported(tmp_path)
+    assert spread_stamps(np.full(rows, 5), "gps", "gps.csv")[1] == ""
 
 
 @pytest.mark.parametrize("pause", [3.0, 300.0])

@@ -122,7 +122,7 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
     tick = (scaled_column(part.part.columns["t"]) or ("", 0.0))[1]
     require_unwrappable(time, tick, where)
     time, part.period, note = unwrap(time, tick)  # from all rows: a counter may wrap before the first fix
-    if role != "imu" and np.mean(np.diff(time) == 0) > MIN_SHARED:
+    if role != "imu" and np.count_nonzero(np.diff(time) == 0) > MIN_SHARED * len(time):
         # the rows between fixes show the time of a fix between two coarse stamps
         with suppress(InputError):
             fine, coarse = spread_stamps(time, role, where)

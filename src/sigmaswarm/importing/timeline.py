@@ -186,10 +186,12 @@ def spread_stamps(time: Nanoseconds, role: Role, where: str) -> tuple[Nanosecond
     At a constant rate, the stamps less a straight line over the rows are in a band. The times are at its upper edge
     for coarse stamps, which are rounded down, and at its lower edge for stamps of the arrival, which are late.
     """
+    if len(time) < 3:
+        return time, ""
     steps = np.diff(time)
-    step = max(int(np.sum(steps)) / max(len(steps), 1), 1.0)
-    shared, ahead = float(np.mean(steps == 0)) if len(steps) else 0.0, steps[steps > 0]
-    if len(time) > 2 and not len(ahead):
+    step = max(int(np.sum(steps)) / len(steps), 1.0)
+    shared, ahead = float(np.mean(steps == 0)), steps[steps > 0]
+    if not len(ahead):
         raise InputError(
             f"{where}: all {len(time)} rows have the same time; specify a finer time with --map {role}.t=..., or, if "
             f'the rate is known, compute it from the row number: --map "{role}.t=row/100" for 100 Hz'
