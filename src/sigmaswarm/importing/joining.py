@@ -141,9 +141,10 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
         note = "; ".join(filter(None, (digits, note)))
     if note:
         say(f"{where}: {note}")
-    before = recordings(time, pauses=True)[: number or 0]
-    ends = [(int(time[r.start]), int(time[r.stop - 1])) for r in before]
-    part.set_back = sum(end - begin for (_, end), (begin, _) in pairwise(ends))
+    chosen = recordings(time, pauses=role == "imu") if number else []
+    ends = [(int(time[r.start]), int(time[r.stop - 1])) for r in chosen]
+    back = [end - begin for (_, end), (begin, _) in pairwise(ends)]
+    part.set_back, part.set_ahead = sum(back[: (number or 1) - 1]), any(step < 0 for step in back)
     time, rows = sorted_times(time, role, where, number, say)
     require_likely(time, role, where, part.part.columns["t"])
     values = _rows(values, rows)

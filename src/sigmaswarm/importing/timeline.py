@@ -158,10 +158,12 @@ def _stray(time: Nanoseconds) -> NDArray[np.bool_]:
 
 def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> tuple[slice, str]:
     """Return the rows of the chosen recording, and a sentence or ""; refuse several recordings if none is chosen."""
-    # a receiver may be without fixes for hours
-    parts = recordings(time, pauses=role == "imu" or part is not None)
+    # a receiver may be without fixes for hours; after a jump ahead, the span of the IMU selects the fixes
+    parts = recordings(time, pauses=role == "imu")
     if len(parts) == 1:
-        return parts[0], f"{where}: the clock does not restart; all rows are used" if part else ""
+        return parts[
+            0
+        ], f"{where}: the clock does not restart, so --part does not select rows" if part else ""
     if part is None and len(parts) > MAX_SECONDS and (rate := _rate_by_rows(time, parts)):
         raise InputError(
             f"{where}: the clock goes back {len(parts) - 1} times, about once per second; if the fractions of seconds "
