@@ -510,6 +510,35 @@ def test_samples_and_fixes_that_arrive_in_bursts_have_the_times_of_a_constant_ra
     assert sum("the stamps are the times of arrival" in note for note in got.notes) == 2
 
 
+@pytest.mark.parametrize("later", [0.003, 0.03])
+@pytest.mark.parametrize("rows", ["messages", "three messages", "antennas"])
+def test_rows_just_after_a_fix_do_not_move_it(tmp_path: Path, later: float, rows: str):
+    """Sentences GGA and RMC of one fix, or two antennas, have the times of their arrival."""
+    write(tmp_path, "t", repr)
+    lines = ["t,lat,lon"]
+    for t, lat, lon in zip(GPS.time.tolist(), GPS.lat.tolist(), GPS.lon.tolist(), strict=True):
+        for k in range(3 if rows == "three messages" else 2):
+            lines.append(f"{t + k * later!r},{lat + 1e-6 * k * (rows == 'antennas')!r},{lon!r}")
+    (tmp_path / "gps.csv").write_text("\n".join(lines))
+    got = imported(tmp_path)
+    times = got.drive.gps.time[:: 2 if rows == "antennas" else 1]
+    np.testing.assert_allclose(times, GPS.time, atol=1e-9)
+    assert not any("spread" in note for note in got.notes)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05])
+def test_pairs_of_samples_keep_their_times(tmp_path: Path, share: float):
+    """Of some pairs, only one sample is left."""
+    second = np.arange(len(IMU)) % 2 == 1
+    exact = np.where(second, np.roll(IMU.time, 1) + 0.0004, IMU.time)
+    lost = second & (np.random.default_rng(4).random(len(IMU)) < share)
+    write(tmp_path, "t", dict(zip(IMU.time.tolist(), map(repr, exact.tolist()), strict=True)).get, "t", repr)
+    lines = (tmp_path / "imu.csv").read_text().splitlines()
+    left = [line for line, gone in zip(lines[1:], lost, strict=True) if not gone]
+    (tmp_path / "imu.csv").write_text("\n".join([lines[0], *left]))
+    np.testing.assert_allclose(imported(tmp_path).drive.imu.time, exact[~lost], atol=1e-9)
+
+
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("rows", [1, 2])
 def test_one_or_two_rows_have_no_rate(tmp_path: Path, rows: int):

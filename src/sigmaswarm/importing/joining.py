@@ -17,6 +17,7 @@ from sigmaswarm.importing.positions import Say, Values, valid_positions, with_lo
 from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.timeline import (
     from_digits,
+    in_burst,
     recordings,
     require_likely,
     require_unwrappable,
@@ -34,6 +35,8 @@ PERIODS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon":
 MAX_EMPTY_SHARE = 0.1
 # Smallest share of rows with the previous stamp in a table whose stamps are spread over all rows, also empty ones
 MIN_SHARED = 0.5
+# Largest number of changes of the position within bursts, relative to the number of bursts, if each burst is one fix
+MAX_OTHER_SHARE = 0.1
 POSITIONS = ("lat", "lon", "x", "y")
 # Smallest bend at a corner of an interpolated path, in median bends; smallest number of corners, and the smallest
 # share of corners at a constant interval
@@ -133,6 +136,9 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
     if (copies := _copies(time, values)) is not None:
         say(f"{where}: {rows_left_out(int(copies.sum()))}, since other rows have the same content")
         filled &= ~copies
+    if role == "gps" and (repeated := int(np.count_nonzero(filled & (again := _messages(time, values))))):
+        say(f"{role}: {rows_left_out(repeated)}, since the previous position is repeated")
+        filled &= ~again
     if filled.any():
         time, values = time[filled], _rows(values, filled)
     if not note:  # rows without values, now left out, may have had other times
@@ -162,6 +168,14 @@ def _copies(time: Nanoseconds, values: Values) -> NDArray[np.bool_] | None:
     cells = np.column_stack([time.view(np.float64), *values.values()])
     first = np.unique(cells.view(f"V{cells.strides[0]}").ravel(), return_index=True)[1]
     return ~np.isin(np.arange(len(time)), first) if len(first) == len(times) else None
+
+
+def _messages(time: Nanoseconds, values: Values) -> NDArray[np.bool_]:
+    """Mark rows that repeat the position of a row just before, if all do: other messages of the same fix."""
+    same = np.all([np.diff(values[n]) == 0 for n in POSITIONS if n in values] or [np.diff(time) == 0], axis=0)
+    near = in_burst(time, "gps")
+    others = np.count_nonzero(near & ~same) > MAX_OTHER_SHARE * np.count_nonzero(~near)
+    return np.append(False, near & same & ~others)
 
 
 def _rows(values: Values, rows: Any) -> Values:

@@ -43,6 +43,7 @@ MAX_REPEATED_SHARE = 0.02  # if a larger fraction of rows repeats the previous t
 # Largest step within a burst of rows, relative to the mean step and to `MAX_STEP`; smallest share of such steps in a
 # log with bursts
 MAX_BURST_STEP, MAX_BURST_INTERVAL, MIN_BURST_SHARE = 0.25, 1 / 400, 0.4
+MAX_ODD_SHARE = 0.2  # largest share of other groups in a log with two rows per measurement
 # Deviation of the steps of stamps, relative to a step, that rounding does not cause
 MIN_STEP_VARIATION = 0.005
 # Relative to the usual step of stamps: longest step without a pause, window in which rows have a constant rate, and
@@ -182,11 +183,19 @@ def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> 
     return parts[part - 1], f"{message}; recording {part} is used"
 
 
+def in_burst(time: Nanoseconds, role: Role) -> NDArray[np.bool_]:
+    """Mark steps, (n - 1,), that are so short that both rows may be of one stamp or burst."""
+    steps = np.diff(time)
+    step = max(int(np.sum(steps)) / max(len(steps), 1), 1.0)
+    return steps < min(MAX_BURST_STEP * step, MAX_BURST_INTERVAL * MAX_STEP[role] * SECOND)
+
+
 def spread_stamps(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]:
     """Spread rows that share a stamp or arrive in bursts evenly; refuse shared stamps of rows without a constant rate.
 
     At a constant rate, the stamps less a straight line over the rows are in a band. The times are at its upper edge
     for coarse stamps, which are rounded down, and at its lower edge for stamps of the arrival, which are late.
+    Pairs of rows are two messages of one measurement, or two sensors, rather than a buffer, and keep their times.
     """
     if len(time) < 3:
         return time, ""
@@ -198,14 +207,16 @@ def spread_stamps(time: Nanoseconds, role: Role, where: str) -> tuple[Nanosecond
             f"{where}: all {len(time)} rows have the same time; specify a finer time with --map {role}.t=..., or, if "
             f'the rate is known, compute it from the row number: --map "{role}.t=row/100" for 100 Hz'
         )
-    small = min(MAX_BURST_STEP * step, MAX_BURST_INTERVAL * MAX_STEP[role] * SECOND)
-    if shared <= MAX_REPEATED_SHARE and np.mean(steps < small) < MIN_BURST_SHARE:
+    near = in_burst(time, role)
+    first = np.flatnonzero(np.append(True, ~near))  # row of each stamp or burst
+    sizes, apart_in_burst = np.diff(first, append=len(time)), float(np.mean(near[steps > 0]))
+    pairs = np.mean(sizes) < 3 and np.mean(sizes != 2) <= MAX_ODD_SHARE and apart_in_burst >= MIN_BURST_SHARE
+    if pairs or (shared <= MAX_REPEATED_SHARE and np.mean(near) < MIN_BURST_SHARE):
         return time, ""
-    first = np.flatnonzero(np.append(True, steps >= small))  # row of each stamp or burst
     apart = np.diff(time[first])
     length = float(np.median(apart)) if len(apart) else step
     off_grid = np.abs(apart - np.round(apart / length) * length) > MIN_STEP_VARIATION * length
-    coarse = np.mean(ahead < small) < 0.5 and np.mean(off_grid) < 0.5
+    coarse = apart_in_burst < 0.5 and np.mean(off_grid) < 0.5
     late, low, high, step = _bands(time, first if coarse else first[1:] - 1, length)
     if np.mean(high - low <= MAX_BAND * length) >= MIN_EVEN_SHARE:
         edge = np.minimum(high, (high + low + length) / 2) if coarse else low
