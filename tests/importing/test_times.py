@@ -594,9 +594,26 @@ def test_rows_of_the_imu_show_the_time_of_a_fix_between_whole_seconds(tmp_path: 
         place = f"{float(GPS.lat[i])!r},{float(GPS.lon[i])!r}" if shown else ","
         rows.append(f"{int(t + 1e-6)},{IMU.ax[k]},{IMU.ay[k]},{IMU.gz[k]},{place}")
     (tmp_path / "log.csv").write_text("\n".join(rows))
-    got = imported(tmp_path / "log.csv").drive
-    np.testing.assert_allclose(got.imu.time, IMU.time, atol=1e-3)
-    np.testing.assert_allclose(got.gps.time, GPS.time, atol=0.011)
+    got = imported(tmp_path / "log.csv")
+    np.testing.assert_allclose(got.drive.imu.time, IMU.time, atol=1e-3)
+    np.testing.assert_allclose(got.drive.gps.time, GPS.time, atol=0.011)
+    assert any("gps: log.csv: the stamps are coarse; rows are spread" in note for note in got.notes)
+
+
+@pytest.mark.parametrize("more", ["", "std"])
+@pytest.mark.parametrize("jitter", [0.0, 0.004])
+def test_a_stamp_that_is_held_until_the_next_fix_keeps_its_time(tmp_path: Path, jitter: float, more: str):
+    stamps = np.round(GPS.time + np.abs(np.random.default_rng(6).normal(0, jitter, len(GPS))), 3)
+    rows = ["t,ax,ay,gz,gps_time,lat,lon,std_x,std_y"]
+    fixes = np.searchsorted(stamps, IMU.time + 1e-9, side="right") - 1
+    for k, i in enumerate(fixes.tolist()):
+        place = f"{float(stamps[i])!r},{float(GPS.lat[i])!r},{float(GPS.lon[i])!r}" if i >= 0 else ",,"
+        std = 1 + 0.1 * np.sin(k) if more else 1.0
+        rows.append(f"{float(IMU.time[k])!r},{IMU.ax[k]},{IMU.ay[k]},{IMU.gz[k]},{place},{std},{std}")
+    (tmp_path / "log.csv").write_text("\n".join(rows))
+    got = imported(tmp_path / "log.csv", maps=["gps.t=gps_time"])
+    np.testing.assert_allclose(got.drive.gps.time, stamps, atol=1e-9)
+    assert not any("spread" in note for note in got.notes)
 
 
 @pytest.mark.parametrize(

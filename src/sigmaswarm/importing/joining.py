@@ -16,6 +16,7 @@ from sigmaswarm.importing.gather import PartColumns
 from sigmaswarm.importing.positions import Say, Values, valid_positions, with_longitudes
 from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.timeline import (
+    MAX_REPEATED_SHARE,
     from_digits,
     in_burst,
     recordings,
@@ -125,18 +126,26 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
     tick = (scaled_column(part.part.columns["t"]) or ("", 0.0))[1]
     require_unwrappable(time, tick, where)
     time, part.period, note = unwrap(time, tick)  # from all rows: a counter may wrap before the first fix
-    if role != "imu" and np.count_nonzero(np.diff(time) == 0) > MIN_SHARED * len(time):
-        # the rows between fixes show the time of a fix between two coarse stamps
-        with suppress(InputError):
-            fine, coarse = spread_stamps(time, role, where)
-            time = fine if coarse and (np.diff(time) >= 0).all() else time
-    filled = _finite(values, len(time)).any(axis=0)
+    filled, again = _finite(values, len(time)).any(axis=0), _messages(time, values)
+    steps = np.diff(time)
+    if role != "imu" and np.count_nonzero(steps == 0) > MIN_SHARED * len(time) and (steps >= 0).all():
+        coarse = ""
+        if np.count_nonzero(np.diff(time[filled & ~again]) == 0) > MAX_REPEATED_SHARE * len(
+            time[filled & ~again]
+        ):
+            # the rows between fixes show the time of a fix between two coarse stamps
+            with suppress(InputError):
+                time, coarse = spread_stamps(time, role, where, arrival=False)
+        if coarse:
+            say(f"{where}: {coarse}")
+        else:
+            again |= np.append(False, (steps == 0) & _same_position(values))
     if 0 < (empty := int(np.count_nonzero(~filled))) < 0.5 * len(time):
         say(f"{role}: {rows_left_out(empty)}, since a cell is empty")
     if (copies := _copies(time, values)) is not None:
         say(f"{where}: {rows_left_out(int(copies.sum()))}, since other rows have the same content")
         filled &= ~copies
-    if role == "gps" and (repeated := int(np.count_nonzero(filled & (again := _messages(time, values))))):
+    if role == "gps" and (repeated := int(np.count_nonzero(filled & again))):
         say(f"{role}: {rows_left_out(repeated)}, since the previous position is repeated")
         filled &= ~again
     if filled.any():
@@ -170,10 +179,15 @@ def _copies(time: Nanoseconds, values: Values) -> NDArray[np.bool_] | None:
     return ~np.isin(np.arange(len(time)), first) if len(first) == len(times) else None
 
 
+def _same_position(values: Values) -> NDArray[np.bool_]:
+    """Mark rows but the first, (n - 1,), with the position, or else all values, of the previous row."""
+    names = [n for n in POSITIONS if n in values] or list(values)
+    return np.all([np.diff(values[n]) == 0 for n in names], axis=0)
+
+
 def _messages(time: Nanoseconds, values: Values) -> NDArray[np.bool_]:
     """Mark rows that repeat the position of a row just before, if all do: other messages of the same fix."""
-    same = np.all([np.diff(values[n]) == 0 for n in POSITIONS if n in values] or [np.diff(time) == 0], axis=0)
-    near = in_burst(time, "gps")
+    near, same = in_burst(time, "gps"), _same_position(values)
     others = np.count_nonzero(near & ~same) > MAX_OTHER_SHARE * np.count_nonzero(~near)
     return np.append(False, near & same & ~others)
 

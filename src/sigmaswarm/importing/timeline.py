@@ -190,12 +190,15 @@ def in_burst(time: Nanoseconds, role: Role) -> NDArray[np.bool_]:
     return steps < min(MAX_BURST_STEP * step, MAX_BURST_INTERVAL * MAX_STEP[role] * SECOND)
 
 
-def spread_stamps(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]:
+def spread_stamps(
+    time: Nanoseconds, role: Role, where: str, *, arrival: bool = True
+) -> tuple[Nanoseconds, str]:
     """Spread rows that share a stamp or arrive in bursts evenly; refuse shared stamps of rows without a constant rate.
 
     At a constant rate, the stamps less a straight line over the rows are in a band. The times are at its upper edge
     for coarse stamps, which are rounded down, and at its lower edge for stamps of the arrival, which are late.
     Pairs of rows are two messages of one measurement, or two sensors, rather than a buffer, and keep their times.
+    Without ``arrival``, only coarse stamps are spread.
     """
     if len(time) < 3:
         return time, ""
@@ -217,6 +220,8 @@ def spread_stamps(time: Nanoseconds, role: Role, where: str) -> tuple[Nanosecond
     length = float(np.median(apart)) if len(apart) else step
     off_grid = np.abs(apart - np.round(apart / length) * length) > MIN_STEP_VARIATION * length
     coarse = apart_in_burst < 0.5 and np.mean(off_grid) < 0.5
+    if not coarse and not arrival:
+        return time, ""
     late, low, high, step = _bands(time, first if coarse else first[1:] - 1, length)
     if np.mean(high - low <= MAX_BAND * length) >= MIN_EVEN_SHARE:
         edge = np.minimum(high, (high + low + length) / 2) if coarse else low
