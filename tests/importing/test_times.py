@@ -12,6 +12,7 @@ from importing.logs import EPOCH, a_drive, assert_close, imported
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.convert import Request
 from sigmaswarm.importing.inspection import inspect_request
+from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.timeline import spread_stamps, unwrap
 from support import quickly, several, some
 
@@ -548,6 +549,20 @@ def test_one_or_two_rows_have_no_rate(tmp_path: Path, rows: int):
     with pytest.raises(InputError, match=f"{rows} fixes within the IMU's time span"):
         imported(tmp_path)
     assert spread_stamps(np.full(rows, 5), "gps", "gps.csv")[1] == ""
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.01, 0.03, 0.05])
+@pytest.mark.parametrize(("role", "rate", "stamp"), [("gps", 5, 1.0), ("imu", 100, 0.1), ("imu", 100, 1.0)])
+def test_rows_with_coarse_stamps_of_which_a_few_are_lost(role: Role, rate: int, stamp: float, lost: float):
+    rng = np.random.default_rng(7)
+    row = np.arange(300 * rate)
+    row = row[rng.random(len(row)) >= lost]
+    row = row[(row < 100.5 * rate) | (row >= 130.5 * rate)]  # and a pause
+    coarse = row // round(rate * stamp) * round(stamp * 1e9)
+    fine, note = spread_stamps(coarse, role, "log.csv")
+    error = fine / 1e9 - row / rate
+    assert np.abs(np.median(error)) < 1e-3 and np.std(error) < max(5 * lost * (stamp / rate) ** 0.5, 1e-3)
+    assert "coarse" in note and ("rate is not constant" in note) == (lost > 0)
 
 
 @pytest.mark.parametrize("pause", [3.0, 300.0])

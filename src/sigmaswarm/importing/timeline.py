@@ -44,6 +44,9 @@ MAX_REPEATED_SHARE = 0.02  # if a larger fraction of rows repeats the previous t
 # log with bursts
 MAX_BURST_STEP, MAX_BURST_INTERVAL, MIN_BURST_SHARE = 0.25, 1 / 400, 0.4
 MAX_ODD_SHARE = 0.2  # largest share of other groups in a log with two rows per measurement
+# If rows with coarse stamps are lost: smallest growth of the variance of the lateness over `WINDOW` stamps, rows^2 and
+# factor, largest share of lost rows of a stamp, and largest share of stamps with more lost rows or unusual steps
+MIN_WALK, MIN_GROWTH, MAX_LOST, MAX_UNEVEN_SHARE = 0.3, 1.5, 0.2, 0.1
 # Deviation of the steps of stamps, relative to a step, that rounding does not cause
 MIN_STEP_VARIATION = 0.005
 # Relative to the usual step of stamps: longest step without a pause, window in which rows have a constant rate, and
@@ -223,7 +226,13 @@ def spread_stamps(
     if not coarse and not arrival:
         return time, ""
     late, low, high, step = _bands(time, first if coarse else first[1:] - 1, length)
-    if np.mean(high - low <= MAX_BAND * length) >= MIN_EVEN_SHARE:
+    even = np.mean(high - low <= MAX_BAND * length) >= MIN_EVEN_SHARE
+    if coarse and (not even or _lost(late[first] / step, apart, length)):
+        fine = _by_stamp(time[first], sizes)
+        if fine is not None:
+            spread = f"are spread evenly over the {length / SECOND:.4g} s of their stamp"
+            return fine, f"the stamps are coarse and the rate is not constant; rows {spread}"
+    if even:
         edge = np.minimum(high, (high + low + length) / 2) if coarse else low
         fine = np.maximum.accumulate(time + np.round(edge - late).astype(np.int64))
         kind = "are coarse" if coarse else "are the times of arrival"
@@ -238,6 +247,35 @@ def spread_stamps(
     )
 
 
+def _lost(late: Array, apart: Nanoseconds, length: float) -> bool:
+    """Return whether rows are lost: the lateness of the stamps (m,), rows, then walks away from a straight line."""
+    paused = np.append(0, np.cumsum(apart > MAX_PAUSE * length))
+    walks = [
+        np.var((late[k:] - late[:-k])[paused[k:] == paused[:-k]]) if paused[-1] < len(late) - k else 0.0
+        for k in (1, min(WINDOW, len(late) // 3))
+        if k
+    ]
+    return bool(walks[-1] > MIN_GROWTH * walks[0] + MIN_WALK)
+
+
+def _by_stamp(stamps: Nanoseconds, sizes: NDArray[np.intp]) -> Nanoseconds | None:
+    """Spread the rows of each stamp (m,) over its interval; return None if the numbers of rows are uneven."""
+    apart, usual = np.diff(stamps), float(np.median(sizes))
+    length = int(np.median(apart))
+    uneven = np.abs(apart - length) > MAX_LOST * length
+    inner = sizes[1:-1] if len(sizes) > 3 else sizes
+    odd = np.abs(inner - usual) > max(1.0, MAX_LOST * usual)
+    if usual < 2 or max(np.mean(odd), np.mean(uneven)) > MAX_UNEVEN_SHARE:
+        return None
+    lengths = np.append(np.where(uneven, np.minimum(apart, length), apart), length)
+    begins, ends = np.append(True, uneven), np.append(uneven, True)  # a pause leaves a part of the rows
+    whole = np.where(begins | ends, np.maximum(sizes, usual), sizes)
+    place = np.arange(sizes.sum()) - np.repeat(
+        np.cumsum(sizes) - sizes - np.where(begins, whole - sizes, 0), sizes
+    )
+    return np.repeat(stamps, sizes) + np.round(place / np.repeat(whole / lengths, sizes)).astype(np.int64)
+
+
 def _bands(time: Nanoseconds, known: NDArray[np.intp], length: float) -> tuple[Array, Array, Array, float]:
     """Return stamps less a straight line over the rows, the band's lower and upper edge (n,), and the line's slope, ns.
 
@@ -247,7 +285,11 @@ def _bands(time: Nanoseconds, known: NDArray[np.intp], length: float) -> tuple[A
     pauses = np.where(steps > MAX_PAUSE * length, steps - round(length), 0)
     edges, since = np.flatnonzero(pauses) + 1, time - time[0] - np.append(0, np.cumsum(pauses))
     known = np.setdiff1d(known, np.concatenate([[0], edges, edges - 1]))  # without cut groups of rows
-    step = float(np.polyfit(known, since[known], 1)[0]) if len(known) > 1 else length
+    of = np.append(0, np.cumsum(pauses > 0))[known]  # a pause changes the phase of the stamps
+    rows, times = (
+        v - (np.bincount(of, v) / np.maximum(np.bincount(of), 1))[of] for v in (known, since[known])
+    )
+    step = float(rows @ times / (rows @ rows)) if np.any(rows) else length
     late = since - step * np.arange(len(time))
     window, parts = max(round(WINDOW * length / max(step, 1.0)), 3), np.split(late, edges)
     filters = (minimum_filter1d, maximum_filter1d)
