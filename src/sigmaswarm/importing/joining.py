@@ -126,13 +126,11 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
     tick = (scaled_column(part.part.columns["t"]) or ("", 0.0))[1]
     require_unwrappable(time, tick, where)
     time, part.period, note = unwrap(time, tick)  # from all rows: a counter may wrap before the first fix
-    filled, again = _finite(values, len(time)).any(axis=0), _messages(time, values)
-    steps = np.diff(time)
+    filled, steps = _finite(values, len(time)).any(axis=0), np.diff(time)
+    again = np.zeros(len(time), bool) if role == "imu" else _messages(time, values)
     if role != "imu" and np.count_nonzero(steps == 0) > MIN_SHARED * len(time) and (steps >= 0).all():
-        coarse = ""
-        if np.count_nonzero(np.diff(time[filled & ~again]) == 0) > MAX_REPEATED_SHARE * len(
-            time[filled & ~again]
-        ):
+        coarse, fixes = "", time[filled & ~again]
+        if np.count_nonzero(np.diff(fixes) == 0) > MAX_REPEATED_SHARE * len(fixes):
             # the rows between fixes show the time of a fix between two coarse stamps
             with suppress(InputError):
                 time, coarse = spread_stamps(time, role, where, arrival=False)

@@ -165,9 +165,8 @@ def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> 
     # a receiver may be without fixes for hours; after a jump ahead, the span of the IMU selects the fixes
     parts = recordings(time, pauses=role == "imu")
     if len(parts) == 1:
-        return parts[
-            0
-        ], f"{where}: the clock does not restart, so --part does not select rows" if part else ""
+        note = f"{where}: the clock does not restart, so --part does not select rows"
+        return parts[0], note if part else ""
     if part is None and len(parts) > MAX_SECONDS and (rate := _rate_by_rows(time, parts)):
         raise InputError(
             f"{where}: the clock goes back {len(parts) - 1} times, about once per second; if the fractions of seconds "
@@ -189,8 +188,9 @@ def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> 
 def in_burst(time: Nanoseconds, role: Role) -> NDArray[np.bool_]:
     """Mark steps, (n - 1,), that are so short that both rows may be of one stamp or burst."""
     steps = np.diff(time)
-    step = max(int(np.sum(steps)) / max(len(steps), 1), 1.0)
-    return steps < min(MAX_BURST_STEP * step, MAX_BURST_INTERVAL * MAX_STEP[role] * SECOND)
+    step = int(np.sum(np.maximum(steps, 0))) / max(len(steps), 1)
+    small = max(MAX_BURST_STEP * step, 1.0)
+    return (steps >= 0) & (steps < min(small, MAX_BURST_INTERVAL * MAX_STEP[role] * SECOND))
 
 
 def spread_stamps(
@@ -250,12 +250,12 @@ def spread_stamps(
 def _lost(late: Array, apart: Nanoseconds, length: float) -> bool:
     """Return whether rows are lost: the lateness of the stamps (m,), rows, then walks away from a straight line."""
     paused = np.append(0, np.cumsum(apart > MAX_PAUSE * length))
-    walks = [
-        np.var((late[k:] - late[:-k])[paused[k:] == paused[:-k]]) if paused[-1] < len(late) - k else 0.0
-        for k in (1, min(WINDOW, len(late) // 3))
-        if k
-    ]
-    return bool(walks[-1] > MIN_GROWTH * walks[0] + MIN_WALK)
+
+    def walk(k: int) -> float:
+        walks = (late[k:] - late[:-k])[paused[k:] == paused[:-k]]
+        return float(np.var(walks)) if len(walks) else 0.0
+
+    return walk(min(WINDOW, max(len(late) // 3, 1))) > MIN_GROWTH * walk(1) + MIN_WALK
 
 
 def _by_stamp(stamps: Nanoseconds, sizes: NDArray[np.intp]) -> Nanoseconds | None:
