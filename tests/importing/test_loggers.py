@@ -494,6 +494,24 @@ def test_a_clock_that_is_set_while_it_runs_makes_two_recordings(tmp_path: Path, 
     assert len(got.imu) == np.count_nonzero(TIME >= 20) and len(got.gps) == np.count_nonzero(FIXED >= 20)
 
 
+@pytest.mark.parametrize("part", [1, 2, 3])
+def test_fixes_with_fewer_pauses_than_the_imu_are_those_of_its_recording(tmp_path: Path, part: int):
+    """The receiver had no fix during the second of three recordings."""
+    for name, time, columns in (("imu", TIME, IMU), ("gps", FIXED, {"lat": LAT, "lon": LON})):
+        used = (time < 9) | (time >= 16) if name == "gps" else time >= 0
+        clock = time + 7200.0 * (time >= 10) + 7200.0 * (time >= 15)
+        write(
+            tmp_path / "log" / f"{name}.csv", {"t": clock[used], **{n: v[used] for n, v in columns.items()}}
+        )
+    if part == 2:
+        with pytest.raises(InputError, match="0 fixes within the IMU's time span, t = 7210 to"):
+            imported(tmp_path / "log", part=part)
+        return
+    got = imported(tmp_path / "log", part=part).drive.gps
+    clock = FIXED[FIXED < 9] if part == 1 else FIXED[FIXED >= 16] + 14400.0
+    np.testing.assert_allclose(got.time, clock, atol=1e-9)
+
+
 @pytest.mark.parametrize(("decimals", "said"), [(2, "1112 m"), (3, "111 m"), (4, "11 m")])
 def test_degrees_with_few_decimals_are_reported(tmp_path: Path, decimals: int, said: str):
     write(tmp_path / "log" / "imu.csv", {"t": TIME, **IMU})

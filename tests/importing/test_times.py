@@ -12,7 +12,8 @@ from importing.logs import EPOCH, a_drive, assert_close, imported
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.convert import Request
 from sigmaswarm.importing.inspection import inspect_request
-from sigmaswarm.importing.timeline import unwrap
+from sigmaswarm.importing.source import Role
+from sigmaswarm.importing.timeline import spread_stamps, unwrap
 from support import quickly, several, some
 
 DRIVE = a_drive(12.0)
@@ -510,6 +511,60 @@ def test_samples_and_fixes_that_arrive_in_bursts_have_the_times_of_a_constant_ra
     assert sum("the stamps are the times of arrival" in note for note in got.notes) == 2
 
 
+@pytest.mark.parametrize("later", [0.003, 0.03])
+@pytest.mark.parametrize("rows", ["messages", "three messages", "antennas"])
+def test_rows_just_after_a_fix_do_not_move_it(tmp_path: Path, later: float, rows: str):
+    """Sentences GGA and RMC of one fix, or two antennas, have the times of their arrival."""
+    write(tmp_path, "t", repr)
+    lines = ["t,lat,lon"]
+    for t, lat, lon in zip(GPS.time.tolist(), GPS.lat.tolist(), GPS.lon.tolist(), strict=True):
+        for k in range(3 if rows == "three messages" else 2):
+            lines.append(f"{t + k * later!r},{lat + 1e-6 * k * (rows == 'antennas')!r},{lon!r}")
+    (tmp_path / "gps.csv").write_text("\n".join(lines))
+    got = imported(tmp_path)
+    times = got.drive.gps.time[:: 2 if rows == "antennas" else 1]
+    np.testing.assert_allclose(times, GPS.time, atol=1e-9)
+    assert not any("spread" in note for note in got.notes)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05])
+def test_pairs_of_samples_keep_their_times(tmp_path: Path, share: float):
+    """Of some pairs, only one sample is left."""
+    second = np.arange(len(IMU)) % 2 == 1
+    exact = np.where(second, np.roll(IMU.time, 1) + 0.0004, IMU.time)
+    lost = second & (np.random.default_rng(4).random(len(IMU)) < share)
+    write(tmp_path, "t", dict(zip(IMU.time.tolist(), map(repr, exact.tolist()), strict=True)).get, "t", repr)
+    lines = (tmp_path / "imu.csv").read_text().splitlines()
+    left = [line for line, gone in zip(lines[1:], lost, strict=True) if not gone]
+    (tmp_path / "imu.csv").write_text("\n".join([lines[0], *left]))
+    np.testing.assert_allclose(imported(tmp_path).drive.imu.time, exact[~lost], atol=1e-9)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("rows", [1, 2])
+def test_one_or_two_rows_have_no_rate(tmp_path: Path, rows: int):
+    write(tmp_path, "t", repr)
+    head = (tmp_path / "gps.csv").read_text().splitlines()[: rows + 1]
+    (tmp_path / "gps.csv").write_text("\n".join(head))
+    with pytest.raises(InputError, match=f"{rows} fixes within the IMU's time span"):
+        imported(tmp_path)
+    assert spread_stamps(np.full(rows, 5), "gps", "gps.csv")[1] == ""
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.01, 0.03, 0.05])
+@pytest.mark.parametrize(("role", "rate", "stamp"), [("gps", 5, 1.0), ("imu", 100, 0.1), ("imu", 100, 1.0)])
+def test_rows_with_coarse_stamps_of_which_a_few_are_lost(role: Role, rate: int, stamp: float, lost: float):
+    rng = np.random.default_rng(7)
+    row = np.arange(300 * rate)
+    row = row[rng.random(len(row)) >= lost]
+    row = row[(row < 100.5 * rate) | (row >= 130.5 * rate)]  # and a pause
+    coarse = row // round(rate * stamp) * round(stamp * 1e9)
+    fine, note = spread_stamps(coarse, role, "log.csv")
+    error = fine / 1e9 - row / rate
+    assert np.abs(np.median(error)) < 1e-3 and np.std(error) < max(5 * lost * (stamp / rate) ** 0.5, 1e-3)
+    assert "coarse" in note and ("rate is not constant" in note) == (lost > 0)
+
+
 @pytest.mark.parametrize("pause", [3.0, 300.0])
 def test_a_receiver_that_sleeps_has_no_bursts(tmp_path: Path, pause: float):
     times = dict(zip(GPS.time.tolist(), GPS.time + np.arange(len(GPS)) // 20 * pause, strict=True))
@@ -554,9 +609,26 @@ def test_rows_of_the_imu_show_the_time_of_a_fix_between_whole_seconds(tmp_path: 
         place = f"{float(GPS.lat[i])!r},{float(GPS.lon[i])!r}" if shown else ","
         rows.append(f"{int(t + 1e-6)},{IMU.ax[k]},{IMU.ay[k]},{IMU.gz[k]},{place}")
     (tmp_path / "log.csv").write_text("\n".join(rows))
-    got = imported(tmp_path / "log.csv").drive
-    np.testing.assert_allclose(got.imu.time, IMU.time, atol=1e-3)
-    np.testing.assert_allclose(got.gps.time, GPS.time, atol=0.011)
+    got = imported(tmp_path / "log.csv")
+    np.testing.assert_allclose(got.drive.imu.time, IMU.time, atol=1e-3)
+    np.testing.assert_allclose(got.drive.gps.time, GPS.time, atol=0.011)
+    assert any("gps: log.csv: the stamps are coarse; rows are spread" in note for note in got.notes)
+
+
+@pytest.mark.parametrize("more", ["", "std"])
+@pytest.mark.parametrize("jitter", [0.0, 0.004])
+def test_a_stamp_that_is_held_until_the_next_fix_keeps_its_time(tmp_path: Path, jitter: float, more: str):
+    stamps = np.round(GPS.time + np.abs(np.random.default_rng(6).normal(0, jitter, len(GPS))), 3)
+    rows = ["t,ax,ay,gz,gps_time,lat,lon,std_x,std_y"]
+    fixes = np.searchsorted(stamps, IMU.time + 1e-9, side="right") - 1
+    for k, i in enumerate(fixes.tolist()):
+        place = f"{float(stamps[i])!r},{float(GPS.lat[i])!r},{float(GPS.lon[i])!r}" if i >= 0 else ",,"
+        std = 1 + 0.1 * np.sin(k) if more else 1.0
+        rows.append(f"{float(IMU.time[k])!r},{IMU.ax[k]},{IMU.ay[k]},{IMU.gz[k]},{place},{std},{std}")
+    (tmp_path / "log.csv").write_text("\n".join(rows))
+    got = imported(tmp_path / "log.csv", maps=["gps.t=gps_time"])
+    np.testing.assert_allclose(got.drive.gps.time, stamps, atol=1e-9)
+    assert not any("spread" in note for note in got.notes)
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,7 @@ from sigmaswarm.importing.source import ROLES, Role
 from sigmaswarm.importing.timeline import STEPS
 from sigmaswarm.importing.times import FASTEST_IMU, MAX_STEP, MIN_FIX_INTERVAL, SLOWEST_IMU
 from sigmaswarm.importing.velocities import without_wrong_velocity
+from sigmaswarm.wording import rows_left_out
 
 # For fixes made from the truth: seed of the noise, and largest number of fixes
 SEED, MAX_FIXES = 0, 10_000_000
@@ -59,6 +60,8 @@ def assemble(
         times[role], values[role] = join(parts, role, REQUIRED.get(role, ()), say, recording)
     _report_other_clocks(times, gathered, say)
     seconds, zero = _seconds(_in_same_period(times, gathered, say), recipe)
+    if gathered["imu"][0].set_ahead:
+        _cut_to_recording(seconds, values, say)
     imu = _imu(seconds["imu"], values["imu"], recipe)
     origin = recipe.origin
     gps: Values = {}
@@ -245,6 +248,20 @@ def _report_other_clocks(
         if back and not gathered[role][0].set_back and back > STEPS * np.median(steps):
             message = "the clock does not restart when the IMU's clock restarts. If the pause before this recording was"
             say(f"{role}: {message} short, add --{role}-offset {-back / SECOND:.3f}")
+
+
+def _cut_to_recording(seconds: dict[Role, Array], values: dict[Role, Values], say: Say) -> None:
+    """Leave out rows of the other roles outside the time span of the IMU's recording, unless no row is within it."""
+    begin, end = seconds["imu"][0], seconds["imu"][-1]
+    for role, time in seconds.items():
+        inside = (time >= begin) & (time <= end)
+        if inside.any() and not inside.all():
+            outside = int(np.count_nonzero(~inside))
+            say(
+                f"{role}: {rows_left_out(outside)}, since the recording of the IMU does not cover their times"
+            )
+            seconds[role] = time[inside]
+            values[role] = {name: column[inside] for name, column in values[role].items()}
 
 
 def assemble_imu(parts: Sequence[PartColumns], recipe: Recipe, say: Say, recording: int | None = None) -> Imu:

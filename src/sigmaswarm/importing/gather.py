@@ -59,6 +59,7 @@ class PartColumns:
     placeholders: dict[str, tuple[float, int]] = field(default_factory=dict[str, tuple[float, int]])
     period: int = 0  # ns, period of a clock that wraps; 0 for other clocks, and before `unwrap`
     set_back: int = 0  # ns, sum of the steps back of the clock before the chosen recording
+    set_ahead: bool = False  # True if the clock jumps ahead between recordings
     counted: bool = False  # True if the time is computed from row numbers alone
     # Names and cells of the columns that may then be clocks
     clocks: tuple[str, ...] = ()

@@ -16,7 +16,9 @@ from sigmaswarm.importing.gather import PartColumns
 from sigmaswarm.importing.positions import Say, Values, valid_positions, with_longitudes
 from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.timeline import (
+    MAX_REPEATED_SHARE,
     from_digits,
+    in_burst,
     recordings,
     require_likely,
     require_unwrappable,
@@ -34,6 +36,8 @@ PERIODS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon":
 MAX_EMPTY_SHARE = 0.1
 # Smallest share of rows with the previous stamp in a table whose stamps are spread over all rows, also empty ones
 MIN_SHARED = 0.5
+# Largest number of changes of the position within bursts, relative to the number of bursts, if each burst is one fix
+MAX_OTHER_SHARE = 0.1
 POSITIONS = ("lat", "lon", "x", "y")
 # Smallest bend at a corner of an interpolated path, in median bends; smallest number of corners, and the smallest
 # share of corners at a constant interval
@@ -122,17 +126,26 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
     tick = (scaled_column(part.part.columns["t"]) or ("", 0.0))[1]
     require_unwrappable(time, tick, where)
     time, part.period, note = unwrap(time, tick)  # from all rows: a counter may wrap before the first fix
-    if role != "imu" and np.mean(np.diff(time) == 0) > MIN_SHARED:
-        # the rows between fixes show the time of a fix between two coarse stamps
-        with suppress(InputError):
-            fine, coarse = spread_stamps(time, role, where)
-            time = fine if coarse and (np.diff(time) >= 0).all() else time
-    filled = _finite(values, len(time)).any(axis=0)
+    filled, steps = _finite(values, len(time)).any(axis=0), np.diff(time)
+    again = np.zeros(len(time), bool) if role == "imu" else _messages(time, values)
+    if role != "imu" and np.count_nonzero(steps == 0) > MIN_SHARED * len(time) and (steps >= 0).all():
+        coarse, fixes = "", time[filled & ~again]
+        if np.count_nonzero(np.diff(fixes) == 0) > MAX_REPEATED_SHARE * len(fixes):
+            # the rows between fixes show the time of a fix between two coarse stamps
+            with suppress(InputError):
+                time, coarse = spread_stamps(time, role, where, arrival=False)
+        if coarse:
+            say(f"{where}: {coarse}")
+        else:
+            again |= np.append(False, (steps == 0) & _same_position(values))
     if 0 < (empty := int(np.count_nonzero(~filled))) < 0.5 * len(time):
         say(f"{role}: {rows_left_out(empty)}, since a cell is empty")
     if (copies := _copies(time, values)) is not None:
         say(f"{where}: {rows_left_out(int(copies.sum()))}, since other rows have the same content")
         filled &= ~copies
+    if role == "gps" and (repeated := int(np.count_nonzero(filled & again))):
+        say(f"{role}: {rows_left_out(repeated)}, since the previous position is repeated")
+        filled &= ~again
     if filled.any():
         time, values = time[filled], _rows(values, filled)
     if not note:  # rows without values, now left out, may have had other times
@@ -141,9 +154,10 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
         note = "; ".join(filter(None, (digits, note)))
     if note:
         say(f"{where}: {note}")
-    before = recordings(time, pauses=True)[: number or 0]
-    ends = [(int(time[r.start]), int(time[r.stop - 1])) for r in before]
-    part.set_back = sum(end - begin for (_, end), (begin, _) in pairwise(ends))
+    chosen = recordings(time, pauses=role == "imu") if number else []
+    ends = [(int(time[r.start]), int(time[r.stop - 1])) for r in chosen]
+    back = [end - begin for (_, end), (begin, _) in pairwise(ends)]
+    part.set_back, part.set_ahead = sum(back[: (number or 1) - 1]), any(step < 0 for step in back)
     time, rows = sorted_times(time, role, where, number, say)
     require_likely(time, role, where, part.part.columns["t"])
     values = _rows(values, rows)
@@ -161,6 +175,19 @@ def _copies(time: Nanoseconds, values: Values) -> NDArray[np.bool_] | None:
     cells = np.column_stack([time.view(np.float64), *values.values()])
     first = np.unique(cells.view(f"V{cells.strides[0]}").ravel(), return_index=True)[1]
     return ~np.isin(np.arange(len(time)), first) if len(first) == len(times) else None
+
+
+def _same_position(values: Values) -> NDArray[np.bool_]:
+    """Mark rows but the first, (n - 1,), with the position, or else all values, of the previous row."""
+    names = [n for n in POSITIONS if n in values] or list(values)
+    return np.all([np.diff(values[n]) == 0 for n in names], axis=0)
+
+
+def _messages(time: Nanoseconds, values: Values) -> NDArray[np.bool_]:
+    """Mark rows that repeat the position of a row just before, if all do: other messages of the same fix."""
+    near, same = in_burst(time, "gps"), _same_position(values)
+    others = np.count_nonzero(near & ~same) > MAX_OTHER_SHARE * np.count_nonzero(~near)
+    return np.append(False, near & same & ~others)
 
 
 def _rows(values: Values, rows: Any) -> Values:

@@ -43,6 +43,10 @@ MAX_REPEATED_SHARE = 0.02  # if a larger fraction of rows repeats the previous t
 # Largest step within a burst of rows, relative to the mean step and to `MAX_STEP`; smallest share of such steps in a
 # log with bursts
 MAX_BURST_STEP, MAX_BURST_INTERVAL, MIN_BURST_SHARE = 0.25, 1 / 400, 0.4
+MAX_ODD_SHARE = 0.2  # largest share of other groups in a log with two rows per measurement
+# If rows with coarse stamps are lost: smallest growth of the variance of the lateness over `WINDOW` stamps, rows^2 and
+# factor, largest share of lost rows of a stamp, and largest share of stamps with more lost rows or unusual steps
+MIN_WALK, MIN_GROWTH, MAX_LOST, MAX_UNEVEN_SHARE = 0.3, 1.5, 0.2, 0.1
 # Deviation of the steps of stamps, relative to a step, that rounding does not cause
 MIN_STEP_VARIATION = 0.005
 # Relative to the usual step of stamps: longest step without a pause, window in which rows have a constant rate, and
@@ -158,10 +162,11 @@ def _stray(time: Nanoseconds) -> NDArray[np.bool_]:
 
 def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> tuple[slice, str]:
     """Return the rows of the chosen recording, and a sentence or ""; refuse several recordings if none is chosen."""
-    # a receiver may be without fixes for hours
-    parts = recordings(time, pauses=role == "imu" or part is not None)
+    # a receiver may be without fixes for hours; after a jump ahead, the span of the IMU selects the fixes
+    parts = recordings(time, pauses=role == "imu")
     if len(parts) == 1:
-        return parts[0], f"{where}: the clock does not restart; all rows are used" if part else ""
+        note = f"{where}: the clock does not restart, so --part does not select rows"
+        return parts[0], note if part else ""
     if part is None and len(parts) > MAX_SECONDS and (rate := _rate_by_rows(time, parts)):
         raise InputError(
             f"{where}: the clock goes back {len(parts) - 1} times, about once per second; if the fractions of seconds "
@@ -180,30 +185,54 @@ def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> 
     return parts[part - 1], f"{message}; recording {part} is used"
 
 
-def spread_stamps(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]:
+def in_burst(time: Nanoseconds, role: Role) -> NDArray[np.bool_]:
+    """Mark steps, (n - 1,), that are so short that both rows may be of one stamp or burst."""
+    steps = np.diff(time)
+    step = int(np.sum(np.maximum(steps, 0))) / max(len(steps), 1)
+    small = max(MAX_BURST_STEP * step, 1.0)
+    return (steps >= 0) & (steps < min(small, MAX_BURST_INTERVAL * MAX_STEP[role] * SECOND))
+
+
+def spread_stamps(
+    time: Nanoseconds, role: Role, where: str, *, arrival: bool = True
+) -> tuple[Nanoseconds, str]:
     """Spread rows that share a stamp or arrive in bursts evenly; refuse shared stamps of rows without a constant rate.
 
     At a constant rate, the stamps less a straight line over the rows are in a band. The times are at its upper edge
     for coarse stamps, which are rounded down, and at its lower edge for stamps of the arrival, which are late.
+    Pairs of rows are two messages of one measurement, or two sensors, rather than a buffer, and keep their times.
+    Without ``arrival``, only coarse stamps are spread.
     """
+    if len(time) < 3:
+        return time, ""
     steps = np.diff(time)
-    step = max(int(np.sum(steps)) / max(len(steps), 1), 1.0)
-    shared, ahead = float(np.mean(steps == 0)) if len(steps) else 0.0, steps[steps > 0]
-    if len(time) > 2 and not len(ahead):
+    step = max(int(np.sum(steps)) / len(steps), 1.0)
+    shared, ahead = float(np.mean(steps == 0)), steps[steps > 0]
+    if not len(ahead):
         raise InputError(
             f"{where}: all {len(time)} rows have the same time; specify a finer time with --map {role}.t=..., or, if "
             f'the rate is known, compute it from the row number: --map "{role}.t=row/100" for 100 Hz'
         )
-    small = min(MAX_BURST_STEP * step, MAX_BURST_INTERVAL * MAX_STEP[role] * SECOND)
-    if shared <= MAX_REPEATED_SHARE and np.mean(steps < small) < MIN_BURST_SHARE:
+    near = in_burst(time, role)
+    first = np.flatnonzero(np.append(True, ~near))  # row of each stamp or burst
+    sizes, apart_in_burst = np.diff(first, append=len(time)), float(np.mean(near[steps > 0]))
+    pairs = np.mean(sizes) < 3 and np.mean(sizes != 2) <= MAX_ODD_SHARE and apart_in_burst >= MIN_BURST_SHARE
+    if pairs or (shared <= MAX_REPEATED_SHARE and np.mean(near) < MIN_BURST_SHARE):
         return time, ""
-    first = np.flatnonzero(np.append(True, steps >= small))  # row of each stamp or burst
     apart = np.diff(time[first])
     length = float(np.median(apart)) if len(apart) else step
     off_grid = np.abs(apart - np.round(apart / length) * length) > MIN_STEP_VARIATION * length
-    coarse = np.mean(ahead < small) < 0.5 and np.mean(off_grid) < 0.5
+    coarse = apart_in_burst < 0.5 and np.mean(off_grid) < 0.5
+    if not coarse and not arrival:
+        return time, ""
     late, low, high, step = _bands(time, first if coarse else first[1:] - 1, length)
-    if np.mean(high - low <= MAX_BAND * length) >= MIN_EVEN_SHARE:
+    even = np.mean(high - low <= MAX_BAND * length) >= MIN_EVEN_SHARE
+    if coarse and (not even or _lost(late[first] / step, apart, length)):
+        fine = _by_stamp(time[first], sizes)
+        if fine is not None:
+            spread = f"are spread evenly over the {length / SECOND:.4g} s of their stamp"
+            return fine, f"the stamps are coarse and the rate is not constant; rows {spread}"
+    if even:
         edge = np.minimum(high, (high + low + length) / 2) if coarse else low
         fine = np.maximum.accumulate(time + np.round(edge - late).astype(np.int64))
         kind = "are coarse" if coarse else "are the times of arrival"
@@ -218,6 +247,35 @@ def spread_stamps(time: Nanoseconds, role: Role, where: str) -> tuple[Nanosecond
     )
 
 
+def _lost(late: Array, apart: Nanoseconds, length: float) -> bool:
+    """Return whether rows are lost: the lateness of the stamps (m,), rows, then walks away from a straight line."""
+    paused = np.append(0, np.cumsum(apart > MAX_PAUSE * length))
+
+    def walk(k: int) -> float:
+        walks = (late[k:] - late[:-k])[paused[k:] == paused[:-k]]
+        return float(np.var(walks)) if len(walks) else 0.0
+
+    return walk(min(WINDOW, max(len(late) // 3, 1))) > MIN_GROWTH * walk(1) + MIN_WALK
+
+
+def _by_stamp(stamps: Nanoseconds, sizes: NDArray[np.intp]) -> Nanoseconds | None:
+    """Spread the rows of each stamp (m,) over its interval; return None if the numbers of rows are uneven."""
+    apart, usual = np.diff(stamps), float(np.median(sizes))
+    length = int(np.median(apart))
+    uneven = np.abs(apart - length) > MAX_LOST * length
+    inner = sizes[1:-1] if len(sizes) > 3 else sizes
+    odd = np.abs(inner - usual) > max(1.0, MAX_LOST * usual)
+    if usual < 2 or max(np.mean(odd), np.mean(uneven)) > MAX_UNEVEN_SHARE:
+        return None
+    lengths = np.append(np.where(uneven, np.minimum(apart, length), apart), length)
+    begins, ends = np.append(True, uneven), np.append(uneven, True)  # a pause leaves a part of the rows
+    whole = np.where(begins | ends, np.maximum(sizes, usual), sizes)
+    place = np.arange(sizes.sum()) - np.repeat(
+        np.cumsum(sizes) - sizes - np.where(begins, whole - sizes, 0), sizes
+    )
+    return np.repeat(stamps, sizes) + np.round(place / np.repeat(whole / lengths, sizes)).astype(np.int64)
+
+
 def _bands(time: Nanoseconds, known: NDArray[np.intp], length: float) -> tuple[Array, Array, Array, float]:
     """Return stamps less a straight line over the rows, the band's lower and upper edge (n,), and the line's slope, ns.
 
@@ -227,7 +285,11 @@ def _bands(time: Nanoseconds, known: NDArray[np.intp], length: float) -> tuple[A
     pauses = np.where(steps > MAX_PAUSE * length, steps - round(length), 0)
     edges, since = np.flatnonzero(pauses) + 1, time - time[0] - np.append(0, np.cumsum(pauses))
     known = np.setdiff1d(known, np.concatenate([[0], edges, edges - 1]))  # without cut groups of rows
-    step = float(np.polyfit(known, since[known], 1)[0]) if len(known) > 1 else length
+    of = np.append(0, np.cumsum(pauses > 0))[known]  # a pause changes the phase of the stamps
+    rows, times = (
+        v - (np.bincount(of, v) / np.maximum(np.bincount(of), 1))[of] for v in (known, since[known])
+    )
+    step = float(rows @ times / (rows @ rows)) if np.any(rows) else length
     late = since - step * np.arange(len(time))
     window, parts = max(round(WINDOW * length / max(step, 1.0)), 3), np.split(late, edges)
     filters = (minimum_filter1d, maximum_filter1d)
