@@ -405,6 +405,44 @@ def test_rates_behind_a_magnetic_field_and_a_time_in_three_columns_are_found_by_
     require_same(as_proposed(tmp_path / "log.txt"))
 
 
+ROWS = np.arange(len(TIME))
+SECONDS = np.floor(TIME + 1e-6)
+FRACTIONS = np.maximum(np.round(TIME - SECONDS, 6), 0.0)
+# The columns before those of the IMU, and the time that is proposed
+BEFORE: dict[str, tuple[list[Any], str]] = {
+    "counter and throttle": ([ROWS, 0.9 * np.abs(np.sin(ROWS * 1e-3)), TIME], "c3"),
+    "laps and their fractions": ([TIME, SECONDS // 20, np.round(TIME % 20 / 20.01, 6)], "c1"),
+    "fractions behind a counter": ([ROWS, SECONDS + 200_000, FRACTIONS], "c2 + c3"),
+    "fractions behind a week": ([ROWS, 0 * ROWS + 2394, SECONDS, FRACTIONS], "gps_time(c2, c3 + c4)"),
+}
+
+
+@pytest.mark.parametrize("form", BEFORE)
+def test_only_fractions_that_begin_again_with_each_second_belong_to_the_time(tmp_path: Path, form: str):
+    columns, time = BEFORE[form]
+    places = [np.interp(TIME, FIXED, values) for values in (LAT, LON)]
+    table = {f"c{k}": values for k, values in enumerate([*columns, *IMU.values(), *places], 1)}
+    pl.DataFrame(table).write_csv(tmp_path / "log.csv", include_header=False)
+    maps = inspect_request(Request(tmp_path / "log.csv")).settings["maps"]
+    assert {maps["imu.t"], maps["gps.t"]} == {time}
+
+
+@pytest.mark.parametrize("week", [False, True])
+def test_a_dilution_of_precision_is_not_a_fraction_of_a_second(tmp_path: Path, week: bool):
+    (tmp_path / "log").mkdir()
+    slow = np.arange(0, len(FIXED), round(1 / (FIXED[1] - FIXED[0])))
+    dilution = np.round(0.8 + 0.15 * np.sin(slow / 35), 2)
+    for name, time, columns in (
+        ("imu", TIME, [*IMU.values()]),
+        ("gps", np.round(FIXED[slow]).astype(int), [dilution, LAT[slow], LON[slow]]),
+    ):
+        values = [*[np.full(len(time), 2394)] * week, 345_600 + time, *columns]
+        table = {f"c{k}": v for k, v in enumerate(values)}
+        pl.DataFrame(table).write_csv(tmp_path / "log" / f"{name}.csv", include_header=False)
+    maps = inspect_request(Request(tmp_path / "log")).settings["maps"]
+    assert maps["gps.t"] == ("gps_time(c1, c2)" if week else "c1")
+
+
 @pytest.mark.parametrize("more", ["", "1,", "acc,"])
 def test_headers_of_separate_tables_without_names_are_written_by_the_named_command(tmp_path: Path, more: str):
     tables = {

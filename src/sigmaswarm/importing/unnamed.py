@@ -1,7 +1,7 @@
 """Recognize columns without names by their values: time, specific force, angular rates, latitude and longitude."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -22,6 +22,7 @@ TOLERANCE = 0.05  # relative deviation of the median specific force from gravity
 MIN_SPREAD = 1e-3  # smallest relative spread of the specific force; a quaternion's magnitude is constant
 DATE_AND_CLOCK = r"^\d+[-/.]\d+[-/.]\d+$", r"^\d+:\d+:\d+"  # in two columns
 MIN_TURN_RATIO = 2.0  # smallest ratio of the 95% to the 25% quantile of angular rates
+MIN_FALLS = 0.9  # smallest share of new seconds at which a fraction falls; after a gap it may rise
 MAX_DEGREES = 2.0  # largest range of latitude and longitude in a log
 
 
@@ -36,7 +37,7 @@ def columns_by_values(frame: pl.DataFrame, role: Role) -> dict[str, str]:
     axes = _axes(values)
     place = _place(values) if role == "gps" else axes if "gx" in axes else {}
     # in a table with an IMU, its rate determines the unit of the times
-    time = _summed(values) or next(_times(frame, "imu" if "gx" in axes else role), "")
+    time = next(_times(frame, "imu" if "gx" in axes else role, _summed(values)), "")
     return (
         {"t": time, **{what: quoted_column(name) for what, name in place.items()}} if place and time else {}
     )
@@ -59,8 +60,8 @@ def _letters(frame: pl.DataFrame) -> dict[str, str]:
     return {"t": time, **texts} if texts else {}
 
 
-def _times(frame: pl.DataFrame, role: Role) -> Iterator[str]:
-    """Yield time expressions of increasing columns and of texts; row numbers come last."""
+def _times(frame: pl.DataFrame, role: Role, summed: Mapping[str, str]) -> Iterator[str]:
+    """Yield time expressions of texts, increasing columns and sums of columns, by column; row numbers come last."""
     found: list[tuple[bool, str]] = []
     texts = {name: frame[name].drop_nulls() for name in frame.columns if frame.schema[name] == pl.String}
     for day, clock in pairwise(frame.columns):
@@ -68,28 +69,51 @@ def _times(frame: pl.DataFrame, role: Role) -> Iterator[str]:
         if all(len(v) and v.str.contains(form).all() for v, form in zip(pair, DATE_AND_CLOCK, strict=True)):
             yield date_time([day, clock], frame).expression
     for name in frame.columns:
+        if name in summed:
+            found.append((False, summed[name]))
+            continue
         time = column_time(read_name(name), frame, role)
-        steps = frame[name].cast(pl.Float64, strict=False).diff().drop_nulls()
+        numbers = frame[name].cast(pl.Float64, strict=False)
+        steps = numbers.diff().drop_nulls()
         rises = len(steps) > 0 and (steps >= 0).all() and median_of(steps) > 0
-        if time.expression and (rises or frame.schema[name] == pl.String):
+        # numbers may be read as texts
+        is_text = frame.schema[name] == pl.String and numbers.count() < 0.5 * len(frame)
+        if time.expression and (rises or is_text):
             found.append((bool(rises and (steps == 1).all()), time.expression))
     yield from (text for _, text in sorted(found, key=lambda pair: pair[0]))
 
 
-def _summed(values: dict[str, Array]) -> str:
-    """Find whole seconds, perhaps after a GPS week, and their fractions in the next column; return the time, or ""."""
+def _summed(values: dict[str, Array]) -> dict[str, str]:
+    """Return the sum of whole seconds and their fractions in the next column, perhaps with a GPS week, by column."""
     names = [*values]
     for week, name, rest in zip(["", *names], names, names[1:], strict=False):
-        whole, part = values[name], values[rest]
-        fits = len(whole) > 2 and np.all(whole == np.round(whole)) and np.all((part >= 0) & (part < 1))
-        if not fits or not np.ptp(whole) or not np.all(np.diff(whole + part) > 0):
+        whole, seconds = values[name], quoted_column(name)
+        if len(whole) < 3 or not np.all(whole == np.round(whole)) or not np.ptp(whole):
             continue
-        seconds = f"{quoted_column(name)} + {quoted_column(rest)}"
-        if week and not np.ptp(values[week]) and 1000 < values[week][0] < 5000 and whole.max() <= 604_800:
-            return f"gps_time({quoted_column(week)}, {seconds})"
-        if np.ptp(part):
-            return seconds
-    return ""
+        weekly = (
+            week and not np.ptp(values[week]) and 1000 < values[week][0] < 5000 and whole.max() <= 604_800
+        )
+        if _are_fractions(whole, values[rest]):
+            seconds = f"{seconds} + {quoted_column(rest)}"
+        elif not weekly or not np.all(np.diff(whole) > 0):
+            continue
+        return {name: f"gps_time({quoted_column(week)}, {seconds})" if weekly else seconds}
+    return {}
+
+
+def _are_fractions(whole: Array, part: Array) -> bool:
+    """Return True if numbers in [0, 1) rise within a second, fall where the next begins, and make the steps even.
+
+    Where a second has only one row, its fraction may also rise.
+    """
+    if not np.all((part >= 0) & (part < 1)):
+        return False
+    within, steps = np.diff(whole) == 0, np.diff(whole + part)
+    alone = np.diff(np.concatenate([[0], np.flatnonzero(~within) + 1, [len(whole)]])) == 1
+    falls = (np.diff(part) < 0)[~within][~(alone[1:] | alone[:-1])]
+    uneven = [float(np.mean(np.abs(v - np.median(v)))) for v in (steps, np.diff(whole))]
+    rises = within.any() and np.all(steps > 0)
+    return bool(rises and uneven[0] < uneven[1] and (not len(falls) or np.mean(falls) >= MIN_FALLS))
 
 
 def header_by_values(frame: pl.DataFrame) -> str:
@@ -101,7 +125,7 @@ def header_by_values(frame: pl.DataFrame) -> str:
         return ""
     axes = _axes(values)
     found = axes if "gx" in axes else _place(values) or axes
-    time = next(_times(frame, "gps" if "lat" in found else "imu"), "")
+    time = next(_times(frame, "gps" if "lat" in found else "imu", {}), "")
     clock = next((n for n in values if re.search(rf"\b{n}\b", time)), "")
     # other columns than clocks and constants
     rest = [n for n, v in values.items() if np.isfinite(v).all() and (np.diff(v) < 0).any() and n != clock]
