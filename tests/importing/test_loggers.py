@@ -474,19 +474,24 @@ def test_tables_that_were_pasted_side_by_side_have_a_time_each(tmp_path: Path, n
     require_same(imported(tmp_path / "both.csv").drive)
 
 
+@pytest.mark.parametrize("up", [1, -1])
 @pytest.mark.parametrize("scales", [(16384, 131), (8192, 65.5), (4096, 32.8)])
 def test_counts_that_were_written_without_a_sign_are_refused_and_the_remedy_helps(
-    tmp_path: Path, scales: tuple[float, float]
+    tmp_path: Path, scales: tuple[float, float], up: int
 ):
+    """Gravity on a negative axis is far from -1."""
+    signs = {n: up if n in ("ay", "az", "gy", "gz") else 1 for n in AXES}
     per = {n: scales[0] / 9.80665 if n[0] == "a" else np.degrees(scales[1]) for n in AXES}
-    words = {n: np.round(IMU[n] * per[n]).astype(int) % 65536 for n in AXES}
+    words = {n: np.round(signs[n] * IMU[n] * per[n]).astype(int) % 65536 for n in AXES}
     write(tmp_path / "log" / "imu.csv", {"t": TIME, **words})
     write(tmp_path / "log" / "gps.csv", {"t": FIXED, "lat": LAT, "lon": LON})
     with pytest.raises(InputError, match="raw counts") as caught:
         imported(tmp_path / "log")
     maps = dict(re.findall(r'"imu\.([ag][xyz])=([^"]+)"', str(caught.value)))
-    assert "where(ay > 32767, ay - 65536, ay)" in maps["ay"]
-    got = imported(tmp_path / "log", maps=[f"imu.{n}={text}" for n, text in maps.items()]).drive
+    assert all(f"where({n} > 32767, {n} - 65536, {n})" in maps[n] for n in AXES)
+    assert f"*9.80665/{scales[0]}" in maps["az"]
+    options, mount = [f"imu.{n}={text}" for n, text in maps.items()], "x=x,y=-y,z=-z" if up < 0 else ""
+    got = imported(tmp_path / "log", maps=options, recipe=Recipe(mount=mount)).drive
     for name in AXES:
         np.testing.assert_allclose(getattr(got.imu, name), IMU[name], atol=0.6 / per[name], err_msg=name)
 

@@ -55,6 +55,7 @@ class Columns:
     # The numbers of columns and their 99th percentiles, since each axis of a sensor needs those of all axes
     _numbers: dict[str, pl.Series] = field(default_factory=dict[str, pl.Series], init=False)
     _largest: dict[str, float] = field(default_factory=dict[str, float], init=False)
+    _wrapped: dict[str, bool] = field(default_factory=dict[str, bool], init=False)
 
     def __contains__(self, what: str) -> bool:
         return what in self.names
@@ -96,13 +97,31 @@ class Columns:
         return f"where({text} > 32767, {text} - 65536, {text})" if self._is_unsigned(what) else text
 
     def _is_unsigned(self, what: str) -> bool:
-        """Return True for signed words of 16 bits that were written without a sign: -1 is 65535."""
-        values = self.frame[self.names[what].column]
-        if what not in AXES or not values.dtype.is_integer():
+        """Return True for signed words of 16 bits that were written without a sign: -1 is 65535.
+
+        The axes of a sensor have the same form; gravity on a negative axis is not near -1.
+        """
+        if what not in AXES or not self._is_word(what):
             return False
-        low, high = (values.quantile(q) or 0.0 for q in (0.0, 1.0))
-        middle = float(values.is_between(23_000, 42_000).mean() or 0)  # pyright: ignore[reportArgumentType]
-        return low >= 0 and 59_000 < high < 65_536 and middle < MAX_DAMAGED_SHARE
+        axes = [a for a in AXES if a[0] == what[0] and a in self and self._is_word(a)]
+        return any(map(self._wraps, axes))
+
+    def _is_word(self, what: str) -> bool:
+        values = self.frame[self.names[what].column]
+        if not values.dtype.is_integer():
+            return False
+        low, high = (float(values.quantile(q) or 0.0) for q in (0.0, 1.0))
+        return low >= 0 and high < 65_536
+
+    def _wraps(self, what: str) -> bool:
+        """Return True for numbers just above 0 and just below 65536, and few between."""
+        column = self.names[what].column
+        if column not in self._wrapped:
+            values = self.frame[column]
+            middle = float(values.is_between(23_000, 42_000).mean() or 0)  # pyright: ignore[reportArgumentType]
+            high = float(values.quantile(1.0) or 0.0)
+            self._wrapped[column] = high > 59_000 and middle < MAX_DAMAGED_SHARE
+        return self._wrapped[column]
 
     def _signed(self, what: str) -> pl.Series:
         values = self.frame[self.names[what].column]
