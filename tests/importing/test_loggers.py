@@ -443,25 +443,42 @@ def test_a_dilution_of_precision_is_not_a_fraction_of_a_second(tmp_path: Path, w
     assert maps["gps.t"] == ("gps_time(c1, c2)" if week else "c1")
 
 
-@pytest.mark.parametrize("more", ["", "1,", "acc,"])
-def test_headers_of_separate_tables_without_names_are_written_by_the_named_command(tmp_path: Path, more: str):
+@pytest.mark.parametrize("more", ["", "1,", "acc,", "1;"])
+@pytest.mark.parametrize("fixes", ["without names", "with names", "unclear"])
+def test_headers_of_separate_tables_without_names_are_written_by_the_named_command(
+    tmp_path: Path, more: str, fixes: str
+):
+    """The command works in any folder. Near the equator or Greenwich the values show no position."""
+    away = 6.5 if fixes == "unclear" else 0.0
     tables = {
-        "a": (TIME, AXES[:3], IMU),
+        "a's": (TIME, AXES[:3], IMU),
         "b": (TIME, AXES[3:], IMU),
-        "c": (FIXED, ("lat", "lon"), {"lat": LAT, "lon": LON}),
+        "c": (FIXED, ("lat", "lon"), {"lat": LAT, "lon": LON - away}),
     }
-    (tmp_path / "my log").mkdir()
+    folder, mark = tmp_path / "my log", more[-1:] or ","
+    folder.mkdir()
     for name, (time, columns, values) in tables.items():
-        rows = (
-            f"{more}{t:.3f}," + ",".join(f"{values[n][k]:.9f}" for n in columns) for k, t in enumerate(time)
-        )
-        (tmp_path / "my log" / f"{name}.txt").write_text("\n".join(rows) + "\n")
+        rows = [
+            f"{more}{t:.3f}{mark}" + mark.join(f"{values[n][k]:.9f}" for n in columns)
+            for k, t in enumerate(time.tolist())
+        ]
+        if name == "c" and fixes == "with names":
+            rows.insert(0, mark.join([*["kind"] * bool(more), "t", *columns]))
+        (folder / f"{name}.txt").write_text("\n".join(rows) + "\n")
     with pytest.raises(InputError, match="no IMU samples") as caught:
-        imported(tmp_path / "my log")
-    found = re.search(r"suggest: (mkdir .*?), and import the folder named", str(caught.value))
-    assert found is not None
-    run(found[1], tmp_path / "my log")
-    require_same(imported(tmp_path / "my log" / "named").drive)
+        imported(folder)
+    found = re.search(
+        r"suggest: (\(.*\))(; copy c.txt to .*)?, and import the folder '(.*?)'", str(caught.value)
+    )
+    assert found is not None and (fixes == "unclear") == (found[2] is not None)
+    run(found[1], tmp_path)
+    if fixes == "unclear":
+        header = ",".join([*["kind"] * bool(more), "t", "lat", "lon"])
+        (folder / "named" / "c.txt").write_text(f"{header}\n{(folder / 'c.txt').read_text()}")
+    drive = imported(Path(found[3])).drive
+    require_same(
+        replace(drive, origin=(drive.origin[0], drive.origin[1] + away, 0.0)) if drive.origin else drive
+    )
 
 
 @pytest.mark.parametrize("names", [("Time IMU (s)", "Time GPS (s)"), ("Time", "Time"), ("t_imu", "gps_time")])

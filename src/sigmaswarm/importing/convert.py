@@ -436,16 +436,26 @@ def missing_sensor(
 
 
 def _headers(log: Log) -> str:
-    """Propose headers for the tables of a folder whose columns have numbers instead of names; "" if there are none."""
+    """Return a command that copies the tables of a folder, with headers for those without; "" if it makes no IMU."""
     first = (
         next(iter(log.batches({name: t.columns})), ("", pl.DataFrame(), 0.0))
         for name, t in log.tables.items()
     )
     headers = {name: header for name, rows, _ in first if (header := header_by_values(rows))}
+    headers = {name: header for name, header in headers.items() if log.tables[name].columns[0] == "c1"}
     if not log.path.is_dir() or not {"ax", "gz"} <= {*",".join(headers.values()).split(",")}:
         return ""
-    lines = [f"(echo {text}; cat {quote(name)}) > named/{quote(name)}" for name, text in headers.items()]
-    return f"write headers as the values suggest: mkdir -p named; {'; '.join(lines)}, and import the folder named"
+    new = {name: quote(f"named/{name}") for name in log.tables}
+    folders = dict.fromkeys(quote(str(Path("named", name).parent)) for name in log.tables)
+    lines = [f"(echo {quote(text)}; cat {quote(name)}) > {new[name]}" for name, text in headers.items()]
+    left = [name for name, table in log.tables.items() if name not in headers and table.columns[0] == "c1"]
+    lines += [f"cp {quote(name)} {new[name]}" for name in log.tables if name not in (*headers, *left)]
+    command = " && ".join([f"cd {quote(str(log.path))}", f"mkdir -p {' '.join(folders)}", *lines])
+    there = quote(str(log.path / "named"))
+    more = f"; copy {list_names(left)} to {there} with a header, such as t,lat,lon, since the values suggest none"
+    return (
+        f"write headers as the values suggest: ({command}){more * bool(left)}, and import the folder {there}"
+    )
 
 
 def complete_all(
