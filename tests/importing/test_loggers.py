@@ -197,7 +197,7 @@ def test_rows_of_several_kinds_are_separated_by_the_named_command(tmp_path: Path
     require_same(as_proposed(tmp_path / "kinds"))
 
 
-@pytest.mark.parametrize("flags", ["01", "VA", "13", "ny"])
+@pytest.mark.parametrize("flags", ["01", "VA", "13", "123", "ny"])
 @pytest.mark.parametrize("place", [0, 1])
 def test_shorter_rows_without_a_fix_are_not_another_kind(tmp_path: Path, place: int, flags: str):
     """A flag states whether the cells of the fix follow."""
@@ -205,10 +205,26 @@ def test_shorter_rows_without_a_fix_are_not_another_kind(tmp_path: Path, place: 
     rows: list[str] = []
     for k, t in enumerate(TIME.tolist()):
         begin = [f"{t:.3f}"]
-        begin.insert(place, flags[k in fixes])
+        begin.insert(place, flags[1 + int(t) % (len(flags) - 1)] if k in fixes else flags[0])
         rows.append(",".join([*begin, *numbers(k), *(f"{v:.9f}" for v in fixes.get(k, ()))]))
     (tmp_path / "log.csv").write_text("\n".join(rows) + "\n")
     require_same(as_proposed(tmp_path / "log.csv"))
+
+
+@pytest.mark.parametrize("kinds", ["12", "FG", "nm"])
+@pytest.mark.parametrize("place", [0, 1])
+def test_numbered_sensors_are_not_rows_without_a_fix(tmp_path: Path, place: int, kinds: str):
+    """The rates are in the range of the accelerations, and their rows are shorter."""
+    rows: list[str] = []
+    for k, t in enumerate(TIME.tolist()):
+        free = [f"{IMU['ax'][k]:.5f}", f"{IMU['ay'][k]:.5f}", f"{IMU['az'][k] - G:.5f}", "0.1"]
+        for kind, values in zip(kinds, ([f"{IMU[n][k]:.5f}" for n in AXES[3:]], free), strict=True):
+            begin = [f"{t:.3f}"]
+            begin.insert(place, kind)
+            rows.append(",".join([*begin, *values]))
+    (tmp_path / "log.csv").write_text("\n".join(rows) + "\n")
+    with pytest.raises(InputError, match=r"rows of several kinds .*awk"):
+        imported(tmp_path / "log.csv")
 
 
 def test_rows_with_only_a_time_and_a_flag_are_not_another_kind(tmp_path: Path):

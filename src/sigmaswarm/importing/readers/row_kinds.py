@@ -12,7 +12,15 @@ from sigmaswarm.wording import list_names
 
 MAX_KINDS = 20
 MAX_ROWS = 20_000  # largest number of rows that are examined
-NO_FIX = {"0", "1", "v", "n", "f", "no", "none", "false", "void", "invalid"}  # flags, in lower case
+_WORDS = ("0", "no", "none", "false", "void", "invalid")
+# Flags of rows without a fix, and the form of the others, in lower case; 1 to 3 are none, 2D and 3D
+NO_FIX: dict[str, str] = {
+    **dict.fromkeys(_WORDS, r"\w+"),
+    "1": "[23]",
+    "v": "[ad]",
+    "n": "[yadefr]",
+    "f": "t",
+}
 KIND_CELLS = 2  # the kind is in the first or second cell, perhaps after a time
 _WORD, _CODE = re.compile(r" *\$?([A-Za-z]\w*)(?= *$|:)"), re.compile(r" *(\d{1,3}|[A-Za-z]\w*) *$")
 
@@ -71,7 +79,12 @@ def _are_cut(rows: Sequence[Sequence[str]], place: int) -> bool:
     flag = min(whole, key=len)[place].strip() if whole else ""
     kinds = [[row for row in whole if (row[place].strip() == flag) == cut] for cut in (True, False)]
     width = min(map(len, whole), default=0)
-    if flag.lower() not in NO_FIX or not kinds[1] or width == min(map(len, kinds[1])):
+    others, form = {row[place].strip().lower() for row in kinds[1]}, NO_FIX.get(flag.lower())
+    if form is None or not all(re.fullmatch(form, other) for other in others):
+        return False
+    longer = {len(row) for row in kinds[1]}
+    # 1 and 2 alone may be the numbers of sensors
+    if not longer or width == min(longer) or (flag == "1" and ("3" not in others or len(longer) > 1)):
         return False
     cells = [k for k in range(width) if k != place]
     try:
