@@ -69,7 +69,7 @@ def test_a_damaged_record_is_named(name: str, how: str, tmp_path: Path):
     with pytest.raises(InputError, match=name.replace(".", r"\.")) as raised:
         RECORDS[name](folder / name)
     assert str(raised.value).isprintable()
-    assert len(str(raised.value)) < 1000 + len(str(tmp_path))
+    assert len(str(raised.value)) < 1000
 
 
 GOOD = {"point": np.zeros(3), "best": np.ones(2), "median": np.ones(2), "steps": np.ones(2, int)}
@@ -288,7 +288,7 @@ def test_a_damaged_config_of_a_tuning_is_one_line(how: str, tmp_path: Path):
     with pytest.raises(InputError, match=r"config\.json: ") as raised:
         ResultFolder(tmp_path, config, resume=True)
     assert str(raised.value).isprintable()
-    assert len(str(raised.value)) < 1000
+    assert len(str(raised.value)) < 1000 + len(str(tmp_path))
 
 
 FILTERS = {

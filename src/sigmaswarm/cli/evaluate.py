@@ -114,8 +114,7 @@ def evaluate(
     """
     from sigmaswarm.learned.folder import load_learned
     from sigmaswarm.reports.evaluation import save_evaluation
-    from sigmaswarm.scoring.methods import AGAINST
-    from sigmaswarm.scoring.remarks import other_sensors, worse_than_raw
+    from sigmaswarm.scoring.remarks import other_sensors
     from sigmaswarm.tuning.record import TunedFilter
 
     _check_input(tuning, options)
@@ -138,14 +137,9 @@ def evaluate(
     if written:
         names = ", ".join(path.name for path in written) if options.verbose else f"{len(written)} files"
         print_lines(f"wrote {names} to {out}")
-    unusable = warn_of_unusable(tuning, record)
-    if result.is_worse_than_untuned or worse_than_raw(result.record):
-        steps: Iterable[str] = (WORSE_STEP,)
-    elif options.against and (result.improvement(AGAINST, "outage_drift_m") or 0.0) < -WORSE_THAN_OTHER:
-        steps = (f"then: use the filter with the smaller drift, {options.against}, or tune again",)
-    else:
-        steps = () if learned or unusable else _export(tuning, tuned, drives)
-    print_lines(*_next_steps(out, remedies, steps))
+    usable = not warn_of_unusable(tuning, record) and not learned
+    export = _better_filter(result, options) or (_export(tuning, tuned, drives) if usable else ())
+    print_lines(*_next_steps(out, remedies, export))
 
 
 def _check_input(tuning: Path, options: EvaluateOptions) -> None:
@@ -172,6 +166,18 @@ def _next_steps(out: Path | None, remedies: Sequence[Remedy], export: Iterable[s
         yield from export
     else:
         yield f"next: to save scores, figures and the data for a report, add --out {free_path('evaluation')}"
+
+
+def _better_filter(result: "Evaluation", options: EvaluateOptions) -> tuple[str, ...]:
+    """Return a step in place of the export if another method is more accurate, otherwise ()."""
+    from sigmaswarm.scoring.methods import AGAINST
+    from sigmaswarm.scoring.remarks import worse_than_raw
+
+    if result.is_worse_than_untuned or worse_than_raw(result.record):
+        return (WORSE_STEP,)
+    if options.against and (result.improvement(AGAINST, "outage_drift_m") or 0.0) < -WORSE_THAN_OTHER:
+        return (f"then: use the filter with the smaller drift, {options.against}, or tune again",)
+    return ()
 
 
 def _export(tuning: Path, tuned: "TunedFilter", drives: Sequence[str]) -> Iterator[str]:

@@ -33,8 +33,7 @@ def clock_drift(evidence: Evidence) -> ClockDrift | None:
 
     With the residual r of the course in windows and the yaw rate w at the delayed time, -r = w (da + t db + c / v). The
     course of a point at a distance c before the rear axle leads the heading by w c / v, which is a delay of c / v: if
-    the speed v in turns rises or falls over a drive, this delay would otherwise appear as a drift. The standard
-    deviation is from a jackknife over windows.
+    the speed v in turns rises or falls over a drive, this delay would otherwise appear as a drift.
     """
     course, fit, yaw, imu = evidence.course, evidence.yaw_fit, evidence.yaw, evidence.drive.imu
     if course is None or fit is None or not yaw.known or fit.course_change < MIN_GAIN_TURN:
@@ -86,9 +85,8 @@ def clock_drift(evidence: Evidence) -> ClockDrift | None:
     spread = float(np.min((np.sum(power, axis=0) ** 2 / np.maximum(np.sum(power**2, axis=0), 1e-300))[:2]))
     drift, change = float(delay[1]), float(delay[1]) * length
     noise = evidence.noise / float(np.median(np.abs(course.velocity[rows])))  # s
-    clear = abs(drift) > max(MIN_SIGMAS * std, MIN_DRIFT)
-    clear = clear and abs(change) > max(MIN_CHANGE, MIN_NOISE_RATIO * noise)
-    known = abs(drift) < MAX_DRIFT and spread >= MIN_WINDOWS
+    clear = abs(change) > max(MIN_CHANGE, MIN_NOISE_RATIO * noise) and spread >= MIN_WINDOWS
+    known = max(MIN_SIGMAS * std, MIN_DRIFT) < abs(drift) < MAX_DRIFT
     return ClockDrift(drift, std, change) if clear and known else None
 
 

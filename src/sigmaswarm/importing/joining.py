@@ -126,18 +126,12 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
     tick = (scaled_column(part.part.columns["t"]) or ("", 0.0))[1]
     require_unwrappable(time, tick, where)
     time, part.period, note = unwrap(time, tick)  # from all rows: a counter may wrap before the first fix
-    filled, steps = _finite(values, len(time)).any(axis=0), np.diff(time)
+    filled = _finite(values, len(time)).any(axis=0)
     again = np.zeros(len(time), bool) if role == "imu" else _messages(time, values)
-    if role != "imu" and np.count_nonzero(steps == 0) > MIN_SHARED * len(time) and (steps >= 0).all():
-        coarse, fixes = "", time[filled & ~again]
-        if np.count_nonzero(np.diff(fixes) == 0) > MAX_REPEATED_SHARE * len(fixes):
-            # the rows between fixes show the time of a fix between two coarse stamps
-            with suppress(InputError):
-                time, coarse = spread_stamps(time, role, where, arrival=False)
-        if coarse:
-            say(f"{where}: {coarse}")
-        else:
-            again |= np.append(False, (steps == 0) & _same_position(values))
+    if role != "imu":
+        time, again = _separate_stamps(
+            time, values, filled, again, lambda note: say(f"{where}: {note}"), role
+        )
     if 0 < (empty := int(np.count_nonzero(~filled))) < 0.5 * len(time):
         say(f"{role}: {rows_left_out(empty)}, since a cell is empty")
     if (copies := _copies(time, values)) is not None:
@@ -165,6 +159,28 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
         return time, values
     good = valid_positions(time, values, role, say)
     return time[good], with_longitudes(_rows(values, good), role, say)
+
+
+def _separate_stamps(
+    time: Nanoseconds,
+    values: Values,
+    filled: NDArray[np.bool_],
+    again: NDArray[np.bool_],
+    say: Say,
+    role: Role,
+) -> tuple[Nanoseconds, NDArray[np.bool_]]:
+    """Spread coarse stamps that fixes share, or else mark the rows that repeat time and position in ``again``."""
+    steps, fixes = np.diff(time), time[filled & ~again]
+    if np.count_nonzero(steps == 0) <= MIN_SHARED * len(time) or (steps < 0).any():
+        return time, again
+    if np.count_nonzero(np.diff(fixes) == 0) > MAX_REPEATED_SHARE * len(fixes):
+        # the rows between fixes show the time of a fix between two coarse stamps
+        with suppress(InputError):
+            spread, note = spread_stamps(time, role, "", arrival=False)
+            if note:
+                say(note)
+                return spread, again
+    return time, again | np.append(False, (steps == 0) & _same_position(values))
 
 
 def _copies(time: Nanoseconds, values: Values) -> NDArray[np.bool_] | None:
