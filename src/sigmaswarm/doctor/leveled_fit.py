@@ -51,7 +51,7 @@ def leveled_delay(drive: Drive, course: Course, delay: float) -> tuple[float, fl
         leaning, *paths = (np.interp(at, imu.time, integral(imu.time, v))[rows] for v in once)
         known, *speeds = (np.interp(at, imu.time, v)[rows] for v in once)
         speed = known + sum(k * v for k, v in zip(common, speeds, strict=True))
-        paths.append(np.interp(at, imu.time, heading)[rows])
+        paths.append(np.interp(at, imu.time, heading)[rows] + 0j)
         columns = [-speed, *(factor * path for path in paths for factor in (1.0, 1j))]
         fixes = course.position[rows] - complex(*drive.lever_arm) * paths[-1]
         fit = regress(fixes - leaning, columns, own, np.ones(t.shape), 4)

@@ -126,7 +126,7 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
     tick = (scaled_column(part.part.columns["t"]) or ("", 0.0))[1]
     require_unwrappable(time, tick, where)
     time, part.period, note = unwrap(time, tick)  # from all rows: a counter may wrap before the first fix
-    filled = _finite(values, len(time)).any(axis=0)
+    filled = np.asarray(_finite(values, len(time)).any(axis=0), bool)
     again = np.zeros(len(time), bool) if role == "imu" else _messages(time, values)
     if role != "imu":
         time, again = _separate_stamps(
