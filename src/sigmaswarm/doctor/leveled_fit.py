@@ -11,7 +11,7 @@ import numpy as np
 from sigmaswarm.doctor.acceleration_fit import SMALL_SAMPLE, gyro_heading, usable_windows
 from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.verdicts import DIAGONAL_TOLERANCE, MIN_VARIED
-from sigmaswarm.doctor.windows import integral, regress, with_prior
+from sigmaswarm.doctor.windows import Complex, integral, regress, with_prior
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive
 
@@ -48,10 +48,10 @@ def leveled_delay(drive: Drive, course: Course, delay: float) -> tuple[float, fl
         at, heading = course.time - delay, np.exp(1j * gyro_heading(imu.time, course, imu.gz, delay))
         tilt, drift = (-1j * GRAVITY * integral(imu.time, heading * rate) for rate in (rates, 1.0 + 0j))
         once = [integral(imu.time, a) for a in (tilt, heading * force, heading, drift)]
-        leaning, *paths = (np.interp(at, imu.time, integral(imu.time, v))[rows] for v in once)
+        leaning, *moved = (np.interp(at, imu.time, integral(imu.time, v))[rows] for v in once)
         known, *speeds = (np.interp(at, imu.time, v)[rows] for v in once)
         speed = known + sum(k * v for k, v in zip(common, speeds, strict=True))
-        paths.append(np.interp(at, imu.time, heading)[rows] + 0j)
+        paths: list[Complex] = [*moved, np.interp(at, imu.time, heading)[rows] + 0j]
         columns = [-speed, *(factor * path for path in paths for factor in (1.0, 1j))]
         fixes = course.position[rows] - complex(*drive.lever_arm) * paths[-1]
         fit = regress(fixes - leaning, columns, own, np.ones(t.shape), 4)
