@@ -37,6 +37,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.drives.sensors import white_noise
 from sigmaswarm.drives.stale_fixes import stale_fixes
+from sigmaswarm.drives.suggestion import SuggestedFilter, suggest_filter
 
 MAX_FIT_OFFSET = 2.3  # s, largest offset that the fit determines; the fit tries delays up to 2.5 s
 MIN_SEARCH_OFFSET = 0.3  # s, smallest offset that the search determines
@@ -90,6 +91,11 @@ class Evidence:
     def span(self) -> tuple[float, float]:
         """First and last time of the IMU, s."""
         return float(self.drive.imu.time[0]), float(self.drive.imu.time[-1])
+
+    @cached_property
+    def suggestion(self) -> SuggestedFilter:
+        """The default filter of `tune` for the drive."""
+        return suggest_filter([self.drive])
 
     @cached_property
     def truth_delay(self) -> float | None:

@@ -112,9 +112,9 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
             noise < MIN_WHITE_RATIO * scatter and scatter > MIN_NOISE
         ):
             large = stated > MAX_SCATTER_RATIO * scatter
-            doubt = ", or their stated standard deviation is too large" if large else ""
+            otherwise = ", or their stated standard deviation is too large" if large else ""
             what = (
-                f"the errors of the fixes are correlated{doubt}. The standard deviation of the fixes per axis is "
+                f"the errors of the fixes are correlated{otherwise}. The standard deviation of the fixes per axis is "
                 f"{noise:.2g} m from fix to fix and {scatter:.2g} m about a smooth path of ten seconds; "
                 f"a standard deviation of {stated:.2g} m is stated. Averaging hardly reduces correlated errors. If "
                 "there is no truth, neither the stated standard deviation nor a filter's error can be checked"

@@ -12,7 +12,6 @@ from sigmaswarm.doctor.findings import Finding
 from sigmaswarm.drives.alignment import REPAIR_FINDINGS, StartFailure, find_start
 from sigmaswarm.drives.sensors import FIXES_FOR_FIX_ERROR, has_lasting_errors, stated_std_quantiles
 from sigmaswarm.drives.split import part_of
-from sigmaswarm.drives.suggestion import suggest_filter
 from sigmaswarm.wording import count_of
 
 CIRCLE = 2 * np.pi  # rad, smallest range of the course of a car that drives in circles
@@ -83,7 +82,7 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
     drive = evidence.drive
     if not evidence.drives or part_of(drive) == "test":
         return
-    chosen = suggest_filter([drive])
+    chosen = evidence.suggestion
     reasons = dict.fromkeys(chosen.use, "")  # "": the default for cars, without a reason in the log
     if drive.odometer is not None:
         reasons["odometer"] = "odometer.csv contains the wheel speed"

@@ -15,7 +15,6 @@ from sigmaswarm.doctor.verdicts import MIN_GAIN_TURN, OFFSET_SIGMAS
 from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, GapSummary, gaps_in, unshared_times
 from sigmaswarm.drives.drive import Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
-from sigmaswarm.drives.suggestion import suggest_filter
 
 SERIOUS_OFFSET = 0.3  # s, clock offset above which errors are meters
 # s, GPS time minus UTC; largest difference of an offset from it that is the delay of a receiver
@@ -36,14 +35,16 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
     delay, std, span, fit = evidence.clock.delay, evidence.clock.std, evidence.span, evidence.yaw_fit
     way, where, size = "late" if delay > 0 else "early", "gps.csv, t", f"{abs(delay):.2f} s"
     moved = "fixes and truth" if evidence.truth_has_clock_of_fixes else "the fixes"
-    remedy = f"{'subtract' if delay > 0 else 'add'} {{}} {'from' if delay > 0 else 'to'} the times of {moved}"
+    correction = (
+        f"{'subtract' if delay > 0 else 'add'} {{}} {'from' if delay > 0 else 'to'} the times of {moved}"
+    )
     with_truth = float(evidence.truth_has_clock_of_fixes)
     if evidence.moved:
         what = f"gyro and course show that the fixes are {abs(delay):.1f} s {way} relative to the IMU"
-        shift, remedy = -evidence.moved, remedy.format(size)
+        shift, remedy = -evidence.moved, correction.format(size)
         if _is_leap(delay, std):
             shift = -math.copysign(LEAP_SECONDS, delay)
-            remedy = f"{remedy.replace(size, '18 s')}, since GPS time is 18 s ahead of UTC"
+            remedy = f"{correction.format('18 s')}, since GPS time is 18 s ahead of UTC"
         repair = Repair("shift-clock", (shift, with_truth))
         yield Finding("clock-offset", "serious", what, where, span, 0.999, remedy, repair)
     elif drift := clock_drift(evidence):
@@ -67,7 +68,7 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
             f"the fixes {'are' if clear else 'may be'} {size} {way} relative to the IMU "
             f"(standard deviation {std:.2f} s)",
             where, span, confidence_of(delay / std),
-            f"{remedy.format(size)}{'' if clear else ' if other drives also show this offset'}, or tune the delay "
+            f"{correction.format(size)}{'' if clear else ' if other drives also show this offset'}, or tune the delay "
             f"({_latency_option(evidence)}). The tuned delay is that with the lowest cost, so it may differ from this "
             "offset by a few standard deviations",
             Repair("shift-fixes", (-delay, with_truth)) if clear else None,
@@ -87,7 +88,7 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
 
 def _latency_option(evidence: Evidence) -> str:
     """Return the options of the default filter and the delay of the fixes, since --use replaces the default."""
-    return f"tune --use {' '.join((*suggest_filter([evidence.drive]).use, 'latency'))}"
+    return f"tune --use {' '.join((*evidence.suggestion.use, 'latency'))}"
 
 
 def _is_leap(delay: float, std: float) -> bool:
