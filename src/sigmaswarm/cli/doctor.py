@@ -70,17 +70,18 @@ def doctor(
     arm = None if within is None else _lever_arm(read, within, repaired=fix is not None)
     result: list[dict[str, Any]] = []
     serious, explained, following = False, set[str](), list[str]()
+    alone = drive_folders(drives[0])[0] if len(read) == 1 else None
     for drive in read:
         diagnosis = sigmaswarm.diagnose(drive)
         content = diagnosis.to_dict()
         if not options.json:
-            print_diagnosis(diagnosis, explained, drive_folders(drives[0])[0] if len(read) == 1 else None)
+            print_diagnosis(diagnosis, explained, alone)
         if fix is not None:
             diagnosis, content["copy"] = _repair(drive, diagnosis, fix / drive.name, arm, options, explained)
         result.append(content)
         serious |= diagnosis.serious
-        folder = fix / drive.name if fix else drive_folders(drives[0])[0]
-        if len(read) == 1 and (folder / "drive.toml").exists():
+        folder = fix / drive.name if fix else alone
+        if alone and folder and (folder / "drive.toml").exists():
             following = [*next_steps(diagnosis, folder, drive)]
     content = {"drives": result, "serious": serious, **({"lever_arm": arm.to_dict()} if arm else {})}
     print_result(options.json, content, *([f"lever arm: {arm}"] if arm else []), *following)

@@ -36,10 +36,8 @@ WORSE_STEP = (
     "then: tune on more or longer drives, and evaluate again (on these drives, a method without tuning is more "
     "accurate than the tuned filter)"
 )
-
-WORSE_THAN_OTHER = (
-    1.0  # %, excess of the outage drift over that of the filter of --against for which no export follows
-)
+# %, excess of the outage drift over that of the filter of --against above which no export is proposed
+WORSE_THAN_OTHER = 1.0
 
 
 @dataclass(frozen=True)

@@ -437,13 +437,15 @@ def missing_sensor(
 
 def _headers(log: Log) -> str:
     """Return a command that copies the tables of a folder, with headers for those without; "" if it makes no IMU."""
+    if not log.path.is_dir():
+        return ""
     first = (
         next(iter(log.batches({name: t.columns})), ("", pl.DataFrame(), 0.0))
         for name, t in log.tables.items()
     )
     headers = {name: header for name, rows, _ in first if (header := header_by_values(rows))}
     headers = {name: header for name, header in headers.items() if log.tables[name].columns[0] == "c1"}
-    if not log.path.is_dir() or not {"ax", "gz"} <= {*",".join(headers.values()).split(",")}:
+    if not {"ax", "gz"} <= {*",".join(headers.values()).split(",")}:
         return ""
     new = {name: quote(f"named/{name}") for name in log.tables}
     folders = dict.fromkeys(quote(str(Path("named", name).parent)) for name in log.tables)

@@ -147,8 +147,8 @@ class PartColumns:
                 alone |= {c: alone[c] | both for c in pair}
         forces = [c for n in ("ax", "ay", "az") for c in used.get(n, ()) if len(used[n]) == 1 and c in names]
         if len(forces) == 3:  # gravity acts on a working sensor, so zeros are those of a failed bus
-            size = sum(numbers[c].pow(2) for c in forces[1:])
-            size = (size + numbers[forces[0]].pow(2)).sqrt()
+            squares = pl.sum_horizontal(pl.col(forces).pow(2), ignore_nulls=False)
+            size = numbers.select(squares.sqrt()).to_series()
             least, low, high = (size.filter(size > 0).quantile(q) or 0.0 for q in (0.05, 0.25, 0.75))
             if least > MIN_FORCE * high and high < MAX_QUARTILE_RATIO * low:
                 alone[forces[0]] = alone.get(forces[0], False) | (size == 0).fill_null(False)

@@ -129,9 +129,9 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
     filled = np.asarray(_finite(values, len(time)).any(axis=0), bool)
     again = np.zeros(len(time), bool) if role == "imu" else _messages(time, values)
     if role != "imu":
-        time, again = _separate_stamps(
-            time, values, filled, again, lambda note: say(f"{where}: {note}"), role
-        )
+        time, again, coarse = _separate_stamps(time, values, role, filled, again)
+        if coarse:
+            say(f"{where}: {coarse}")
     if 0 < (empty := int(np.count_nonzero(~filled))) < 0.5 * len(time):
         say(f"{role}: {rows_left_out(empty)}, since a cell is empty")
     if (copies := _copies(time, values)) is not None:
@@ -164,23 +164,24 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
 def _separate_stamps(
     time: Nanoseconds,
     values: Values,
+    role: Role,
     filled: NDArray[np.bool_],
     again: NDArray[np.bool_],
-    say: Say,
-    role: Role,
-) -> tuple[Nanoseconds, NDArray[np.bool_]]:
-    """Spread coarse stamps that fixes share, or else mark the rows that repeat time and position in ``again``."""
+) -> tuple[Nanoseconds, NDArray[np.bool_], str]:
+    """Spread coarse stamps that fixes share, or else mark the rows that repeat time and position in ``again``.
+
+    Return times, marks, and a sentence if the times changed.
+    """
     steps, fixes = np.diff(time), time[filled & ~again]
     if np.count_nonzero(steps == 0) <= MIN_SHARED * len(time) or (steps < 0).any():
-        return time, again
+        return time, again, ""
     if np.count_nonzero(np.diff(fixes) == 0) > MAX_REPEATED_SHARE * len(fixes):
         # the rows between fixes show the time of a fix between two coarse stamps
         with suppress(InputError):
             spread, note = spread_stamps(time, role, "", arrival=False)
             if note:
-                say(note)
-                return spread, again
-    return time, again | np.append(False, (steps == 0) & _same_position(values))
+                return spread, again, note
+    return time, again | np.append(False, (steps == 0) & _same_position(values)), ""
 
 
 def _copies(time: Nanoseconds, values: Values) -> NDArray[np.bool_] | None:
