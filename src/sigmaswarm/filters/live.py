@@ -167,7 +167,8 @@ class LiveFilter:
         self._interval, self._lever = nominal_interval, np.array(lever_arm[:2], dtype=np.float64)
         self._monitor = DivergenceMonitor() if recover else None
         self._holds = False  # diverged: the estimate is the last fix at each sample
-        self._lag = None if lag is None else FixedLag(kernel, lag, most_steps=waiting + samples)
+        most_steps = waiting + samples
+        self._lag = None if lag is None else FixedLag(kernel, lag, self._memory.arrays, most_steps=most_steps)
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
         """Process an IMU sample; ignore a sample whose time is not after that of the last sample.

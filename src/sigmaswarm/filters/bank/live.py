@@ -291,14 +291,12 @@ class LiveFilterBank(LiveFilter):
         numbers[swarm.PENALTY] = self.prior.penalty(self.offsets)
         self._population = result.population
         self.n_searches += 1
-        filter_state, counts, _, fixes, speeds, history, checkpoints, _ = self._memory.arrays
+        filter_state = self._filter_state
         filter_state[live.BEHIND : live.BEHIND + swarm.N_CHECKPOINT] = numbers
         swarm.weigh(filter_state)
         numbers[swarm.WEIGHT] = self._numbers[swarm.WEIGHT]
         filter_state[: live.N_FILTER_STATE] = record[: live.N_FILTER_STATE]
-        live.replay_call()(
-            self._memory.step.address, filter_state, counts, fixes, speeds, history, checkpoints, index, True
-        )
+        live.replay_call()(self._memory.arrays, index, True)
 
     def _check_divergence(self, now: float, *, due: bool) -> None:
         super()._check_divergence(now, due=due)

@@ -1,7 +1,7 @@
 """The memory of a live filter, and compiled functions that process an IMU sample, a fix or an odometer reading.
 
-The filter is the first lane of the rows in `layout`. Steps are called by address: see `single`. The memory consists of
-eight arrays (`LiveArrays`):
+The filter is the first lane of the rows in `layout`. In functions, ``m`` is the memory (`LiveArrays`), and ``v`` its
+first array. The memory consists of the address of the step (see `single`), and eight arrays:
 
     filter_state (N_ALL or more,) the state, which a late fix resets to an earlier state; then settings and scratch
     counts  (N_COUNTS,) lengths of the filled parts of the other arrays, and counts of ignored data
@@ -116,13 +116,14 @@ _plain = njit(**OPTIONS)  # operations are not reordered: time slots must equal 
 
 
 @_plain
-def _step_to(step, v, to, u, events, z, wheels):
+def _step_to(m, to, u, events, z, wheels):
     """Compute the step to a time; ``u`` (N_STEP,) contains axes and gap; its DT and Q_SCALE are set here."""
+    v = m.filter_state
     dt = to - v[TIME]
     scale = dt / v[NOMINAL]
     v[SINCE] += scale
     u[DT], u[Q_SCALE] = dt, scale
-    take_step(step, v, u, events, z, wheels, v[LEVER], v[SINCE])
+    take_step(m.step, v, u, events, z, wheels, v[LEVER], v[SINCE])
     v[TIME] = to
 
 
@@ -169,17 +170,13 @@ def is_definite(p, n, factor, first):
 
 
 @_plain
-def _check(v):
-    if v[OK] == 1.0 and not is_definite(v[P0:], int(v[DIMENSION]), v, FACTOR.start):
-        v[OK] = 0.0
-
-
-@_plain
-def _process_sample(step, v, counts, fixes, speeds, t, u, calm, means, number):
-    """Process the fixes up to a sample's time, then the sample with the odometer and the constraints of a car."""
+def _process_sample(m, k):
+    """Process the fixes up to the k-th stored sample, then the sample, the odometer and the constraints of a car."""
+    v, fixes, record = m.filter_state, m.fixes, _record(m, k)
+    t, u = record[S_TIME], record[S_STEP]
     before, nothing = v[TIME], np.zeros(11)
     no_fix, wheels = nothing[:8], nothing[8:]
-    end, came = _until(fixes, counts[N_FIXES], t), _until(speeds, counts[N_SPEEDS], t)
+    end, came = _until(fixes, m.counts[N_FIXES], t), _until(m.speeds, m.counts[N_SPEEDS], t)
     first = end
     while first > 0 and fixes[first - 1, FIX_TIME] > v[TIME]:
         first -= 1
@@ -190,15 +187,16 @@ def _process_sample(step, v, counts, fixes, speeds, t, u, calm, means, number):
         events = FIX | VELOCITY if z[HAS_VELOCITY] > 0.0 else FIX
         if z[FIX_VAR_THETA] < math.inf:
             events |= HEADING
-        _step_to(step, v, z[FIX_TIME], u, events, z[FIX_ROW], wheels)
+        _step_to(m, z[FIX_TIME], u, events, z[FIX_ROW], wheels)
         v[SINCE] = 0.0
     slot = slot_of(t, v[START], INTERVAL)
-    stands = calm and _is_standstill(v, fixes, end, t, means)
-    events = sample_events(int(v[USED]), slot, t, before, u[AY], stands, speeds, came, v[DONE], wheels)
+    stands = record[S_CALM] > 0.0 and _is_standstill(v, fixes, end, t, record[S_MEANS])
+    events = sample_events(int(v[USED]), slot, t, before, u[AY], stands, m.speeds, came, v[DONE], wheels)
     if t > v[TIME] or events:
-        _step_to(step, v, t, u, events, no_fix, wheels)
-    if first < end or number % CHECK_EVERY == 0:
-        _check(v)
+        _step_to(m, t, u, events, no_fix, wheels)
+    checks = first < end or _number(m, k) % CHECK_EVERY == 0
+    if checks and v[OK] == 1.0 and not is_definite(v[P0:], int(v[DIMENSION]), v, FACTOR.start):
+        v[OK] = 0.0
 
 
 @_plain
@@ -225,42 +223,55 @@ def _is_far_ahead(v, t):
 
 
 @_plain
-def _record(counts, history, k):
-    return history[(counts[OLDEST] + k) % history.shape[0]]
+def _record(m, k):
+    return m.history[(m.counts[OLDEST] + k) % m.history.shape[0]]
 
 
 @_plain
-def _store_fix(v, counts, fixes, history, z):
+def _number(m, k):
+    """Return the number of the k-th stored sample, counted from the first sample ever stored."""
+    return m.counts[N_SAMPLES] - m.counts[N_HISTORY] + k
+
+
+@_plain
+def _drop_old(m, rows, count, age):
+    """Remove the rows that are more than ``age`` s before the history; return False if there are none."""
+    counts = m.counts
+    oldest = _record(m, 0)[TIME] if counts[N_HISTORY] > 0 else m.filter_state[TIME]
+    old = _until(rows, counts[count], oldest - age)
+    for r in range(old, counts[count]):
+        _copy(rows[r], rows[r - old], rows.shape[1])
+    counts[count] -= old
+    return old > 0
+
+
+@_plain
+def _insert(counts, rows, count, at, row):
+    for r in range(counts[count], at, -1):
+        _copy(rows[r - 1], rows[r], rows.shape[1])
+    _copy(row, rows[at], rows.shape[1])
+    counts[count] += 1
+
+
+@_plain
+def _store_fix(m, z):
     """Insert a fix in order of time; if no row is free, first remove fixes that are no longer needed."""
-    if counts[N_FIXES] == fixes.shape[0]:
-        oldest = _record(counts, history, 0)[TIME] if counts[N_HISTORY] > 0 else v[TIME]
-        old = 0
-        for needed in (MONITOR_SPAN, FIX_WINDOW):  # s; the monitor works without some old fixes
-            while old < counts[N_FIXES] and fixes[old, FIX_TIME] <= oldest - needed:
-                old += 1
-            if old > 0:
-                break
-        for f in range(old, counts[N_FIXES]):
-            _copy(fixes[f], fixes[f - old], N_FIX)
-        counts[N_FIXES] -= old
-        if old == 0:
-            last = fixes[counts[N_FIXES] - 1, FIX_TIME]
-            if not (_is_far_ahead(v, last) and z[0] < last):
-                return LEFT_OUT
-            counts[N_FIXES] -= 1  # remove the fix that is stamped furthest ahead
-            counts[TIME_JUMPS] += 1
-    at = counts[N_FIXES]
-    while at > 0 and fixes[at - 1, FIX_TIME] > z[0]:
-        at -= 1
-    same = at
+    v, counts, fixes = m.filter_state, m.counts, m.fixes
+    is_full = counts[N_FIXES] == fixes.shape[0]  # the monitor works without some old fixes
+    if is_full and not (
+        _drop_old(m, fixes, N_FIXES, MONITOR_SPAN) or _drop_old(m, fixes, N_FIXES, FIX_WINDOW)
+    ):
+        last = fixes[counts[N_FIXES] - 1, FIX_TIME]
+        if not (_is_far_ahead(v, last) and z[0] < last):
+            return LEFT_OUT
+        counts[N_FIXES] -= 1  # remove the fix that is stamped furthest ahead
+        counts[TIME_JUMPS] += 1
+    same = at = _until(fixes, counts[N_FIXES], z[0])
     while same > 0 and fixes[same - 1, FIX_TIME] == z[0]:
         same -= 1
         if _same(fixes[same], z, KIND):
             return IGNORED
-    for f in range(counts[N_FIXES], at, -1):
-        _copy(fixes[f - 1], fixes[f], N_FIX)
-    _copy(z, fixes[at], N_FIX)
-    counts[N_FIXES] += 1
+    _insert(counts, fixes, N_FIXES, at, z)
     if v[AS_RECORDED] == 0.0:
         for f in range(at, counts[N_FIXES]):  # later fixes may repeat the new one
             fixes[f, KIND] = kind_of(fixes, fixes[:, KIND], f)
@@ -270,32 +281,21 @@ def _store_fix(v, counts, fixes, history, z):
 
 
 @_plain
-def _store_reading(v, counts, speeds, history, t, speed):
-    if counts[N_SPEEDS] == speeds.shape[0]:
-        oldest = _record(counts, history, 0)[TIME] if counts[N_HISTORY] > 0 else v[TIME]
-        old = 0
-        while old < counts[N_SPEEDS] and speeds[old, 0] <= oldest - LARGEST_AGE:
-            old += 1
-        for r in range(old, counts[N_SPEEDS]):
-            _copy(speeds[r], speeds[r - old], 2)
-        counts[N_SPEEDS] -= old
-        if old == 0:
-            return LEFT_OUT
-    at = counts[N_SPEEDS]
-    while at > 0 and speeds[at - 1, 0] > t:
-        at -= 1
-    if at > 0 and speeds[at - 1, 0] == t:
+def _store_reading(m, z):
+    counts, speeds = m.counts, m.speeds
+    if counts[N_SPEEDS] == speeds.shape[0] and not _drop_old(m, speeds, N_SPEEDS, LARGEST_AGE):
+        return LEFT_OUT
+    at = _until(speeds, counts[N_SPEEDS], z[0])
+    if at > 0 and speeds[at - 1, 0] == z[0]:
         return IGNORED
-    for r in range(counts[N_SPEEDS], at, -1):
-        _copy(speeds[r - 1], speeds[r], 2)
-    speeds[at, 0], speeds[at, 1] = t, speed
-    counts[N_SPEEDS] += 1
+    _insert(counts, speeds, N_SPEEDS, at, z)
     return TAKEN
 
 
 @_plain
-def _process_in_order(step, v, counts, memory, fixes, speeds, history, checkpoints, sample):
+def _process_in_order(m, sample):
     """Process an IMU sample with an accepted time; in a gap before it, use the mean of the samples around the gap."""
+    v, counts = m.filter_state, m.counts
     t, last, gap = sample[0], v[SAMPLE], 0.0
     if last[0] > -math.inf:
         interval = t - last[0]
@@ -304,21 +304,21 @@ def _process_in_order(step, v, counts, memory, fixes, speeds, history, checkpoin
         v[USUAL_INTERVAL] = usual_after(interval, v[USUAL_INTERVAL])
     calm, means = False, np.zeros(4)
     if int(v[USED]) & STANDSTILL:
-        calm = is_calm(memory, t, sample[1], sample[2], sample[3])
-        _copy(memory[MEANS], means, 4)
+        calm = is_calm(m.calm, t, sample[1], sample[2], sample[3])
+        _copy(m.calm[MEANS], means, 4)
     if t <= v[START]:
         _copy(sample, last, N_SAMPLE)
         if calm:  # a stop may have begun before the start
-            _is_standstill(v, fixes, _until(fixes, counts[N_FIXES], t), t, means)
+            _is_standstill(v, m.fixes, _until(m.fixes, counts[N_FIXES], t), t, means)
         return
-    if counts[N_HISTORY] < history.shape[0]:
+    if counts[N_HISTORY] < m.history.shape[0]:
         counts[N_HISTORY] += 1
     else:
-        counts[OLDEST] = (counts[OLDEST] + 1) % history.shape[0]
-    record = _record(counts, history, counts[N_HISTORY] - 1)
-    _store_checkpoint(v, checkpoints, counts[N_SAMPLES])
+        counts[OLDEST] = (counts[OLDEST] + 1) % m.history.shape[0]
     counts[N_SAMPLES] += 1
-    _copy(v, record, N_FILTER_STATE)
+    newest = counts[N_HISTORY] - 1
+    _store_state(m, newest)
+    record = _record(m, newest)
     record[S_TIME], record[S_STEP][GAP] = t, gap
     _copy(sample[1:], record[S_AXES], len(AXES))
     if gap > 0.0:
@@ -327,92 +327,93 @@ def _process_in_order(step, v, counts, memory, fixes, speeds, history, checkpoin
     record[S_CALM] = 1.0 if calm else 0.0
     _copy(means, record[S_MEANS], len(means))
     _copy(sample, last, N_SAMPLE)
-    _process_sample(step, v, counts, fixes, speeds, t, record[S_STEP], calm, means, counts[N_SAMPLES] - 1)
+    _process_sample(m, newest)
 
 
 @_plain
-def _store_checkpoint(v, checkpoints, number):
-    if checkpoints.shape[0] > 0 and number % CHECKPOINT_EVERY == 0:
-        _copy(
-            v[BEHIND:], checkpoints[number // CHECKPOINT_EVERY % checkpoints.shape[0]], checkpoints.shape[1]
-        )
+def _checkpoint(m, number):
+    return m.checkpoints[number // CHECKPOINT_EVERY % m.checkpoints.shape[0]]
 
 
 @_plain
-def _first_after(counts, history, t):
+def _store_state(m, k):
+    """Store the state before the k-th stored sample, and a checkpoint if one is due."""
+    _copy(m.filter_state, _record(m, k), N_FILTER_STATE)
+    number = _number(m, k)
+    if m.checkpoints.shape[0] > 0 and number % CHECKPOINT_EVERY == 0:
+        _copy(m.filter_state[BEHIND:], _checkpoint(m, number), m.checkpoints.shape[1])
+
+
+@_plain
+def _first_after(m, t):
     """Return the index of the first stored sample at or after a time, to process the samples again from there.
 
     The result is -1 if there is no such sample, or if the history does not reach back to the time.
     """
-    back = counts[N_HISTORY]
-    while back > 0 and _record(counts, history, back - 1)[S_TIME] >= t:
+    kept = m.counts[N_HISTORY]
+    back = kept
+    while back > 0 and _record(m, back - 1)[S_TIME] >= t:
         back -= 1
-    if back == counts[N_HISTORY] or _record(counts, history, back)[TIME] >= t:
+    if back == kept or _record(m, back)[TIME] >= t:
         return -1
-    return back if counts[N_HISTORY] - back <= history.shape[0] - counts[SPARE] else -1
+    return back if kept - back <= m.history.shape[0] - m.counts[SPARE] else -1
 
 
 @_plain
-def replay(step, v, counts, fixes, speeds, history, checkpoints, first, corrects):
-    """Process the stored samples again from index ``first`` on; ``v`` is the state before this sample.
+def replay(m, first, corrects):
+    """Process the stored samples again from index ``first`` on; the filter is in the state before this sample.
 
     ``corrects``: True to also replace the stored states and checkpoints.
     """
-    for number in range(first, counts[N_HISTORY]):
-        record = _record(counts, history, number)
+    for k in range(first, m.counts[N_HISTORY]):
         if corrects:
-            _copy(v, record, N_FILTER_STATE)
-            _store_checkpoint(v, checkpoints, counts[N_SAMPLES] - counts[N_HISTORY] + number)
-        _process_sample(
-            step,
-            v,
-            counts,
-            fixes,
-            speeds,
-            record[S_TIME],
-            record[S_STEP],
-            record[S_CALM] > 0.0,
-            record[S_MEANS],
-            counts[N_SAMPLES] - counts[N_HISTORY] + number,
-        )
+            _store_state(m, k)
+        _process_sample(m, k)
 
 
 @_plain
-def _replay_from(step, v, counts, fixes, speeds, history, checkpoints, back):
+def _replay_from(m, back):
     """Return to the state before the stored sample ``back``, or to an earlier checkpoint; process the samples again."""
-    if checkpoints.shape[0] > 0:
-        number = counts[N_SAMPLES] - counts[N_HISTORY] + back
+    if m.checkpoints.shape[0] > 0:
+        number = _number(m, back)
         back -= number % CHECKPOINT_EVERY
-        _copy(
-            checkpoints[number // CHECKPOINT_EVERY % checkpoints.shape[0]], v[BEHIND:], checkpoints.shape[1]
-        )
-    _copy(_record(counts, history, back), v, N_FILTER_STATE)
-    replay(step, v, counts, fixes, speeds, history, checkpoints, back, True)
+        _copy(_checkpoint(m, number), m.filter_state[BEHIND:], m.checkpoints.shape[1])
+    _copy(_record(m, back), m.filter_state, N_FILTER_STATE)
+    replay(m, back, True)
 
 
 @_plain
-def _accept_fix(step, v, counts, fixes, speeds, history, checkpoints, z):
-    """Process a fix with an accepted time: store it for the next sample; if it is late, process later samples again."""
-    t = z[FIX_TIME]
-    is_number = math.isfinite(z[FIX_X]) and math.isfinite(z[FIX_Y])
-    if t <= v[START]:  # the start includes this fix, but the fix may show a standstill
-        _store_fix(v, counts, fixes, history, z)
-        if is_number:
-            counts[CAME_LATE] = 0
-        return IGNORED
-    back = _first_after(counts, history, t) if t <= v[TIME] else 0
-    kept = LEFT_OUT if back < 0 else _store_fix(v, counts, fixes, history, z)
+def _accept(m, z, is_fix):
+    """Store a fix or a reading with an accepted time; if it is late, process the later samples again."""
+    t, v = z[0], m.filter_state
+    late = v[START] < t <= v[TIME]
+    back, kept = _first_after(m, t) if late else 0, LEFT_OUT
+    if back >= 0:
+        kept = _store_fix(m, z) if is_fix else _store_reading(m, z)
     if kept == LEFT_OUT:
-        counts[TOO_LATE] += 1
-    elif kept == TAKEN and t <= v[TIME]:
-        _replay_from(step, v, counts, fixes, speeds, history, checkpoints, back)
-    if kept == TAKEN and is_number:
-        counts[CAME_LATE] = 1 if t <= v[TIME] else 0
+        m.counts[TOO_LATE] += 1
+    elif kept == TAKEN and late:
+        _replay_from(m, back)
     return kept
 
 
 @_plain
-def _store_for_monitor(counts, lately, sample):
+def _accept_fix(m, z):
+    v, is_number = m.filter_state, math.isfinite(z[FIX_X]) and math.isfinite(z[FIX_Y])
+    if z[FIX_TIME] <= v[START]:  # the start includes this fix, but the fix may show a standstill
+        _store_fix(m, z)
+        if is_number:
+            m.counts[CAME_LATE] = 0
+        return IGNORED
+    kept = _accept(m, z, True)
+    if kept == TAKEN and is_number:
+        m.counts[CAME_LATE] = 1 if z[FIX_TIME] <= v[TIME] else 0
+    return kept
+
+
+@_plain
+def _store_for_monitor(m, sample):
+    counts, lately = m.counts, m.lately
     if lately.shape[0] > 0:
         row = counts[NEWEST] = (counts[NEWEST] + 1) % lately.shape[0]
         counts[N_LATELY] = min(counts[N_LATELY] + 1, lately.shape[0])
@@ -420,20 +421,22 @@ def _store_for_monitor(counts, lately, sample):
 
 
 @_plain
-def _has_new_fixes(v, counts, fixes, t):
-    f = last_fix(fixes, counts[N_FIXES], t, max(v[SEEN_FIX], v[START]))
+def _has_new_fixes(m, t):
+    v = m.filter_state
+    f = last_fix(m.fixes, m.counts[N_FIXES], t, max(v[SEEN_FIX], v[START]))
     if f >= 0:
-        v[SEEN_FIX] = fixes[f, FIX_TIME]
+        v[SEEN_FIX] = m.fixes[f, FIX_TIME]
     return f >= 0
 
 
 @_plain
-def _is_due(v, counts, fixes, t):
+def _is_due(m, t):
     """Return True if the monitor is due after a sample: soon after a new fix, at most once per CHECK_INTERVAL."""
-    if not _has_new_fixes(v, counts, fixes, t):
+    if not _has_new_fixes(m, t):
         return False
+    v = m.filter_state
     slot = slot_of(t, v[START], CHECK_INTERVAL)
-    soon = t - v[SEEN_FIX] <= LATEST_CHECK + v[LATE_BY] * counts[CAME_LATE]
+    soon = t - v[SEEN_FIX] <= LATEST_CHECK + v[LATE_BY] * m.counts[CAME_LATE]
     if not soon or slot == v[LAST_CHECK]:
         return False
     v[LAST_CHECK] = slot
@@ -442,7 +445,8 @@ def _is_due(v, counts, fixes, t):
 
 def _sample(handle, t, a, b, c, d, e, f):
     """Process an IMU sample; if its time is far ahead, it waits for a second sample."""
-    step, v, counts, memory, fixes, speeds, history, checkpoints, lately = memory_at(handle)
+    m = memory_at(handle)
+    v, counts = m.filter_state, m.counts
     if not v[LAST_SAMPLE] < t < math.inf:
         return NOTHING
     new, held, axes = v[NEW_SAMPLE], v[SAMPLE_AHEAD], (a, b, c, d, e, f)
@@ -460,25 +464,26 @@ def _sample(handle, t, a, b, c, d, e, f):
         return NOTHING
     counts[HOLDS_SAMPLE] = 0
     if agrees:
-        _process_in_order(step, v, counts, memory, fixes, speeds, history, checkpoints, held)
-        _store_for_monitor(counts, lately, held)
+        _process_in_order(m, held)
+        _store_for_monitor(m, held)
     elif holds:
         counts[TIME_JUMPS] += 1
-    _process_in_order(step, v, counts, memory, fixes, speeds, history, checkpoints, new)
+    _process_in_order(m, new)
     if agrees and counts[HOLDS_FIX] == HELD and not _is_far_ahead(v, v[FIX_AHEAD][FIX_TIME]):
         counts[HOLDS_FIX] = NOTHING  # the samples confirm the fix
-        _accept_fix(step, v, counts, fixes, speeds, history, checkpoints, v[FIX_AHEAD].copy())
-    _store_for_monitor(counts, lately, new)
-    if lately.shape[0] == 0 or t <= v[START]:
+        _accept_fix(m, v[FIX_AHEAD].copy())
+    _store_for_monitor(m, new)
+    if m.lately.shape[0] == 0 or t <= v[START]:
         return TAKEN
     if agrees:
-        _has_new_fixes(v, counts, fixes, held[0])  # no check at the sample that ends a gap
-    return DUE if _is_due(v, counts, fixes, t) else TAKEN
+        _has_new_fixes(m, held[0])  # no check at the sample that ends a gap
+    return DUE if _is_due(m, t) else TAKEN
 
 
 def _fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta):
     """Process a fix; if its time is far ahead, it waits for a second fix."""
-    step, v, counts, _, fixes, speeds, history, checkpoints, _ = memory_at(handle)
+    m = memory_at(handle)
+    v, counts = m.filter_state, m.counts
     if not math.isfinite(t):
         counts[TOO_LATE] += 1
         return LEFT_OUT
@@ -489,7 +494,7 @@ def _fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta):
         if _same(ahead, z, N_FIX):  # a repeat
             return IGNORED
         if agrees:
-            _accept_fix(step, v, counts, fixes, speeds, history, checkpoints, ahead.copy())
+            _accept_fix(m, ahead.copy())
         else:
             counts[TIME_JUMPS] += 1
     counts[HOLDS_FIX] = NOTHING
@@ -498,42 +503,37 @@ def _fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta):
         _copy(z, ahead, N_FIX)
         if not agrees:
             return IGNORED
-    return _accept_fix(step, v, counts, fixes, speeds, history, checkpoints, z)
+    return _accept_fix(m, z)
 
 
 def _speed(handle, t, value):
-    step, v, counts, _, fixes, speeds, history, checkpoints, _ = memory_at(handle)
-    if speeds.shape[0] == 0:
+    m = memory_at(handle)
+    if m.speeds.shape[0] == 0:
         return IGNORED
     if not (math.isfinite(t) and math.isfinite(value)):
-        counts[TOO_LATE] += 1
+        m.counts[TOO_LATE] += 1
         return LEFT_OUT
-    if _is_far_ahead(v, t):
-        counts[TIME_JUMPS] += 1
+    if _is_far_ahead(m.filter_state, t):
+        m.counts[TIME_JUMPS] += 1
         return LEFT_OUT
-    begun = t > v[START]
-    back = _first_after(counts, history, t) if begun and t <= v[TIME] else 0
-    kept = LEFT_OUT if back < 0 else _store_reading(v, counts, speeds, history, t, value)
-    if kept == LEFT_OUT:
-        counts[TOO_LATE] += 1
-    elif kept == TAKEN and begun and t <= v[TIME]:
-        _replay_from(step, v, counts, fixes, speeds, history, checkpoints, back)
-    return kept
+    return _accept(m, np.array([t, value]), False)
 
 
 def _heading(handle, gyro_bias):
-    _, _, counts, _, fixes, _, _, _, lately = memory_at(handle)
-    return rough_heading(lately, counts[NEWEST], counts[N_LATELY], fixes, counts[N_FIXES], gyro_bias)
+    m = memory_at(handle)
+    return rough_heading(
+        m.lately, m.counts[NEWEST], m.counts[N_LATELY], m.fixes, m.counts[N_FIXES], gyro_bias
+    )
 
 
 def _definite(handle):
-    v = memory_at(handle)[1]
+    v = memory_at(handle).filter_state
     return is_definite(v[P0:], int(v[DIMENSION]), v, FACTOR.start)
 
 
 @call_once
 def replay_call():
-    """Return `replay`, compiled and cached; the ``step`` of a smoother is a `single_step` that logs its steps."""
+    """Return `replay`, compiled and cached; the step of a smoother is a `single_step` that logs its steps."""
     return cached_by_sources(getattr(replay, "py_func", replay), "live again")
 
 

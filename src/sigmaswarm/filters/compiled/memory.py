@@ -50,7 +50,6 @@ compilation, the array always has LANES columns.
 """
 
 _ARRAYS = (types.Array(float64, 1, "C"), types.Array(int64, 1, "C"), *(types.Array(float64, 2, "C"),) * 6)
-_KIND = types.Tuple((int64, *_ARRAYS))
 
 
 class LiveArrays(NamedTuple):
@@ -62,23 +61,27 @@ class LiveArrays(NamedTuple):
     history: NDArray[np.float64]
     checkpoints: NDArray[np.float64]
     lately: NDArray[np.float64]
+    step: Any = None  # the address of a `SingleStep`
+
+
+_KIND = types.NamedTuple((*_ARRAYS, int64), LiveArrays)
 
 
 class Memory:
-    """The arrays of a live filter (see `live`) and the address of its step.
+    """The arrays of a live filter (see `live`) and its step.
 
     ``handle``, the argument of `memory_at`, is valid while this object exists. ``arrays.filter_state`` is a copy of the
     given array.
     """
 
     def __init__(self, step: Any, given: LiveArrays) -> None:
-        self.step, self.arrays = step, given._replace(filter_state=_aligned(given.filter_state))
-        arrays = self.arrays
-        self._table = np.array([step.address, *_numbers(arrays)]) if not config.DISABLE_JIT else None
-        self.handle: Any = (step.address, *arrays) if self._table is None else int(self._table.ctypes.data)
+        self.step = step
+        self.arrays = given._replace(filter_state=_aligned(given.filter_state), step=step.address)
+        self._table = None if config.DISABLE_JIT else np.array(_numbers(self.arrays))
+        self.handle: Any = self.arrays if self._table is None else int(self._table.ctypes.data)
 
     def __reduce__(self):
-        return Memory, (self.step, self.arrays)
+        return Memory, (self.step, self.arrays._replace(step=None))
 
 
 def _aligned(numbers):
@@ -91,7 +94,7 @@ def _aligned(numbers):
 
 
 def _numbers(arrays):
-    return [n for array in arrays for n in (array.ctypes.data, *array.shape)]
+    return [*(n for array in arrays[:-1] for n in (array.ctypes.data, *array.shape)), arrays.step]
 
 
 @intrinsic
@@ -104,16 +107,16 @@ def _at(typing_context, handle):
         def number():
             return builder.load(builder.gep(table, [size(next(numbers))]))
 
-        parts = [number()]
+        parts = []
         for kind in _ARRAYS:
             data = builder.inttoptr(number(), context.get_data_type(kind.dtype).as_pointer())
             shape = [number() for _ in range(kind.ndim)]
             strides = [size(8)] if kind.ndim == 1 else [builder.mul(shape[1], size(8)), size(8)]
             parts.append(array_at(context, builder, kind, data, shape, strides))
-        return context.make_tuple(builder, _KIND, parts)
+        return context.make_tuple(builder, _KIND, [*parts, number()])
 
     return _KIND(int64), generate
 
 
 memory_at = (lambda handle: handle) if config.DISABLE_JIT else _at
-"""For compiled code: ``memory_at(handle)`` returns the address of the step, and the arrays of a `Memory`."""
+"""For compiled code: ``memory_at(handle)`` returns the `LiveArrays` of a `Memory`."""
