@@ -10,6 +10,7 @@ from jinja2 import UndefinedError
 from exported import export, tuned
 from sigmaswarm.exports.c99 import c99
 from sigmaswarm.exports.c_emitter import Emitter
+from sigmaswarm.exports.c_functions import Function
 from sigmaswarm.exports.features import fill
 from sigmaswarm.exports.names import DESCRIPTIONS
 from sigmaswarm.filters.compiled.measurements import update_fix
@@ -51,4 +52,4 @@ def test_comments_in_c_have_no_python():
 
 def test_a_row_that_is_kept_between_steps_must_have_a_c_text():
     with pytest.raises(TypeError, match="update_fix: row FADING has no C text; add it to "):
-        Emitter({}).add(update_fix, fix_error=0, stores_innovation=0, adaptive=0, note_prior=0)
+        Emitter(Function).add(update_fix, fix_error=0, stores_innovation=0, adaptive=0, note_prior=0)

@@ -99,6 +99,7 @@ def _context(
         ],
         "axes": axes,
         "turning_axes": [axis for axis in axes if axis != "az" and (model.tilts or axis != "ay")],
+        "fix_fields": _fix_fields(context),
         "states": _states(model),
         "numeric_version": ".".join(__version__.split(".")[:3]),
         "slots_per_second": round(1.0 / odometer.INTERVAL),
@@ -110,6 +111,16 @@ def _context(
     context |= c_kernels.kernels_of(parameters, context)
     context |= c_rules.rules_of(context, events.bits_of(requirements.measured_by(parameters)))
     return context | c_alignment.alignment_of(biases=context["biases"], tilted=context["tilted"])
+
+
+def _fix_fields(features: Mapping[str, Any]) -> list[str]:
+    """Return the fields of a fix, except time and position."""
+    fields = {
+        "velocity": ("has_velocity", "vx", "vy"),
+        "heading": ("has_heading", "heading", "heading_variance"),
+        "stated_std": ("variance[0]", "variance[1]"),
+    }
+    return [field for feature, names in fields.items() if features[feature] for field in names]
 
 
 def replay_rows(

@@ -82,9 +82,9 @@ def alignment_of(*, biases: bool, tilted: bool) -> dict[str, str]:
 
 
 def _in_double(translation: type[Rule], functions: Sequence[Any]) -> str:
-    emitter = Emitter({})
+    emitter = Emitter(translation)
     for function in functions:
-        emitter.add(function, translation=translation)
+        emitter.add(function)
     text = re.sub(r"\bR\(([\w.+-]+)\)", r"\1", "\n".join(emitter.texts))
     text = re.sub(r"\b(SIN|COS|SQRT|HYPOT|ATAN2|FABS|EXP|LOG)\b", lambda name: name[0].lower(), text)
     return re.sub(r"\breal\b", "double", text).replace("LARGER", "fmax").replace("SMALLER", "fmin")

@@ -7,6 +7,7 @@ from typing import Any
 
 from sigmaswarm.drives import events, tilt_evidence
 from sigmaswarm.exports.c_emitter import Elements, Emitter
+from sigmaswarm.exports.c_functions import Function
 from sigmaswarm.exports.c_names import FIX_ERROR, PARAMETERS, STATES
 from sigmaswarm.filters import constants, fuzzy, student
 from sigmaswarm.filters.compiled import (
@@ -65,7 +66,7 @@ def kernels_of(p: FilterParameters, context: Mapping[str, Any]) -> dict[str, Any
         "inflate_observed": Kernel(adaptive.inflate_observed, n=n),
     }
     rows = _rows(p, context)
-    emitter = Emitter(rows, states, settings, {**NAMES_IN_C, "predict": f"predict_{p.model}"})
+    emitter = Emitter(Function, rows, states, settings, {**NAMES_IN_C, "predict": f"predict_{p.model}"})
     if model.tilts:
         _add_prediction(emitter)
     emitter.add(step.step_of(p.kernel))

@@ -14,7 +14,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from sigmaswarm.drives import events, gaps, odometer, stale_fixes, standstill
-from sigmaswarm.exports.c_emitter import Emitter, _Function, parameter_name
+from sigmaswarm.exports.c_emitter import Emitter, parameter_name
+from sigmaswarm.exports.c_functions import Function
 from sigmaswarm.exports.c_names import WHEELS
 from sigmaswarm.filters.compiled import live
 
@@ -72,15 +73,15 @@ _CASTS = {"int": "(int)", "float": "(real)"}
 
 def rules_of(features: Mapping[str, Any], used: int) -> dict[str, str]:
     """Return the C text of the rules and of the call of `sample_events`, by name; ``used``: see `events.bits_of`."""
-    emitter = Emitter({}, settings={"used": used})
-    emitter.add(live._until, "fixes_until", Rule)
+    emitter = Emitter(Rule, settings={"used": used})
+    emitter.add(live._until, "fixes_until")
     if features["odometer"]:
         emitter.add(live._until, "readings_until", _OfReadings)
     functions = [gaps.gap_of, gaps.usual_after, stale_fixes.kind_of]
     if features["standstill"]:
         functions += [standstill.updated_calm, standstill.matches_stop, standstill.fixes_are_still]
     for function in (*functions, *([events.sample_events] if used else [])):
-        emitter.add(function, translation=Rule)
+        emitter.add(function)
     values = {"rules": "\n".join(emitter.texts)}
     if used:
         name, signature = emitter.signatures["sample_events"]
@@ -96,7 +97,7 @@ def _declared(kind: str, name: str) -> str:
     return f"{kind} {name}{bracket[1:]}{lengths}".replace("* ", "*")
 
 
-class Rule(_Function):
+class Rule(Function):
     """Translation of a rule to C. The first value of a local variable determines its type."""
 
     pointers, fields, times, enumerators = POINTERS, FIELDS, TIMES, ENUMERATORS
