@@ -187,7 +187,7 @@ def _rotation_vector_far(scalar, vector, near):
     return _scaled(2.0 * half / sine, vector)
 
 
-def _point(w, l, sign, quarter, per_dt, *, j, sinc_cos, rotation_vector):
+def _point(w, l, j, sign, quarter, per_dt, *, sinc_cos, rotation_vector):
     """Return r of two outputs at a point of column j: acceleration times dt (east, north), and error after the step."""
     step = 4.0 * sign * w.QUARTER_GAMMA
     b = _scaled(quarter * step, _first_of(w, l, j))
@@ -226,37 +226,32 @@ def _store_far(w, l, j, k, a, b, one, two):
     BEND[j, k] = two * (a + b) if far else BEND[j, k]
 
 
-def _draw(w, u, *, j, point, sinc_cos, store):
-    """Compute slopes and curvatures of column j of the root from its two points."""
+def _draw(w, u, *, point, sinc_cos, store):
+    """Compute slopes and curvatures of the first three columns of the root, each from its two points."""
     quarter, per_dt = 0.25 * u[DT], 1.0 / u[DT]
-    for l in range(LANES):
-        gamma = 4.0 * w.QUARTER_GAMMA
-        x, y, z = _turn_of(w, l, j)
-        k, c = sinc_cos(0.25 * gamma * gamma * (x * x + y * y + z * z))
-        k = 0.5 * gamma * k
-        w.POINT_W, w.POINT_X, w.POINT_Y, w.POINT_Z = c, k * x, k * y, k * z
-        a0, a1, a2, a3, a4 = point(w, l, 1.0, quarter, per_dt)
-        w.POINT_X, w.POINT_Y, w.POINT_Z = -k * x, -k * y, -k * z
-        b0, b1, b2, b3, b4 = point(w, l, -1.0, quarter, per_dt)
-        one = 0.5 / gamma
-        two = one / gamma
-        store(w, l, j, 0, a0, b0, one, two)
-        store(w, l, j, 1, a1, b1, one, two)
-        store(w, l, j, 2, a2, b2, one, two)
-        store(w, l, j, 3, a3, b3, one, two)
-        store(w, l, j, 4, a4, b4, one, two)
+    for j in range(3):
+        for l in range(LANES):
+            gamma = 4.0 * w.QUARTER_GAMMA
+            x, y, z = _turn_of(w, l, j)
+            sinc, c = sinc_cos(0.25 * gamma * gamma * (x * x + y * y + z * z))
+            half = 0.5 * gamma * sinc
+            w.POINT_W, w.POINT_X, w.POINT_Y, w.POINT_Z = c, half * x, half * y, half * z
+            a = point(w, l, j, 1.0, quarter, per_dt)
+            w.POINT_X, w.POINT_Y, w.POINT_Z = -half * x, -half * y, -half * z
+            b = point(w, l, j, -1.0, quarter, per_dt)
+            one = 0.5 / gamma
+            two = one / gamma
+            for k in range(5):
+                store(w, l, j, k, a[k], b[k], one, two)
 
 
-def _column(number, far):
-    sinc = _sinc_cos_far if far else sinc_cos
-    vector = _rotation_vector_far if far else _rotation_vector
-    point = Generated(_point, j=number, sinc_cos=sinc, rotation_vector=vector)
-    store = _store_far if far else _store_near
-    return kernel(_draw, j=number, point=point, sinc_cos=sinc, store=store)
+def _drawing(sinc_cos, rotation_vector, store):
+    point = Generated(_point, sinc_cos=sinc_cos, rotation_vector=rotation_vector)
+    return kernel(_draw, point=point, sinc_cos=sinc_cos, store=store)
 
 
-_draw_0, _draw_1, _draw_2 = (_column(number, far=0) for number in range(3))
-_far_0, _far_1, _far_2 = (_column(number, far=1) for number in range(3))
+_draw_near = _drawing(sinc_cos, _rotation_vector, _store_near)
+_draw_far = _drawing(_sinc_cos_far, _rotation_vector_far, _store_far)
 _root_of_step = kernel(_root, order=(*STEP_FIRST, R.A, R.B), columns=6)
 _linearize_step = kernel(_linearize, columns=(6, 6, 3, 3, 3))
 
@@ -272,11 +267,9 @@ def _turn_acceleration(w):
             q = 0.5 * quarter_sin2 / (quarter * quarter)
             c = cross(turn, a)
             d = cross(turn, _turned_level(-ROOT[6, j], -ROOT[7, j], w, l))
-            (c0, c1, _), (d0, d1, _), (e0, e1, _), (f0, f1, _) = c, d, cross(turn, c), cross(turn, d)
-            SLOPE[j, 0] = k * c0 + gamma2 * q * f0
-            SLOPE[j, 1] = k * c1 + gamma2 * q * f1
-            BEND[j, 0] = q * e0 + k * d0
-            BEND[j, 1] = q * e1 + k * d1
+            e, f = cross(turn, c), cross(turn, d)
+            for i in range(2):
+                SLOPE[j, i], BEND[j, i] = k * c[i] + gamma2 * q * f[i], q * e[i] + k * d[i]
 
 
 @kernel
@@ -294,13 +287,9 @@ def linearize(w, u):
         w.POINT_FAR = 0.0 if near else 1.0
         far += not near
         w.UPWARD = w.D31 * (ax - w.A) + w.D32 * (ay - w.B) + w.D33 * az
-    _draw_0(w, u)
-    _draw_1(w, u)
-    _draw_2(w, u)
+    _draw_near(w, u)
     if far > 0:
-        _far_0(w, u)
-        _far_1(w, u)
-        _far_2(w, u)
+        _draw_far(w, u)
     _turn_acceleration(w)
     _linearize_step(w)
     for l in range(LANES):
@@ -375,9 +364,9 @@ def measure_fix_unscented(w, z, lever):
             c = cross(turn, arm)
             quarter, k, quarter_sin2 = spread_of(w.QUARTER_GAMMA, _square(turn))
             q = 0.5 * quarter_sin2 / (quarter * quarter)
-            (c0, c1, _), (d0, d1, _) = c, cross(turn, c)
-            SLOPE[j, 0], SLOPE[j, 1] = k * c0, k * c1
-            BEND[j, 0], BEND[j, 1] = q * d0, q * d1
+            d = cross(turn, c)
+            for i in range(2):
+                SLOPE[j, i], BEND[j, i] = k * c[i], q * d[i]
     _linearize_fix(w)
     for l in range(LANES):
         tau = w.LATENCY

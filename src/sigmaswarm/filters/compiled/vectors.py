@@ -271,10 +271,8 @@ class _Emitter:
                 return getattr(builtins, name)
             case ast.Attribute(value=ast.Name(id=name), attr=attribute):
                 return getattr(frame.names[name], attribute)
-            case ast.Subscript(value=ast.Name(id=name), slice=ast.Constant(value=index)) if (
-                name not in frame.values
-            ):
-                return frame.names[name][index]
+            case ast.Subscript(value=ast.Name() as parts, slice=ast.Constant(value=index)):
+                return self.value(parts, frame)[index]
             case ast.Subscript():
                 row = self.row(node, frame)
                 if row not in self.rows:
