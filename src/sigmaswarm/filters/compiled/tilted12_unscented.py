@@ -83,28 +83,23 @@ def _linearize(w, *, columns):
 
 
 def cross(a, b):
-    (a0, a1, a2), (b0, b1, b2) = a, b
-    return a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def _square(a):
-    x, y, z = a
-    return x * x + y * y + z * z
+    return a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
 
 
 def _scaled(k, a):
-    x, y, z = a
-    return k * x, k * y, k * z
+    return k * a[0], k * a[1], k * a[2]
 
 
 def _added(a, b):
-    (a0, a1, a2), (b0, b1, b2) = a, b
-    return a0 + b0, a1 + b1, a2 + b2
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 def _less(a, b):
-    (a0, a1, a2), (b0, b1, b2) = a, b
-    return a0 - b0, a1 - b1, a2 - b2
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @kernel

@@ -6,9 +6,9 @@ that all lanes share. The name of this function contains a hash of its text, so 
 get identical results.
 
 The body of a loop over lanes must not contain branches. It may contain assignments to names and to ``w.XX`` or
-``w[row]`` with a known row, arithmetic, comparisons, ``&``, ``|``, ``a if test else b``, `math.sqrt`, `math.log`,
-`math.exp`, `numpy.floor` and `abs`. Calls of plain functions with such bodies are inlined. ``n += test`` counts the
-lanes in which a test is true.
+``w[row]`` with a known row, elements of tuples, arithmetic, comparisons, ``&``, ``|``, ``a if test else b``,
+`math.sqrt`, `math.log`, `math.exp`, `numpy.floor` and `abs`. Calls of plain functions with such bodies are inlined.
+``n += test`` counts the lanes in which a test is true.
 """
 
 import ast
