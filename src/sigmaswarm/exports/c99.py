@@ -33,6 +33,12 @@ FILES = (
     "ins_gps.h", "ins_gps.c", "ins_gps_align.h", "ins_gps_align.c", "replay.c", "README.md", "CMakeLists.txt",
     "library.json", "zephyr/module.yml", "zephyr/CMakeLists.txt", "zephyr/Kconfig", "ins_gps.py", "ins_gps_shared.c",
 )  # fmt: skip
+FIX_FIELDS = {
+    "velocity": ("has_velocity", "vx", "vy"),
+    "heading": ("has_heading", "heading", "heading_variance"),
+    "stated_std": ("variance[0]", "variance[1]"),
+}
+"""Fields of a fix in C, except time and position, by the feature that uses them."""
 MIN_INTERVAL = 1e-4  # s; at this IMU interval, the history of one second takes 3 to 15 MB
 
 
@@ -99,7 +105,9 @@ def _context(
         ],
         "axes": axes,
         "turning_axes": [axis for axis in axes if axis != "az" and (model.tilts or axis != "ay")],
-        "fix_fields": _fix_fields(context),
+        "fix_fields": [
+            field for feature, fields in FIX_FIELDS.items() if context[feature] for field in fields
+        ],
         "states": _states(model),
         "numeric_version": ".".join(__version__.split(".")[:3]),
         "slots_per_second": round(1.0 / odometer.INTERVAL),
@@ -111,16 +119,6 @@ def _context(
     context |= c_kernels.kernels_of(parameters, context)
     context |= c_rules.rules_of(context, events.bits_of(requirements.measured_by(parameters)))
     return context | c_alignment.alignment_of(biases=context["biases"], tilted=context["tilted"])
-
-
-def _fix_fields(features: Mapping[str, Any]) -> list[str]:
-    """Return the fields of a fix, except time and position."""
-    fields = {
-        "velocity": ("has_velocity", "vx", "vy"),
-        "heading": ("has_heading", "heading", "heading_variance"),
-        "stated_std": ("variance[0]", "variance[1]"),
-    }
-    return [field for feature, names in fields.items() if features[feature] for field in names]
 
 
 def replay_rows(
