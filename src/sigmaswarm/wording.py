@@ -1,5 +1,6 @@
 """Parts of messages: counts, lists of names, and values from files, on one line without control characters."""
 
+import re
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -9,15 +10,26 @@ if TYPE_CHECKING:
 MAX_CHARACTERS = 60  # largest length of a name or a cell
 MAX_NAMES = 12
 TO_DO = "TO DO: "  # begins remarks that require action
+REASON = ". Reason: "  # follows the remedy in these remarks
 
 
 def to_do(remedy: str, why: str) -> str:
-    return f"{TO_DO}{remedy}. Reason: {why}"
+    """Return a remark. ``why``: a sentence on the fault, perhaps one on the consequence, then evidence."""
+    return f"{TO_DO}{remedy}{REASON}{why}"
 
 
 def sort_remarks(remarks: Iterable[str]) -> list[str]:
     """Sort remarks: those that require action come first."""
     return sorted(remarks, key=lambda remark: not remark.startswith(TO_DO))
+
+
+def sentences(text: str) -> list[str]:
+    """Split a text after each period that a capital letter follows."""
+    return re.split(r"(?<=[^. ]\.) (?=[A-Z])", text)
+
+
+def as_sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:].removesuffix('.')}."
 
 
 def count_of(n: int, noun: str) -> str:

@@ -14,6 +14,7 @@ import sigmaswarm as library
 from doctor.faults import FAULTS, flipped_yaw
 from sigmaswarm.cli.common import read_datasets
 from sigmaswarm.cli.findings import print_diagnosis
+from sigmaswarm.cli.output import Output
 from sigmaswarm.doctor.findings import Diagnosis, Finding
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.writer import write_drive
@@ -37,16 +38,18 @@ def test_a_good_drive_ends_with_0(sigmaswarm, good, here: Path):
     ended = sigmaswarm("doctor", "fine")
     assert (ended.code, ended.err) == (0, "")
     assert ended.out.startswith("urban-clear-00: no serious fault")
-    assert "2000 IMU samples at 50 Hz" in ended.out
-    assert "\nnext: sigmaswarm plot fine\nthen: sigmaswarm split fine --out parts\n" in ended.out
+    assert "\n--verbose adds 4 notes\nnext: sigmaswarm split fine --out parts\n" in ended.out
+    verbose = sigmaswarm("doctor", "fine", "--verbose").out
+    assert "  note     [imu-rate] There are 2000 IMU samples at 50 Hz over 40 s.\n" in verbose
+    assert "--verbose" not in verbose and verbose.endswith("\nnext: ".join(ended.out.split("\nnext: ")[1:]))
     Path("one").mkdir()
     shutil.copytree("fine", "one/fine")  # the folder of a drive's folder
-    assert "\nnext: sigmaswarm plot one/fine\n" in sigmaswarm("doctor", "one").out
-    assert "evaluation, run this command instead of split: sigmaswarm tune fine --out tuned)\n" in ended.out
+    assert "\nnext: sigmaswarm split one/fine --out parts\n" in sigmaswarm("doctor", "one").out
+    assert "(with another drive for the evaluation: sigmaswarm tune fine --out tuned)\n" in ended.out
     for used in ("parts", "tuned", "tuned-2"):
         Path(used).mkdir()
     said = sigmaswarm("doctor", "fine").out
-    (split,) = re.findall(r"then: sigmaswarm (split fine --out parts-2)\n", said)
+    (split,) = re.findall(r"next: sigmaswarm (split fine --out parts-2)\n", said)
     said = sigmaswarm(*split.split()).out
     assert "\nnext: sigmaswarm tune parts-2/urban-clear-00-train --out tuned-3\n" in said
     assert said.endswith("then: sigmaswarm evaluate tuned-3 parts-2/urban-clear-00-test --out evaluation\n")
@@ -55,24 +58,35 @@ def test_a_good_drive_ends_with_0(sigmaswarm, good, here: Path):
 def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
     ended = sigmaswarm("doctor", sick)
     assert (ended.code, ended.err) == (1, "")
-    assert "1 SERIOUS fault" in ended.out
-    assert "[gyro-sign] imu.csv, gz" in ended.out
-    assert "-> change the sign of gz (--fix does this)" in ended.out
-    assert f"\nnext: sigmaswarm doctor {sick} --fix mended " in ended.out
+    fault, what, *consequence, remedy = ended.out.split("\n--verbose")[0].splitlines()
+    assert fault == "urban-clear-00: 1 SERIOUS fault, 0 warnings"
+    assert (
+        what == "  SERIOUS  [gyro-sign] The yaw rate has the wrong sign: it must be positive in a left turn."
+    )
+    assert consequence == ["           A filter turns left where the car turns right."]
+    assert remedy == "           -> change the sign of gz (sigmaswarm doctor --fix does this)"
+    assert "the integral of gz" not in ended.out
+    assert f"\nnext: sigmaswarm doctor {sick} --fix mended\n" in ended.out
+    verbose = " ".join(sigmaswarm("doctor", sick, "--verbose").out.split())
+    assert (
+        "times the integral of gz" in verbose
+        and "(imu.csv, gz; t = 0.0 to 40.0 s; confidence 99.9%)" in verbose
+    )
     mended = sigmaswarm("doctor", sick, "--fix", "mended")
-    assert "\nthen: sigmaswarm split mended/urban-clear-00 --out parts\n" in mended.out
+    assert "\nnext: sigmaswarm split mended/urban-clear-00 --out parts\n" in mended.out
 
 
 def test_a_rejected_repair_ends_in_no_circle(sigmaswarm, sick: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("sigmaswarm.scoring.verified_repair._rejected", lambda *_: {"gyro-sign"})
     ended = sigmaswarm("doctor", sick, "--fix", "mended")
-    assert ended.code == 0 and "every repair was rejected" in ended.out
-    assert "\nthen: sigmaswarm split mended/urban-clear-00 --out parts\n" in ended.out
-    ended = sigmaswarm("doctor", "mended/urban-clear-00")
-    assert ended.code == 0 and "[gyro-sign] imu.csv, gz" in ended.out
-    assert "Rejected repair: change the sign of gz" in ended.out
+    assert ended.code == 0 and "since with the repairs a filter predicts the fixes less" in ended.out
+    assert "\nnext: sigmaswarm split mended/urban-clear-00 --out parts\n" in ended.out
+    ended = sigmaswarm("doctor", "mended/urban-clear-00", "--verbose")
+    assert ended.code == 0 and "warning  [gyro-sign]" in ended.out
+    assert "-> no action is needed: the repair was tried, but then a filter predicts" in ended.out
+    assert "repair it yourself: change the sign of gz" in " ".join(ended.out.split())
     remedies: list[tuple[str, Path | None]] = []
-    with pytest.warns(SigmaswarmWarning, match="the doctor warns of gyro-sign"):
+    with pytest.warns(SigmaswarmWarning, match=r"the log makes the filter less accurate \(gyro-sign\)"):
         read_datasets(["mended/urban-clear-00"], remedies=remedies)
     assert not remedies
 
@@ -81,10 +95,10 @@ def test_a_held_out_part_is_evaluated_and_never_tuned_on(sigmaswarm, good, here:
     write_drive(good, here / "log")
     assert sigmaswarm("split", "log", "--out", "parts", "--train-fraction", "0.5").code == 0
     held = sigmaswarm("doctor", "parts/urban-clear-00-test").out
-    assert "\nthen: sigmaswarm evaluate TUNING parts/urban-clear-00-test --out evaluation\n" in held
+    assert "\nnext: sigmaswarm evaluate TUNING parts/urban-clear-00-test --out evaluation\n" in held
     assert "sigmaswarm tune" not in held and "Tune uses" not in held and "split" not in held
     other = sigmaswarm("doctor", "parts/urban-clear-00-train").out
-    assert "\nthen: sigmaswarm tune parts/urban-clear-00-train --out tuned\n" in other
+    assert "\nnext: sigmaswarm tune parts/urban-clear-00-train --out tuned\n" in other
     assert "split" not in other
     copied = sigmaswarm("doctor", "parts/urban-clear-00-test", "--fix", "mended").out
     assert "sigmaswarm evaluate TUNING mended/urban-clear-00-test" in copied
@@ -189,10 +203,7 @@ def test_exchanged_fixes_beside_a_truth_are_exchanged_by_the_command_that_is_nam
     assert "[mirrored-fixes]" in ended.out
     name = good.name
     command = f"import mirrored --out mended/{name} --map gps.x=y gps.y=x"
-    assert (
-        f"\nnext: sigmaswarm {command}    (then continue with mended/{name}, not with mirrored)\n"
-        in ended.out
-    )
+    assert f"\nnext: sigmaswarm {command}\nthen: sigmaswarm split mended/{name} --out parts\n" in ended.out
     assert sigmaswarm(*command.split()).code == 0
     assert sigmaswarm("doctor", f"mended/{name}").code == 0
 
@@ -222,11 +233,11 @@ def test_warnings_of_the_doctor_are_named_too(sigmaswarm, good, tuned: Path, her
     }
     assert codes
     ended = sigmaswarm("evaluate", tuned, "scaled", "--json")
-    (line,) = [said for said in ended.err.splitlines() if "the doctor warns of" in said]
-    assert line.startswith("warning: scaled: the doctor warns of ")
+    (line,) = [said for said in ended.err.splitlines() if "the log makes" in said]
+    assert line.startswith("warning: scaled: the log makes the filter less accurate (")
     assert all(code in line for code in codes)
-    assert line.endswith("; for details run sigmaswarm doctor scaled")
-    assert "the doctor" not in sigmaswarm("evaluate", tuned, "scaled", "--json", "--trust-log").err
+    assert line.endswith("; sigmaswarm doctor scaled describes the faults")
+    assert "doctor" not in sigmaswarm("evaluate", tuned, "scaled", "--json", "--trust-log").err
 
 
 def test_a_mended_copy_is_offered_where_something_can_be_mended_and_its_folder_is_free(
@@ -257,9 +268,8 @@ def test_a_remedy_can_be_pasted(here: Path, capsys: pytest.CaptureFixture[str]):
     found = Finding("gps-disturbed", "warning", "multipath", "gps.csv", (3.0, 40.0), 0.99, remedy)
     (here / "parts").mkdir()
     (here / "parts" / "a").touch()
-    print_diagnosis(Diagnosis("monday", (found,)), folder=Path("my drives/monday"))
-    said = " ".join(capsys.readouterr().out.split())
-    assert "sigmaswarm split 'my drives/monday' --at 3 40 --out parts-2" in said
+    print_diagnosis(Output(verbose=False), Diagnosis("monday", (found,)), Path("my drives/monday"))
+    assert "sigmaswarm split 'my drives/monday' --at 3 40 --out parts-2\n" in capsys.readouterr().out
 
 
 def test_for_machines(sigmaswarm, sick: Path):
@@ -277,7 +287,7 @@ def test_the_copy_is_mended_and_the_original_is_not(sigmaswarm, good, sick: Path
     before = {file.name: file.read_bytes() for file in sick.iterdir()}
     ended = sigmaswarm("doctor", sick, "--fix", "mended")
     assert ended.code == 0  # nothing serious is left
-    assert "Repaired: gyro-sign. Remaining findings:" in ended.out
+    assert "wrote mended/urban-clear-00, a copy with repairs of gyro-sign\n" in ended.out
     assert {file.name: file.read_bytes() for file in sick.iterdir()} == before
     copy = read_drive(here / "mended" / good.name)
     assert copy.imu.gz.tobytes() == good.imu.gz.tobytes()
@@ -310,7 +320,7 @@ def test_microseconds_in_both_files_end_with_1(sigmaswarm, good, here: Path):
     write_drive(replace(good, **tables), here / "us")
     ended = sigmaswarm("doctor", "us")
     assert (ended.code, ended.err) == (1, "")
-    assert "as if t were in us in both files" in ended.out
+    assert "as if t were in us in both files" in " ".join(ended.out.split())
 
 
 @pytest.mark.parametrize(
@@ -348,7 +358,7 @@ def test_the_lever_arm_is_one_line_and_goes_into_the_copy(sigmaswarm, good, here
     assert line.startswith(f"lever arm: antenna {forward} m ")
     assert f") and {left} m " in line
     assert copy.metadata["repaired"] == ["lever-arm"]
-    assert "Repaired: lever-arm. Remaining findings" in ended.out
+    assert "a copy with repairs of lever-arm\n" in ended.out
 
 
 @pytest.mark.long

@@ -26,7 +26,7 @@ needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not i
 def test_export_names_what_it_wrote(sigmaswarm: Command, tuned: Path, here: Path):
     ended = sigmaswarm("export", tuned, "--to", "robot_localization", "--out", "ros")
     wrote, following = ended.out.splitlines()
-    assert (ended.code, wrote) == (0, "wrote ros/robot_localization.yaml")
+    assert (ended.code, wrote) == (0, "wrote ros: robot_localization.yaml")
     assert following.startswith("next: ") and "ros/robot_localization.yaml" in following
     ended = sigmaswarm("export", tuned, "--to", "filterpy", "--out", "py", "--json")
     assert json.loads(ended.out) == {"written": ["py/run_filter.py"]}
@@ -58,7 +58,7 @@ def test_robot_localization_from_its_yaml_and_back(sigmaswarm: Command, drives: 
     search = ("--particles", 4, "--generations", 2)
     ended = sigmaswarm("tune", drive, "--start", "ekf.yaml", "--out", "t", *search)
     assert ended.code == 0, ended.err
-    assert "model:    robot-localization" in ended.out and "from which the search started" in ended.out
+    assert "model: robot-localization" in ended.out and "from which the search started" in ended.out
     ended = sigmaswarm("evaluate", "t", drive, "--against", "ekf.yaml", "--trust-log")
     assert ended.code == 0 and "other EKF" in ended.out
     out = ("--to", "robot-localization", "--out", "ekf")
@@ -207,9 +207,8 @@ def test_a_new_export_removes_what_was_built_from_an_earlier_one(
         Path("c", name).write_text("")
     ended = sigmaswarm(*export)
     assert ended.code == 0, ended.err
-    exported = {
-        Path(line.removeprefix("wrote c/")).parts[0] for line in ended.out.splitlines() if "wrote" in line
-    }
+    (wrote,) = re.findall(r"^wrote c: (.*)$", ended.out, re.MULTILINE)
+    exported = {Path(name).parts[0] for name in wrote.split(", ")}
     left = {file.name for file in Path("c").iterdir()} - exported
     assert left <= {"main.c", ".sigmaswarm-result.json", "__pycache__"}, left
     load = "import sys; sys.path.insert(0, 'c'); import ins_gps; ins_gps.Filter(0.0, [0.0] * 5, [0.0] * 25)"

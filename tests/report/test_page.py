@@ -193,7 +193,7 @@ def test_the_evaluation_s_summary_says_the_evaluation_s_figures(folders: tuple[P
     _, out, found = folders
     report = read_report(out)
     said = report.lead[0]
-    assert " on 2 drives. " in said  # evaluated without what the tuning saw: nothing is claimed
+    assert said.endswith(" on 2 drives.")  # evaluated without what the tuning saw: nothing is claimed
     assert said.startswith(
         f"The tuned filter has a position RMSE of {found.mean('tuned', 'position_rmse_m'):.3g} m, "
     )
@@ -203,7 +203,7 @@ def test_the_evaluation_s_summary_says_the_evaluation_s_figures(folders: tuple[P
     than_best = (
         f"{abs(better):.0f}% {'lower' if better >= 0 else 'HIGHER'} than {name} ({means[best]:.3g} m), on"
     )
-    assert than_best in said and said.count(" than ") == 1 + said.count("NOT better than")
+    assert than_best in said and said.count(" than ") == 1
     view = read_view(out, load_record(TuningRecord, out / "tuning.toml"))
     assert (view.result(), view.scores) == (found.view.result(), found.view.scores), (
         "from memory as from files"
@@ -348,7 +348,7 @@ def test_without_truth_the_page_says_what_can_be_told_and_has_no_empty_columns(
             for i, column in enumerate(table.columns):
                 assert any(row[i] is not None for row in table.rows), column
     scores, spread = report.sections[1].tables
-    assert " random placements; for a single placement it is" in report.lead[0]
+    assert any(" random placements; for a single placement it is" in text for text in report.sections[1].text)
     titles = [title for s in (1, 5) for title in ("outages", f"{s} s outage drift", "a single placement")]
     assert [c.title for c in spread.columns[2:]] == titles
     for row in spread.rows:

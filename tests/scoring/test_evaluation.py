@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_evaluation
+from sigmaswarm.cli.evaluate import print_evaluation
+from sigmaswarm.cli.output import Output
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.filters.parameters import FilterParameters
@@ -148,9 +149,9 @@ def test_where_the_tuned_filter_failed_no_drift_of_it_is_told(
         evaluation, drives={**evaluation.drives, "drive-1": replace(good, scores=scores, drifts=drifts)}
     )
     assert bool(failed.record.describe_drift("outage_drift_m")) is not in_an_outage
-    print_evaluation(failed)
+    print_evaluation(Output(verbose=False), failed)
     assert "The tuned filter failed on drive-1." in capsys.readouterr().out
-    print_evaluation(failed, verbose=True)
+    print_evaluation(Output(verbose=True), failed)
     said = capsys.readouterr().out
     assert "(failed)" in said
     assert "drift of the tuned filter" not in said
@@ -266,7 +267,7 @@ def test_the_row_of_another_filter_shows_its_path(tmp_path: Path, name: str, mon
 
 
 def worse(evaluation: Evaluation) -> tuple[str, ...]:
-    return worse_than_untuned(evaluation.record, evaluation.measures)
+    return tuple(worse_than_untuned(evaluation.record, evaluation.measures).values())
 
 
 def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evaluation: Evaluation):
@@ -296,19 +297,19 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
         "untuned": replace(sheet, long_outage_drift=6.9),
         "fixes_alone": replace(good, long_outage_drift=8.0),
     }
-    headline = Evaluation({"town": DriveResult(others | {"tuned": good} | close)}).view.result()
-    assert headline.endswith(
-        " It is NOT better than the filter that uses only the fixes in the 5 s outage drift (2 instead of 2"
-        " m). It is NOT better than the baseline in the 30 s outage drift (7 instead of 6.9 m), heading error (0.4"
-        " instead of 0.3 deg)."
+    sentences = Evaluation({"town": DriveResult(others | {"tuned": good} | close)}).view.warnings()
+    assert sentences == (
+        "The tuned filter is NOT better than the filter that uses only the fixes in the 5 s outage drift (2 instead "
+        "of 2 m).",
+        "The tuned filter is worse than the baseline in 1 of 4 measures: heading error 0.4 deg instead of 0.3 deg.",
     )
     other = {"against": replace(good, outage_drift=3.0, long_outage_drift=1.5)}
     whole = Evaluation(
         {"town": DriveResult(others | {"tuned": good} | other)}, names=method_names(also=["against"])
     )
     assert (
-        " It is NOT better than the other filter in the 30 s outage drift (7 instead of 1.5 m), heading error (0.4"
-        in whole.view.result()
+        "The tuned filter is NOT better than the other filter in the 30 s outage drift (7 instead of 1.5 m), heading "
+        "error (0.4 instead of 0.4 deg)." in whole.view.sentences()[1:]
     )
     farther = replace(sheet, position_rmse=0.4)
     (here,) = worse(Evaluation({"town": DriveResult(others | {"untuned": farther, "tuned": good})}))

@@ -32,12 +32,12 @@ def recorded(nis: float, next_one: float) -> Consistency:
 @pytest.mark.parametrize(
     ("nis", "next_one", "said"),
     [
-        (2.0, 0.0, "about 0.5 m RMS, estimated from the filter's covariance, since there is no truth. The fixes"),
-        (2.0, 0.4, "0.5 m RMS or more, estimated from the filter's covariance"),
+        (2.0, 0.0, "about 0.5 m RMS, estimated by the filter, since there is no truth. The estimate does not contain"),
+        (2.0, 0.4, "0.5 m RMS or more, estimated by the filter"),
         (3.0, 0.0, "more than the 0.5 m RMS that the filter estimates. The fixes, with their own errors,"),
-        (1.7, 0.0, "about 0.5 m RMS, estimated from the filter's covariance"),
-        (1.7, 0.4, "unknown, since there is no truth. The position error may be as large as the error of a fix"),
-        (0.2, 0.0, "unknown, since there is no truth. The position error may be as large as the error of a fix"),
+        (1.7, 0.0, "about 0.5 m RMS, estimated by the filter"),
+        (1.7, 0.4, "unknown, since there is no truth. It may be as large as the error of a fix, for which the"),
+        (0.2, 0.0, "unknown, since there is no truth. It may be as large as the error of a fix, for which the"),
     ],
 )  # fmt: skip
 def test_how_far_off_without_truth_is_the_filters_word_held_against_the_fixes(
@@ -51,7 +51,7 @@ def test_correlated_fix_errors_lead_to_a_range(nis: float):
     """A filter of 0.35 m was off by 1.26 m, since predictions do not show errors that all fixes have in common."""
     said = describe_position(recorded(nis, 0.0), 1.4)
     assert said.startswith(
-        "between 0.5 and 2 m RMS, since there is no truth. The lower value is from the filter's"
+        "between 0.5 and 2 m RMS, since there is no truth. The upper value includes errors that consecutive fixes"
     )
     assert describe_position(recorded(nis, 0.0), 0.2).startswith("about 0.5 m RMS")
     assert "an error that all fixes have in common" in describe_position(recorded(nis, 0.0))

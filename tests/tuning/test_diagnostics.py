@@ -91,8 +91,8 @@ def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():
     )
     assert not larger_drifts([replace(short, baseline_m=np.inf, fixes_alone_m=1.01 * short.tuned_m)])
     assert (
-        f"Drift (RMS) at the end of an outage, on the training drives:\n{drift_table(good.forecasts).to_text()}\n"
-        in repr(good)
+        "RMS position drift at the end of an outage (a time without fixes), on the training drives:\n"
+        f"{drift_table(good.forecasts).to_text()}\n" in repr(good)
     )
     same = evaluate([town()], good)
     assert measured[:2] == pytest.approx([same.mean(m, "outage_drift_m") for m in ("tuned", "untuned")])

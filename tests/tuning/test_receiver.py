@@ -53,7 +53,7 @@ def with_r(std: float):
             FixNoise(1.8, 0.1),
             "of 1.8 m per axis, but its fixes scatter by only 0.1 m, so their errors are correlated",
         ),
-        (0.1, FixNoise(NONE, 0.1), "scatter by only 0.1 m per axis, and their receiver states no accuracy"),
+        (0.1, FixNoise(NONE, 0.1), "does not state the accuracy of its fixes. Their small scatter of 0.1 m"),
         (0.9, FixNoise(1.0, 1.0), ""),
         (0.9, FixNoise(NONE, 1.0), ""),
         (0.9, FixNoise(NONE, NONE), ""),

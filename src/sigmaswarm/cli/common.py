@@ -14,13 +14,11 @@ if TYPE_CHECKING:
     from distributed import Client
     from rich.console import Console
 
-    from sigmaswarm import Drive, Evaluation
+    from sigmaswarm import Drive
     from sigmaswarm.cli.findings import Remedy
     from sigmaswarm.datasets.dataset import Dataset
     from sigmaswarm.drives.reader import Location
     from sigmaswarm.errors import SigmaswarmWarning
-
-MAX_REMARKS = 3  # remarks on an evaluation or a tuning that the terminal shows by default
 
 
 def read_silently(place: "Location") -> "Drive":
@@ -177,32 +175,3 @@ def print_result(as_json: bool, content: Any, *lines: object) -> None:
         print_json(content)
     else:
         print_lines(*lines)
-
-
-def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "Iterable[str]" = ()) -> None:
-    """Print the mean scores and the first remarks; with ``verbose`` print all tables and remarks.
-
-    ``more``: additional remarks, for example the warnings of the tuning.
-    """
-    from dataclasses import replace
-
-    from sigmaswarm.scoring.remarks import describe_drives
-
-    view = evaluation.view
-    several = len(view.scores.drives) > 1
-    by_drive, mean, sentences = view.drive_table(), view.mean_table(), view.sentences(more)
-    table = mean if several else by_drive
-    if verbose and several:
-        strong = by_drive.strong | {len(by_drive.rows) + i for i in mean.strong}
-        table = replace(by_drive, rows=by_drive.rows + mean.rows, strong=strong)
-    title = f"Scores on {describe_drives(view.setup.data)} (lower is better)"
-    print_lines(replace(table, caption=title).to_rich(grouped=True))
-    if verbose:
-        caption = "Consistency of the tuned filter (mean NIS and mean NEES should be 2)"
-        tables = replace(view.consistency_table(), caption=caption), view.radius_table()
-        print_lines(*(one.to_rich() for one in tables), *sentences)
-        return
-    shown = tuple(dict.fromkeys((*sentences[:MAX_REMARKS], *view.missing_scores())))
-    hidden = [f"{len(sentences) - len(shown)} more remarks"] if len(sentences) > len(shown) else []
-    *others, last = [*(["the scores of each drive"] if several else []), "the consistency", *hidden]
-    print_lines(*shown, f"--verbose also shows {' and '.join(filter(None, [', '.join(others), last]))}")

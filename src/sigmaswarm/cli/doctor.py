@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_lines, print_result, read_drives, require_writable
+from sigmaswarm.cli.common import print_json, read_drives, require_writable
 from sigmaswarm.cli.findings import has_repairable, next_steps, print_diagnosis, repair_whole
-from sigmaswarm.cli.options import FIELDS, Json, Overwrite
+from sigmaswarm.cli.options import FIELDS, Json, Overwrite, Verbose
+from sigmaswarm.cli.output import Output
 from sigmaswarm.errors import AlignmentError, DriveWarning, InputError, SigmaswarmWarning
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ class DoctorOptions:
     fix: Path | None = None
     lever_arm_within: float | None = None
     overwrite: Overwrite = False
+    verbose: Verbose = False
     json: Json = False
 
 
@@ -69,22 +71,24 @@ def doctor(
     within = options.lever_arm_within
     arm = None if within is None else _lever_arm(read, within, repaired=fix is not None)
     result: list[dict[str, Any]] = []
-    serious, explained, following = False, set[str](), list[str]()
+    output, serious, following = Output(verbose=options.verbose, silent=options.json), False, list[str]()
     alone = drive_folders(drives[0])[0] if len(read) == 1 else None
     for drive in read:
         diagnosis = sigmaswarm.diagnose(drive)
         content = diagnosis.to_dict()
-        if not options.json:
-            print_diagnosis(diagnosis, explained, alone)
+        print_diagnosis(output, diagnosis, alone)
         if fix is not None:
-            diagnosis, content["copy"] = _repair(drive, diagnosis, fix / drive.name, arm, options, explained)
+            diagnosis, content["copy"] = _repair(drive, diagnosis, fix / drive.name, arm, options, output)
         result.append(content)
         serious |= diagnosis.serious
         folder = fix / drive.name if fix else alone
         if alone and folder and (folder / "drive.toml").exists():
             following = [*next_steps(diagnosis, folder, drive)]
-    content = {"drives": result, "serious": serious, **({"lever_arm": arm.to_dict()} if arm else {})}
-    print_result(options.json, content, *([f"lever arm: {arm}"] if arm else []), *following)
+    if arm:
+        output.show(f"lever arm: {arm}")
+    output.next(*following)
+    if options.json:
+        print_json({"drives": result, "serious": serious, **({"lever_arm": arm.to_dict()} if arm else {})})
     if serious:
         raise SystemExit(1)
 
@@ -95,7 +99,7 @@ def _repair(
     folder: Path,
     arm: "LeverArmEstimate | None",
     options: DoctorOptions,
-    explained: set[str],
+    output: Output,
 ) -> "tuple[Diagnosis, dict[str, Any]]":
     """Write a repaired copy of a drive; return the diagnosis of the copy, and the JSON value of "copy"."""
     copy = sigmaswarm.repair(drive, diagnosis)
@@ -105,12 +109,13 @@ def _repair(
     repaired = [code for code in codes if code not in copy.metadata.get("withheld", ())]
     repaired += ["lever-arm"] if arm and any(arm.observable) else []
     remaining = sigmaswarm.diagnose(copy)
-    if repaired and not options.json:
-        print_lines(f"wrote {folder}. Repaired: {', '.join(repaired)}. Remaining findings:\n")
-        print_diagnosis(remaining, explained, folder)
-    elif not options.json:
-        why = "every repair was rejected" if codes else "there is no fault that the doctor can repair"
-        print_lines(f"wrote {folder}, an unchanged copy, since {why}\n")
+    if repaired:
+        output.show(f"wrote {folder}, a copy with repairs of {', '.join(repaired)}")
+        print_diagnosis(output, remaining, folder, printed=diagnosis)
+    else:
+        worse = "with the repairs a filter predicts the fixes less accurately"
+        why = worse if codes else "there is no fault that the doctor can repair"
+        output.show(f"wrote {folder}, an unchanged copy, since {why}")
     return remaining, {"path": str(folder), "mended": repaired, **remaining.to_dict()}
 
 

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from math import inf
 from pathlib import Path
@@ -13,15 +13,14 @@ from cyclopts import Parameter
 
 from sigmaswarm.cli.common import (
     cluster_at,
-    print_evaluation,
     print_json,
-    print_lines,
     read_datasets,
     require_result_folder,
     require_tuning,
 )
 from sigmaswarm.cli.findings import Remedy
 from sigmaswarm.cli.options import FIELDS, AsRecorded, Cluster, Json, Overwrite, Places, Seed, TrustLog
+from sigmaswarm.cli.output import Output, Remark
 from sigmaswarm.cli.remarks import name_training_files, warn_of_unusable
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.files import free_path
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     from sigmaswarm.learned.folder import LearnedNetwork
     from sigmaswarm.tuning.record import TunedFilter
 
+MAX_SENTENCES = 3  # sentences that are printed without --verbose
 WORSE_STEP = (
     "then: tune on more or longer drives, and evaluate again (on these drives, a method without tuning is more "
     "accurate than the tuned filter)"
@@ -131,13 +131,42 @@ def evaluate(
     training_drives = [drive.name for drive in record.data]
     remarks = [one for one in (record.result.warnings if record.result else ()) if one not in record.unusable]
     more = name_training_files(remarks, training_drives, drives)
-    print_evaluation(result, verbose=options.verbose, more=more)
+    output = Output(verbose=options.verbose)
+    print_evaluation(output, result, more)
     if written:
-        names = ", ".join(path.name for path in written) if options.verbose else f"{len(written)} files"
-        print_lines(f"wrote {names} to {out}")
+        output.show(f"wrote {len(written)} files to {out}")
+        output.details("the files", ", ".join(path.name for path in written))
     usable = not warn_of_unusable(tuning, record) and not learned
     export = _better_filter(result, options) or (_export(tuning, tuned, drives) if usable else ())
-    print_lines(*_next_steps(out, remedies, export))
+    output.next(*_next_steps(out, remedies, export))
+
+
+def print_evaluation(output: Output, evaluation: "Evaluation", more: Iterable[str] = ()) -> None:
+    """Print the mean scores and the first sentences; details are the other tables and sentences.
+
+    ``more``: additional sentences, for example the warnings of the tuning.
+    """
+    from sigmaswarm.scoring.methods import LEGEND
+    from sigmaswarm.scoring.remarks import describe_drives
+
+    view = evaluation.view
+    several = len(view.scores.drives) > 1
+    by_drive, sentences = view.drive_table(), view.sentences(more)
+    title = f"Scores on {describe_drives(view.setup.data)} (lower is better)"
+    table = replace(view.mean_table() if several else by_drive, caption=title)
+    output.show(
+        table.to_rich(grouped=True),
+        LEGEND,
+        *view.missing_scores(),
+        "",
+        *map(Remark.of, sentences[:MAX_SENTENCES]),
+    )
+    if several:
+        output.details("the scores by drive", by_drive.to_rich(grouped=True))
+    caption = "Consistency of the tuned filter (mean NIS and mean NEES should be 2)"
+    tables = replace(view.consistency_table(), caption=caption), view.radius_table()
+    output.details("the consistency", *(one.to_rich() for one in tables))
+    output.details("remark", *sentences[MAX_SENTENCES:])
 
 
 def _check_input(tuning: Path, options: EvaluateOptions) -> None:

@@ -110,9 +110,8 @@ def export(
         comparison = {"checked": [asdict(check) for check in checked]} if checked else {}
         print_json({"written": [str(path) for path in written], **comparison})
     else:
-        print_lines(
-            *(f"wrote {path}" for path in written), *(_describe(check, options.lanes) for check in checked)
-        )
+        names = ", ".join(str(path.relative_to(out)) for path in written)
+        print_lines(f"wrote {out}: {names}", *(_describe(check, options.lanes) for check in checked))
         print_lines(*_notes(to, record, replay=drive is not None))
     if not warn_of_unusable(tuning, record) and not options.json:
         print_lines(f"next: {next_command(to, out, texts) or _with_replay(tuning, options)}")

@@ -4,12 +4,13 @@ import re
 import shlex
 import warnings
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sigmaswarm.cli.terminal import console
+from sigmaswarm.cli.output import Output, Remark
 from sigmaswarm.files import free_path
-from sigmaswarm.wording import count_of, printable
+from sigmaswarm.wording import as_sentence, count_of, printable, sentences
 
 if TYPE_CHECKING:
     from sigmaswarm.datasets.dataset import Dataset
@@ -19,57 +20,46 @@ if TYPE_CHECKING:
 
 Remedy = tuple[str, Path | None]
 """Command that repairs or shows the faults of a drive; folder of the repaired copy, or None if there is no copy."""
-_STYLES = {"serious": "bold red", "warning": "yellow", "note": "dim"}
 
 
 def print_diagnosis(
-    diagnosis: "Diagnosis", explained: set[str] | None = None, folder: "Location | None" = None
+    output: Output,
+    diagnosis: "Diagnosis",
+    folder: "Location | None" = None,
+    printed: "Diagnosis | None" = None,
 ) -> None:
-    """Print the findings about a drive.
+    """Print the findings about a drive, the notes as details.
 
-    ``explained``: messages that were printed before. A note that was printed before is only counted; new messages are
-    added to the set. ``folder``: folder of the drive, for commands in remedies.
+    ``folder``: folder of the drive, for commands in remedies. ``printed``: diagnosis of the original of a copy, whose
+    findings are not printed again.
     """
-    from rich.table import Table
-    from rich.text import Text
-
-    serious, warned, noted = (sum(f.severity == s for f in diagnosis.findings) for s in _STYLES)
-    summary = f"{count_of(serious, 'SERIOUS fault')}" if serious else "no serious fault"
-    summary += f", {count_of(warned, 'warning')}, {count_of(noted, 'note')}"
-    out = console(soft_wrap=True)
-    out.print(Text.assemble((diagnosis.drive, "bold"), f": {summary}"))
-    table = Table.grid(padding=(0, 2, 0, 0))
-    table.add_column(width=9)
-    table.add_column(overflow="fold")
-    explained, repeated = set() if explained is None else explained, 0
-    for finding in diagnosis.findings:
-        message = _in_words(finding, part=bool(diagnosis.whole))
-        message = message if folder is None else _with_names(message, folder)
-        if finding.severity == "note" and message in explained:
-            repeated += 1
-            continue
-        explained.add(message)
-        table.add_row(Text(f"  {finding.severity}", _STYLES[finding.severity]), Text(message))
-    if repeated:
-        table.add_row(Text("  note", _STYLES["note"]), Text(f"{count_of(repeated, 'note')} printed above."))
-    out.print(table)
-    out.print()
+    known = {(f.code, f.what) for f in printed.findings} if printed else set[tuple[str, str]]()
+    faults = [f for f in diagnosis.findings if f.severity != "note"]
+    new = [f for f in faults if (f.code, f.what) not in known]
+    serious = sum(f.severity == "serious" for f in faults)
+    summary = count_of(serious, "SERIOUS fault") if serious else "no serious fault"
+    summary += f", {count_of(len(faults) - serious, 'warning')}"
+    if known_faults := len(faults) - len(new):
+        summary += f" ({f'{known_faults} ' if new else ''}printed above)"
+    output.show(f"{diagnosis.drive}: {summary}")
+    output.show(*(_problem(finding, folder, part=bool(diagnosis.whole)) for finding in new))
+    notes = [f for f in diagnosis.findings if f.severity == "note" and (f.code, f.what) not in known]
+    output.details("note", *(Remark("note", f"[{f.code}] {as_sentence(f.what)}") for f in notes))
 
 
-def _in_words(finding: "Finding", *, part: bool) -> str:
-    """Format a finding as three lines (fault; place and confidence; remedy), or a note as one line.
-
-    ``part``: True for a part of a split drive, which is not repaired alone.
-    """
-    what = f"{finding.what[0].upper()}{finding.what[1:]}."
-    if finding.severity == "note":
-        return f"{what} [{finding.where}]"
+def _problem(finding: "Finding", folder: "Location | None", *, part: bool) -> Remark:
+    """``part``: True for a part of a split drive, which is not repaired alone."""
+    names = partial(_with_names, folder=folder) if folder else str
+    (what, *evidence), (remedy, *more) = sentences(finding.what), sentences(names(finding.remedy))
     start, end = finding.span
-    return (
-        f"{what}\n"
-        f"[{finding.code}] {finding.where}; t = {start:.1f} to {end:.1f} s; "
-        f"confidence {100 * finding.confidence:.3g}%\n"
-        f"-> {finding.remedy}{' (--fix does this)' if finding.repair and not part else ''}"
+    place = f"({finding.where}; t = {start:.1f} to {end:.1f} s; confidence {100 * finding.confidence:.3g}%)"
+    fixed = " (sigmaswarm doctor --fix does this)" if finding.repair and not part else ""
+    return Remark(
+        finding.severity,
+        f"[{finding.code}] {as_sentence(what)}",
+        as_sentence(finding.consequence),
+        remedy.removesuffix(".") + fixed,
+        " ".join(as_sentence(text) for text in (*evidence, *more, place)),
     )
 
 
@@ -92,8 +82,10 @@ def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[Rem
                 f"run {remedies[-1][0]}, or suppress this warning with --trust-log"
             )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
-        elif warned := [f.code for f in diagnosis.findings if f.severity == "warning"]:
-            findings = f"the doctor warns of {', '.join(warned)}; for details run {_doctor(folder)}"
+        elif codes := ", ".join(f.code for f in diagnosis.findings if f.severity == "warning"):
+            findings = (
+                f"the log makes the filter less accurate ({codes}); {_doctor(folder)} describes the faults"
+            )
             warnings.warn(f"{folder}: {findings}", SigmaswarmWarning, stacklevel=2)
     return remedies
 
@@ -241,22 +233,11 @@ def velocity_options(diagnosis: "Diagnosis") -> str:
     return options[1] if options and "velocity" in options[1].split() else ""
 
 
-def with_velocity(diagnosis: "Diagnosis") -> list[str]:
-    """Return the lines after the command of a tuning, if the log has a velocity that `tune` does not use by default."""
-    if not (options := velocity_options(diagnosis)):
-        return []
-    reason = "the log has the receiver's velocity, which may reduce the errors, but tune does not use it by default"
-    return [
-        f"      ({reason}; tune a second filter with {options}, and compare both with evaluate --against)"
-    ]
-
-
 def next_steps(diagnosis: "Diagnosis", out: Path, drive: "Drive") -> Iterator[str]:
-    """Yield the next steps after a printed diagnosis of a drive, which is in the folder ``out``."""
+    """Yield the next commands after a printed diagnosis of a drive, which is in the folder ``out``."""
     from sigmaswarm.drives.split import part_of
 
-    part = part_of(drive)
-    ready, following = out, f"sigmaswarm plot {shlex.quote(str(out))}"
+    part, ready, repair = part_of(drive), out, ""
     if cut := split_command(diagnosis, out):
         yield from (f"next: {cut}", f"then: sigmaswarm doctor {free_path('parts')} --fix mended")
         return
@@ -265,28 +246,24 @@ def next_steps(diagnosis: "Diagnosis", out: Path, drive: "Drive") -> Iterator[st
         if lines:
             yield from lines
             return
-        following = f"{_doctor(whole)}    (the whole drive needs no repair)"
+        repair = f"{_doctor(whole)}    (the whole drive needs no repair)"
     elif diagnosis.serious or has_repairable(diagnosis):
-        command, copy = exchanging(diagnosis, out) or repair_command(diagnosis, out)
-        go_on = f"{command}    (then continue with {copy}, not with {out})"
-        following, ready = (go_on, copy) if copy else ("correct the serious faults in the log", out)
+        repair, copy = exchanging(diagnosis, out) or repair_command(diagnosis, out)
+        repair, ready = (repair, copy) if copy else ("correct the serious faults in the log", out)
     elif no_start := next((finding for finding in diagnosis.findings if finding.code == "no-start"), None):
         yield f"next: {no_start.remedy}"
         return
     elif part != "test" and (short := too_short_for_outages(drive)):
         yield f"next: use a longer drive; {short}"
         return
-    yield f"next: {following}"
+    yield from [f"next: {repair}"] if repair else []
+    then, place = "then" if repair else "next", shlex.quote(str(ready))
     if part == "test":
-        yield f"then: sigmaswarm evaluate TUNING {shlex.quote(str(ready))} --out {free_path('evaluation')}"
+        yield f"{then}: sigmaswarm evaluate TUNING {place} --out {free_path('evaluation')}"
         yield "      (this part is held out: TUNING is a filter that was tuned on the other part)"
-        return
-    if part:
-        yield f"then: sigmaswarm tune {shlex.quote(str(ready))} --out {free_path('tuned')}"
+    elif part:
+        yield f"{then}: sigmaswarm tune {place} --out {free_path('tuned')}"
         yield "      (keep the other part for the evaluation)"
-        yield from with_velocity(diagnosis)
-        return
-    yield f"then: sigmaswarm split {shlex.quote(str(ready))} --out {free_path('parts')}"
-    tune = f"sigmaswarm tune {shlex.quote(str(ready))} --out {free_path('tuned')}"
-    yield f"      (if you have another drive for the evaluation, run this command instead of split: {tune})"
-    yield from with_velocity(diagnosis)
+    else:
+        yield f"{then}: sigmaswarm split {place} --out {free_path('parts')}"
+        yield f"      (with another drive for the evaluation: sigmaswarm tune {place} --out {free_path('tuned')})"

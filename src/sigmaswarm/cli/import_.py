@@ -4,16 +4,17 @@ import re
 import shlex
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from sigmaswarm.cli.common import parse_numbers, print_json, print_lines, require_free, stdout
+from sigmaswarm.cli.common import parse_numbers, print_json, require_free
 from sigmaswarm.cli.findings import affects_axes, mirror_maps, next_steps, print_diagnosis
-from sigmaswarm.cli.options import FIELDS, MORE, Hyphened, Json, Overwrite
+from sigmaswarm.cli.options import FIELDS, MORE, Hyphened, Json, Overwrite, Verbose
+from sigmaswarm.cli.output import Output
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.errors import DriveWarning, InputError
 from sigmaswarm.files import free_path
@@ -21,8 +22,10 @@ from sigmaswarm.wording import printable
 
 if TYPE_CHECKING:
     from sigmaswarm.doctor.findings import Diagnosis
+    from sigmaswarm.drives.drive import Drive
     from sigmaswarm.importing.convert import ImportResult, Request
     from sigmaswarm.importing.inspection import Inspection, TablePreview
+    from sigmaswarm.importing.recipe import Recipe
 
 AXES_NOTE = (
     "the IMU's axes are assumed to be x forward, y left, z up; "
@@ -140,6 +143,7 @@ class ImportOptions:
     max_unpacked_mb: Annotated[int | None, MORE] = None
     name: Annotated[str | None, MORE] = None
     overwrite: Overwrite = False
+    verbose: Annotated[Verbose, MORE] = False
     json: Annotated[Json, MORE] = False
 
 
@@ -227,10 +231,15 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
     if options.json:
         print_json(_summary(imported, out) | {"doctor": diagnosis.to_dict()})
         return
-    print_lines(*_report(imported, out, diagnosis))
-    print_diagnosis(diagnosis, folder=out)
+    output = Output(verbose=options.verbose)
+    output.show(_written(imported.drive, out))
+    # the remedy of a finding about the axes replaces the note on the assumed axes
+    axes = imported.assumed or (() if imported.recipe.mount else (AXES_NOTE,))
+    output.show(*_notes([*imported.notes, *(() if affects_axes(diagnosis) else axes)]))
+    output.details("the columns that were read", *_columns_read(imported.recipe))
+    print_diagnosis(output, diagnosis, out)
     again = _with_corrected_fixes(diagnosis)
-    print_lines(*([f"next: {again}"] if again else next_steps(diagnosis, out, imported.drive)))
+    output.next(*([f"next: {again}"] if again else next_steps(diagnosis, out, imported.drive)))
 
 
 def _with_corrected_fixes(diagnosis: "Diagnosis") -> str:
@@ -271,21 +280,22 @@ def _summary(imported: "ImportResult", out: Path) -> dict[str, Any]:
     }
 
 
-def _report(imported: "ImportResult", out: Path, diagnosis: "Diagnosis") -> Iterator[str]:
-    drive = imported.drive
+def _written(drive: "Drive", out: Path) -> str:
     truth = f", {len(drive.truth)} rows of truth" if drive.truth else ", no truth"
     wheels = f", {len(drive.odometer)} odometer samples" if drive.odometer else ""
-    yield from (f"read {printable(read, 1000)}" for read in imported.recipe.map_arguments())
-    # the remedy of a finding about the axes replaces the note on the assumed axes
-    assumed = (
-        () if affects_axes(diagnosis) else imported.assumed or (() if imported.recipe.mount else (AXES_NOTE,))
-    )
-    yield from (f"note: {printable(note, 1000)}" for note in (*imported.notes, *assumed))
-    rate = 1 / drive.nominal_interval
-    yield (
-        f"wrote {out}: {drive.duration:.1f} s, {len(drive.imu)} IMU samples ({rate:.3g} Hz), "
-        f"{len(drive.gps)} fixes{wheels}{truth}"
-    )
+    first, last = drive.imu.time[[0, -1]]
+    outside = sum((drive.gps.time < first) | (drive.gps.time > last))
+    unused = f" ({outside} outside of the IMU's time span are not used)" if outside else ""
+    samples = f"{len(drive.imu)} IMU samples ({1 / drive.nominal_interval:.3g} Hz)"
+    return f"wrote {out}: {drive.duration:.1f} s, {samples}, {len(drive.gps)} fixes{unused}{wheels}{truth}"
+
+
+def _columns_read(recipe: "Recipe") -> Iterator[str]:
+    yield from (f"read {printable(read, 1000)}" for read in recipe.map_arguments())
+
+
+def _notes(notes: Iterable[str]) -> Iterator[str]:
+    yield from (f"note: {printable(note, 1000)}" for note in notes)
 
 
 def _show(request: "Request", options: ImportOptions) -> None:
@@ -305,34 +315,41 @@ def _show(request: "Request", options: ImportOptions) -> None:
 
 
 def _print_inspection(inspection: "Inspection", options: ImportOptions) -> None:
-    console = stdout()
-    print_lines("Lowest, median and highest value of each column in the first rows:")
+    output, unread = Output(verbose=options.verbose), inspection.unread
+    all_columns = (
+        options.verbose or inspection.proposal or not inspection.works
+    )  # the user looks for a column
+    output.show("Lowest, median and highest value of each column in the first rows:")
     for preview in inspection.tables:
         rows = f", {preview.rows} rows" if preview.rows is not None else ""
         rate = f", {preview.rate:.4g} Hz" if preview.rate else ""
-        console.print(f"{printable(preview.table)}: {printable(preview.kind)}{rows}{rate}", style="bold")
-        print_lines(*_columns(preview))
-    planned = "The recipe that this import uses (--save-recipe saves it, --map changes it):"
-    console.print(f"\n{planned}", style="bold")
-    recipe = "\n".join(printable(line, 1000) for line in inspection.recipe.to_toml().split("\n"))
-    print_lines(recipe or "no column was recognized; map the columns with --map")
-    print_lines(*(f"note: {printable(note, 1000)}" for note in inspection.notes))
+        output.show(f"{printable(preview.table)}: {printable(preview.kind)}{rows}{rate}")
+        hidden = () if all_columns else unread.get(preview.table, ())
+        output.show(
+            *_columns(replace(preview, ranges=tuple(r for r in preview.ranges if r.column not in hidden)))
+        )
+    output.show(
+        "", *([*_columns_read(inspection.recipe)] or ["no column was recognized; map the columns with --map"])
+    )
+    for table, columns in unread.items():
+        more = f" and {len(columns) - MAX_UNUSED_COLUMNS} more" if len(columns) > MAX_UNUSED_COLUMNS else ""
+        names = ", ".join(map(printable, columns[:MAX_UNUSED_COLUMNS]))
+        output.show(f"not used from {printable(table)}: {names}{more}")
+    output.show(*_notes(inspection.notes))
     if inspection.proposal:
         lacking = "" if inspection.works else " (not sufficient for a drive; the reason follows)"
-        console.print(
-            f"\nTo read the other columns, add these options to the command{lacking}:", style="bold"
-        )
         of_rows = re.search(r"\b(imu|gps)\.t=", inspection.proposal)
-        times = "; imu.t and gps.t are the times of IMU samples and fixes" if of_rows else ""
-        evidence = f"({printable(inspection.evidence, 1000)}{times}; without these options, import ignores the columns)"
-        print_lines(printable(inspection.proposal, 4000), evidence)
-    if inspection.unread:
-        console.print("\nColumns that are not used:", style="bold")
-    for table, columns in (inspection.unread or {}).items():
-        more = f" and {len(columns) - MAX_UNUSED_COLUMNS} more" if len(columns) > MAX_UNUSED_COLUMNS else ""
-        print_lines(f"{printable(table)}: {', '.join(map(printable, columns[:MAX_UNUSED_COLUMNS]))}{more}")
-    ready = f"next: {_command(inspection, options)}" if inspection.works else NOT_READY_NOTE
-    print_lines(f"\n{ready}")
+        output.show(
+            f"\nTo read the other columns, add these options to the command{lacking}:",
+            printable(inspection.proposal, 4000),
+            f"({printable(inspection.evidence, 1000)})",
+            *(["(imu.t and gps.t are the times of IMU samples and fixes)"] if of_rows else []),
+        )
+    recipe = "\n".join(printable(line, 1000) for line in inspection.recipe.to_toml().split("\n"))
+    output.details("the recipe", "\nThe recipe, which --save-recipe saves:", recipe)
+    output.details("the ranges of unused columns", *() if all_columns else unread)
+    output.show("")
+    output.next(f"next: {_command(inspection, options)}" if inspection.works else NOT_READY_NOTE)
 
 
 def _command(inspection: "Inspection", options: ImportOptions) -> str:

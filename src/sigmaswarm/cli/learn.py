@@ -114,4 +114,4 @@ def _summary(record: "LearnedRecord", out: Path) -> Iterator[str]:
             "increase, so the filter does not use the network"
         )
     yield f"learned:  {out / 'learned.toml'}, {out / 'weights.npz'}"
-    yield f"next:     sigmaswarm evaluate {quote(str(out))} HELD_OUT_DRIVE..."
+    yield f"next: sigmaswarm evaluate {quote(str(out))} HELD_OUT_DRIVE..."

@@ -47,6 +47,7 @@ AsRecorded = Annotated[
         help="Run without preprocessing, for diagnosis: use stale fixes, and treat IMU gaps as ordinary steps."
     ),
 ]
+Verbose = Annotated[bool, Parameter(help="Also print evidence, notes and details.")]
 Json = Annotated[bool, Parameter(help="Print the result as JSON.")]
 
 

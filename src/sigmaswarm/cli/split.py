@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 import sigmaswarm
 from sigmaswarm.cli.common import print_json, print_lines, read_silently, require_writable
-from sigmaswarm.cli.findings import has_unrepairable, repair_and_split, too_short_for_outages, with_velocity
+from sigmaswarm.cli.findings import has_unrepairable, repair_and_split, too_short_for_outages
 from sigmaswarm.cli.options import Json, Overwrite
 from sigmaswarm.files import free_path
 from sigmaswarm.wording import count_of
@@ -122,6 +122,5 @@ def _next_steps(parts: "Sequence[sigmaswarm.Drive]", out: Path, *, own: bool) ->
     return [
         *why,
         f"next: sigmaswarm tune {train} --out {tuned}",
-        *with_velocity(sigmaswarm.diagnose(chosen[0])),
         f"then: {'evaluate the tuning on another drive' if why else last}",
     ]

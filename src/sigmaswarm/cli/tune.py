@@ -1,6 +1,6 @@
 """`sigmaswarm tune`."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from os.path import relpath
@@ -10,29 +10,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import sigmaswarm
 from sigmaswarm.cli.common import (
-    MAX_REMARKS,
     cluster_at,
-    print_lines,
-    print_result,
+    print_json,
     read_datasets,
     require_result_folder,
 )
 from sigmaswarm.cli.findings import Remedy, velocity_options
-from sigmaswarm.cli.options import FIELDS, MORE, Cluster, Json, Places, TrustLog, Workers, options_of
+from sigmaswarm.cli.options import FIELDS, MORE, Cluster, Json, Places, TrustLog, Verbose, Workers, options_of
+from sigmaswarm.cli.output import Output, Remark
 from sigmaswarm.cli.remarks import local_folders, name_files, warn_of_unusable
 from sigmaswarm.cli.terminal import tuning_progress
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import free_path
 from sigmaswarm.tuning.config import DEFERRED_OPTIONS, RENAMED, TuneConfig, option_words
-from sigmaswarm.wording import TO_DO, count_of
+from sigmaswarm.wording import TO_DO, as_sentence
 
 if TYPE_CHECKING:
-    from rich.table import Table as RichTable
-
     from sigmaswarm import Drive, Tuning
     from sigmaswarm.datasets.dataset import Dataset
     from sigmaswarm.scoring.tracks import FirstTrack
-    from sigmaswarm.tuning.record import TuningRecord
     from sigmaswarm.tuning.view import TuningView
 
 MAX_DIAGNOSED = 3  # drives whose velocity is compared with the positions before a second tuning is proposed
@@ -63,6 +59,7 @@ class TuneOptions:
     cluster: Annotated[Cluster, MORE] = None
     resume: bool = False
     trust_log: Annotated[TrustLog, MORE] = False
+    verbose: Verbose = False
     json: Json = False
 
 
@@ -123,34 +120,34 @@ def tune(
     remedies = None if options.trust_log else list[Remedy]()
     with cluster_at(options.cluster) as client:
         groups = read_datasets(drives, options.validation or [], cluster=client, remedies=remedies, gaps=True)
-        tuning, track, before, after = _tune(groups, drives, out, options, config)
+        tuning, track, following, velocity = _tune(groups, drives, out, options, config)
     from sigmaswarm.reports.tuning import save_tuning_figures  # imported late, since matplotlib takes memory
-    from sigmaswarm.tuning.view import TuningView
+    from sigmaswarm.tuning.record import FILE
 
+    pictures, record = save_tuning_figures(tuning, track.picture, out), tuning.record
+    if options.json:
+        print_json(tuning.to_dict())
+    output = Output(verbose=options.verbose, silent=options.json)
+    _print_tuning(output, tuning, track, drives)
+    output.show(f"wrote {', '.join(map(str, (out / FILE, *pictures)))}")
+    unusable = warn_of_unusable(out, record)
     if remedies:
         command, repaired = remedies[0]
         then = "tune on the repaired copy" if repaired else "correct the log, and tune again"
-        after = [
-            f"next:     {command}",
-            f"          then {then}, since the faults of the log distort this filter",
-        ]
-    pictures = save_tuning_figures(tuning, track.picture, out)
-    files = f"filter:   {out / 'tuning.toml'}", f"pictures: {', '.join(map(str, pictures))}"
-    record = tuning.record
-    lines = [*before, *_costs(TuningView(record)), *_remarks(tuning, record, track, drives), *files]
-    print_result(options.json, tuning.to_dict(), *lines)
-    if warn_of_unusable(out, record) and not remedies:
-        after = [
-            "next:     sigmaswarm doctor DRIVE    (check the training drives, then tune as stated above)"
-        ]
-    if not options.json:
-        print_lines(*after)
+        output.next(
+            f"next: {command}", f"      (then {then}, since the faults of the log distort this filter)"
+        )
+    elif unusable:
+        output.next("next: sigmaswarm doctor DRIVE    (check the training drives, then tune as stated above)")
+    else:
+        output.details("the command for a filter with the receiver's velocity", *velocity)
+        output.next(*following)
 
 
 def _tune(
     groups: "Sequence[Dataset]", given: Places, out: Path, options: TuneOptions, config: dict[str, Any]
 ) -> "tuple[Tuning[Any], FirstTrack, list[str], list[str]]":
-    """Tune; return the result, the track on the first drive, and the lines to print before and after the result."""
+    """Tune; return the result, the track on the first drive, the next commands, and lines on a filter with velocity."""
     from concurrent.futures import ThreadPoolExecutor
 
     from sigmaswarm.scoring.jobs import cores
@@ -169,28 +166,41 @@ def _tune(
     evaluate, splitting = (
         _next(out, given[0], tuning.data[0]["name"], part=part) if alone else (_evaluate(out), [])
     )
-    compare = _compare(evaluate, out, [one["sha256"] for one in tuning.data])
+    compare, velocity = _compare(evaluate, out, [one["sha256"] for one in tuning.data]), list[str]()
     if isinstance(tuning.config, TuneConfig) and not options.paper and all(held_back.map(_has_velocity)):
         more = {"start": options.start, "validation": options.validation}
-        compare += _with_velocity(given, tuning.config, read, config | {k: v for k, v in more.items() if v})
-    lines = [f"next:     {evaluate} --out {free_path('evaluation')}", *splitting, *compare]
-    return tuning, track, [f"model:    {tuning.choice}"] if tuning.choice else [], lines
+        velocity = _with_velocity(given, tuning.config, read, config | {k: v for k, v in more.items() if v})
+    following = [f"next: {evaluate} --out {free_path('evaluation')}", *splitting, *compare]
+    return tuning, track, following, velocity
 
 
-def _remarks(
-    tuning: "Tuning[Any]", record: "TuningRecord", track: "FirstTrack", given: Places
-) -> Iterable[str]:
+def _print_tuning(output: Output, tuning: "Tuning[Any]", track: "FirstTrack", given: Places) -> None:
+    from sigmaswarm.scoring.methods import LEGEND
     from sigmaswarm.scoring.remarks import describe_first_track
+    from sigmaswarm.tuning.view import TuningView
 
-    folders = local_folders(given)
+    record, folders = tuning.record, local_folders(given)
+    view = TuningView(record)
+    output.show(
+        *([f"model: {tuning.choice}"] if tuning.choice else []), *filter(None, (view.start, view.validation))
+    )
+    if view.drifts:
+        output.show(view.drifts.to_rich(), LEGEND, "")
     if position := describe_first_track(track):
-        yield f"{position}."
-    remarks = [remark for remark in tuning.remarks if remark not in record.unusable]
-    for remark in remarks[:MAX_REMARKS]:
-        remark = name_files(remark, folders)
-        yield remark if remark.startswith(TO_DO) else f"note: {remark}"
-    if (hidden := len(remarks) - MAX_REMARKS) > 0:
-        yield f"note: {count_of(hidden, 'more remark')} in tuning.toml"
+        output.show(Remark.of(position))
+    output.show(*_larger_drifts(view))
+    remarks = [name_files(remark, folders) for remark in tuning.remarks if remark not in record.unusable]
+    output.show(*(Remark.of(remark) for remark in remarks if remark.startswith(TO_DO)))
+    output.details("note", *(Remark.of(remark, "note") for remark in remarks if not remark.startswith(TO_DO)))
+    output.details("the cost", *filter(None, (view.training, view.racing)))
+
+
+def _larger_drifts(view: "TuningView") -> Iterator[Remark]:
+    config, usual = view.record.config, TuneConfig.model_fields
+    all_evaluations = usual["particles"].default * usual["generations"].default
+    few = config["particles"] * config["generations"] < all_evaluations
+    remedy = "tune with the default --particles and --generations" if few else "tune on more or longer drives"
+    yield from (Remark("warning", as_sentence(text), remedy=remedy) for text in view.larger_drifts)
 
 
 def _is_part(drive: "Drive") -> bool:
@@ -228,24 +238,10 @@ def _with_velocity(
     for name, value in stated.items():
         words += option_words(name, value) if name != "use" else []
     return [
-        f"then:     sigmaswarm tune {join(given)} --out {free_path('tuned-velocity')} {join(words)}",
-        "          (the logs have the receiver's velocity, which this filter does not use and which may reduce the",
-        "          errors; compare both filters with evaluate --against)",
+        f"sigmaswarm tune {join(given)} --out {free_path('tuned-velocity')} {join(words)}",
+        "      (the logs have the receiver's velocity, which this filter does not use and which may reduce the errors; "
+        "compare both filters with evaluate --against)",
     ]
-
-
-def _costs(view: "TuningView") -> "Iterable[str | RichTable]":
-    yield from filter(None, (view.start, view.training, view.racing, view.validation))
-    if view.drifts:
-        yield view.drifts.to_rich()
-    usual, config = TuneConfig.model_fields, view.record.config
-    remedy = "tune on more or longer drives"
-    if (
-        config["particles"] * config["generations"]
-        < usual["particles"].default * usual["generations"].default
-    ):
-        remedy = "tune with the default --particles and --generations"
-    yield from (f"{sentence}; {remedy}" for sentence in view.larger_drifts)
 
 
 def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:
@@ -264,7 +260,7 @@ def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:
             sibling = out.parent / file.parent.name  # as the user writes it, unless OUT is "." or a link
             there = sibling.exists() and sibling.samefile(file.parent)
             other = quote(str(sibling if there else relpath(file.parent)))
-            return [f"compare:  {evaluate} --out {free_path('comparison')} --against {other}"]
+            return [f"then: {evaluate} --out {free_path('comparison')} --against {other}"]
     return []
 
 
@@ -290,7 +286,6 @@ def _next(out: Path, given: str, name: str, *, part: bool) -> tuple[str, list[st
     parts = free_path("parts")
     train, test = (quote(str(parts / f"{name}-{part}")) for part in ("train", "test"))
     return _evaluate(out), [
-        "this filter was tuned on the whole drive; to test a filter on other data:",
-        f"          sigmaswarm split {quote(str(folder))} --out {parts}",
-        f"          then tune on {train}, and evaluate on {test}",
+        f"or, without other drives: sigmaswarm split {quote(str(folder))} --out {parts}",
+        f"      then tune on {train}, and evaluate on {test}",
     ]

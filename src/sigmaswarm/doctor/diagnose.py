@@ -91,8 +91,8 @@ def _diagnosed(drive: Drive) -> Diagnosis:
 def _contradicted(finding: Finding) -> Finding:
     """Return a finding whose repair made forecasts worse: it is at most a warning, and is not repaired again."""
     remedy = (
-        "no action is needed unless you know that this fault exists: the repair was rejected, since it makes a "
-        f"filter's forecasts of the fixes worse. Rejected repair: {finding.remedy}"
+        "no action is needed: the repair was tried, but then a filter predicts the fixes less accurately. If you know "
+        f"that this fault exists, repair it yourself: {finding.remedy}"
     )
     severity = "warning" if finding.severity == "serious" else finding.severity
     return replace(finding, severity=severity, remedy=remedy, repair=None)
@@ -114,7 +114,8 @@ def finding_sentences(drive: Drive) -> tuple[str, ...]:
         return ()
     named = {"serious": "finds a SERIOUS fault in", "warning": "gives a warning about"}
     return tuple(
-        f"the doctor {named[f.severity]} {drive.name} [{f.code}]: {f.what}. Remedy: {f.remedy}"
+        f"the doctor {named[f.severity]} {drive.name} [{f.code}]: {f.what}. Consequence: {f.consequence}. Remedy: "
+        f"{f.remedy}"
         for f in found
         if f.severity in named
     )

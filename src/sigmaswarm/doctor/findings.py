@@ -10,6 +10,61 @@ Severity = Literal["note", "warning", "serious"]
 # Serious: tuned filters adapt to the fault; warning: tuned filters are less accurate; note: information
 SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "note")
 
+_WRONG_TIME = "a filter compares each fix with its estimate at another time; at 20 m/s, 0.1 s are 2 m"
+_WRONG_AXES = (
+    "a filter mistakes gravity and turns for other motion, so heading and position drift between fixes"
+)
+_WRONG_HEADING = "a filter starts with a wrong heading, or with --use heading follows it"
+CONSEQUENCES = {
+    "accelerometer-axes": _WRONG_AXES,
+    "accelerometer-scale": "the filter's speed and position drift when the car accelerates or turns",
+    "accelerometer-sign": "a filter's speed and position drift in the wrong direction between fixes",
+    "accelerometer-unit": "a filter sees a tenth of the acceleration, so its position drifts between fixes",
+    "accelerometer-up": "tune chooses a filter without roll and pitch, which is less accurate on hills",
+    "clock-drift": "the offset between the clocks grows along the drive, and with it the error of the filter",
+    "clock-jump": "after the jump a filter predicts motion for time that did not pass",
+    "clock-offset": _WRONG_TIME,
+    "course-convention": "a filter with --use velocity follows a wrong velocity",
+    "gps-disturbed": "the filter is less accurate during this time",
+    "gps-noise": "without truth, tune takes the accuracy of the fixes from the stated value",
+    "gps-outliers": "these fixes pull a filter away from the path",
+    "gps-repeats": "such a fix does not contain the position at its time",
+    "gravity": "a filter mistakes the offsets for acceleration, so its position drifts between fixes",
+    "gravity-axis": "a filter mistakes gravity for acceleration and loses the position within seconds",
+    "gravity-size": "a filter with roll and pitch is less accurate",
+    "gyro-axis": "a filter does not follow the turns of the car",
+    "gyro-bias": "the heading drifts until the filter has estimated the bias",
+    "gyro-scale": "a filter's heading is wrong after each turn",
+    "gyro-sign": "a filter turns left where the car turns right",
+    "gyro-tilt": "a filter with roll and pitch has wrong angles, so it mistakes gravity for acceleration",
+    "gyro-unit": "a filter turns 57 times as far as the car",
+    "heading-convention": _WRONG_HEADING,
+    "heading-delay": "in turns, a filter with --use heading follows a wrong heading",
+    "heading-offset": _WRONG_HEADING,
+    "imu-gap": "a filter does not know the motion within a gap, so its error grows there",
+    "imu-rate": "a filter misses motion between the samples",
+    "imu-repeats": "the noise appears correlated, so the tuned noise is wrong",
+    "mirrored-fixes": "a filter turns left where the fixes turn right",
+    "mounting": _WRONG_AXES,
+    "mounting-changed": "no filter suits both parts of the drive",
+    "mounting-handled": "a filter mistakes this motion for motion of the vehicle",
+    "no-start": "no filter can be tuned or evaluated on this drive",
+    "odometer-clock": "when the speed changes, a filter with --use odometer follows a wrong speed",
+    "odometer-scale": "between fixes, a filter with --use odometer drives too far or not far enough",
+    "odometer-sign": "a filter with --use odometer drives backward",
+    "odometer-slip": "a filter with --use odometer follows a wrong speed during this time",
+    "odometer-stuck": "a filter with --use odometer follows a wrong speed during this time",
+    "odometer-unit": "a filter with --use odometer follows a wrong speed",
+    "reverse-start": "a filter starts with a heading that is wrong by 180 deg",
+    "speed-unit": "a filter with --use velocity follows a wrong speed",
+    "time-jump": "a filter predicts motion for hours without samples",
+    "time-unit": "the time steps of a filter are wrong by this factor",
+    "truth-clock": "errors relative to this truth are wrong, and so is a filter that is tuned with it",
+    "unseen-motion": "a fault of axes, units or clocks makes the filter useless but remains hidden",
+    "unseen-yaw": "a wrong sign or unit makes the filter useless but remains hidden",
+}
+"""Consequences of faults, by code; codes of notes have none."""
+
 
 @dataclass(frozen=True)
 class Repair:
@@ -29,7 +84,7 @@ class Finding:
         A short, stable name for programs, such as "gyro-sign" or "clock-offset"; docs/doctor.md lists them.
     severity : {"note", "warning", "serious"}
     what : str
-        The fault in words, with values.
+        The fault in words, with values. The first sentence is the fault, further sentences are evidence.
     where : str
         File and columns.
     span : (float, float)
@@ -37,6 +92,7 @@ class Finding:
     confidence : float
         0 to 1.
     remedy : str
+        The first sentence is the remedy, further sentences are alternatives and details.
     repair : Repair or None
         The repair that ``repair`` applies, if any.
     cut : float or None
@@ -53,10 +109,16 @@ class Finding:
     repair: Repair | None = None
     cut: float | None = None
 
+    @property
+    def consequence(self) -> str:
+        """The consequence for a filter; empty for notes."""
+        return "" if self.severity == "note" else CONSEQUENCES.get(self.code, "")
+
     def to_dict(self) -> dict[str, Any]:
         """Return a dictionary for JSON."""
         about: dict[str, Any] = {k: v for k, v in vars(self).items() if k not in ("repair", "cut")}
-        return about | {"span": list(self.span), "repairable": self.repair is not None}
+        about |= {"consequence": self.consequence, "repairable": self.repair is not None}
+        return about | {"span": list(self.span)}
 
 
 def finding_of(

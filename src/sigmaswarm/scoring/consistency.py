@@ -161,7 +161,7 @@ VERDICTS: dict[Kind, str] = {
         "has innovations of the correct size, but they are correlated. The receiver's errors are correlated, or the "
         "model does not describe a part of the motion. The position error may be larger than its standard deviation"
     ),
-    "consistent": "is consistent: its innovations agree with their covariances",
+    "consistent": "is consistent: the errors of its predictions agree with its standard deviations",
     "optimistic_position": (
         "is overconfident about its position: the standard deviations are {nees_size}. NIS does not show this, since "
         "the predictions contain errors of the fixes, which cancel in the innovations"
@@ -216,4 +216,5 @@ def describe_ratio(ratio: float) -> str:
     size = "large" if ratio > 1 else "small"
     if 0.5 < ratio < 2:
         return f"{100 * abs(ratio - 1):.0f}% too {size}"
-    return f"too {size} by a factor of {max(ratio, 1 / ratio):.2g}"
+    factor = max(ratio, 1 / ratio)
+    return f"too {size} by a factor of {f'{factor:.2g}' if factor < 99.5 else f'{factor:,.0f}'}"

@@ -96,8 +96,9 @@ def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
     return tuple(messages)
 
 
-def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tuple[str, ...]:
-    messages: list[str] = []
+def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> dict[str, str]:
+    """Return a message for each method without tuning that is more accurate in some measures."""
+    messages: dict[str, str] = {}
     for method in (BASELINE, FIXES):
         name = in_sentence(method, METHODS[method])
         worse, known = _worse_measures(scores, shown, method)
@@ -106,11 +107,11 @@ def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tu
             for m, (tuned, other) in worse.items()
         )
         if _is_worse(worse, known):
-            messages.append(f"the tuned filter is WORSE than {name}: {values}")
+            messages[method] = f"the tuned filter is WORSE than {name}: {values}"
         elif worse:
             among = f"{len(worse)} of {known} measures"
-            messages.append(f"the tuned filter is worse than {name} in {among}: {values}")
-    return tuple(messages)
+            messages[method] = f"the tuned filter is worse than {name} in {among}: {values}"
+    return messages
 
 
 def is_worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> bool:
@@ -162,7 +163,7 @@ def _without_truth(drive: str, consistency: Consistency, radius: RadiusRecord | 
 
 
 def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
-    """Return sentences that estimate a filter's position error on a drive without truth.
+    """Return sentences that estimate a filter's position error on a drive without truth: two, and the evidence.
 
     The estimate is the RMS of the filter's position standard deviations. If the innovations are far smaller than
     expected, or smaller and correlated, the error may be as large as the error of a fix. Innovations do not show errors
@@ -177,29 +178,30 @@ def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
         guess = ""
         if expected > own:
             fixes = (expected**2 - own**2) ** 0.5
-            guess = f". The position error may be as large as the error of a fix, {fixes:.2g} m RMS according to R"
+            guess = (
+                f". It may be as large as the error of a fix, for which the filter assumes {fixes:.2g} m RMS"
+            )
         return (
             f"unknown, since there is no truth{guess}. The filter's covariance gives {own:.2g} m RMS, but it is not "
             f"reliable: the innovations are smaller than expected ({nis}). The receiver smooths its fixes, or their "
             "errors are correlated"
         )
-    size, source = f"{own:.2g} m RMS", "estimated from the filter's covariance, since there is no truth"
+    size, source = f"{own:.2g} m RMS", "estimated by the filter, since there is no truth"
     included = f"The fixes, with their own errors, differ from the predictions by {missed:.2g} m RMS"
     if consistency.mean_nis > high:
-        return (
-            f"more than the {size} that the filter estimates. {included}, which is more than expected ({nis})"
-        )
+        return f"more than the {size} that the filter estimates. {included}, more than it expects ({nis})"
     largest = (own**2 + 2 * lasting**2) ** 0.5
     if largest > MAX_LASTING_RATIO * own:
         return (
-            f"between {own:.2g} and {largest:.2g} m RMS, since there is no truth. The lower value is from the filter's "
-            f"covariance. The upper value includes correlated fix errors of {lasting:.2g} m per axis, whose size the "
-            "log does not show"
+            f"between {own:.2g} and {largest:.2g} m RMS, since there is no truth. The upper value includes errors that "
+            f"consecutive fixes have in common. The lower value is from the filter's covariance. The log does not show "
+            f"the size of the common errors; the upper value assumes {lasting:.2g} m per axis"
         )
     if consistency.mean_nis < low:
-        return f"about {size}, {source}. {included}, which is less than expected ({nis}). {COMMON_ERROR}"
+        return f"about {size}, {source}. {COMMON_ERROR}. {included}, which is less than expected ({nis})"
     if alike:
         return (
-            f"{size} or more, {source}. {included}, as expected, but consecutive innovations are correlated"
+            f"{size} or more, {source}. Consecutive fixes differ from the predictions in the same direction. "
+            f"{included}, as expected, but the innovations are correlated"
         )
-    return f"about {size}, {source}. {included}, as expected. {COMMON_ERROR}"
+    return f"about {size}, {source}. {COMMON_ERROR}. {included}, as expected"

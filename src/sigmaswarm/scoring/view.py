@@ -29,7 +29,7 @@ from sigmaswarm.scoring.remarks import (
 from sigmaswarm.scoring.score import MIN_HEADING_SPEED
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH
 from sigmaswarm.tables import Cell, Column, Table
-from sigmaswarm.wording import describe_change
+from sigmaswarm.wording import as_sentence, describe_change
 
 LATE_START = 5.0  # s from the start of a drive; if the scores start later, this is reported
 NO_TRUTH = (
@@ -149,7 +149,7 @@ class EvaluationView:
     # ---- sentences ----
 
     def result(self) -> str:
-        """Return sentences on the position error, or on the drift in outages if there is no truth."""
+        """Return a sentence on the position error, or on the drift in outages if there is no truth."""
         drives, mean_of = describe_drives(self.setup.data), self.scores.mean_of
         for measure, what in (
             ("position_rmse_m", "has a position RMSE of {} m"),
@@ -165,9 +165,7 @@ class EvaluationView:
                 if m and (value := mean_of(m, measure))
             ]
             compared = f", {' and '.join(comparisons)}," if comparisons else ""
-            described = self.scores.describe_drift(measure)
-            text = f"The tuned filter {what.format(f'{tuned:.3g}')}{compared} on {drives}."
-            return f"{text}{self._not_better()}{f' {described}.' if described else ''}"
+            return f"The tuned filter {what.format(f'{tuned:.3g}')}{compared} on {drives}."
         if any(mean_of("tuned", measure) is not None for measure in DRIFTS):
             return (
                 f"On {drives}, there is no time for an outage of {self.setup.outage_length_s:g} s; use a longer part "
@@ -175,10 +173,10 @@ class EvaluationView:
             )
         return f"On {drives}, the tuned filter failed, or there is no truth, so scores are missing."
 
-    def _not_better(self) -> str:
-        """Return sentences on drifts and heading in which another method is at least as good as the tuned filter."""
+    def _not_better(self) -> dict[str, str]:
+        """Return a message on drifts and heading in which another method is at least as good as the tuned filter."""
         mean_of = self.scores.mean_of
-        sentences = ""
+        messages: dict[str, str] = {}
         for method in (m for m in (AGAINST, FIXES, BASELINE) if m in self.names):
             name = in_sentence(method, self.names[method])
             lost = [
@@ -190,17 +188,17 @@ class EvaluationView:
                 and tuned >= other
             ]
             if lost:
-                sentences += f" It is NOT better than {name} in the {', '.join(lost)}."
-        return sentences
+                messages[method] = f"the tuned filter is NOT better than {name} in the {', '.join(lost)}"
+        return messages
 
     def coverage(self) -> tuple[str, ...]:
         data = self.setup.data
         late = [f"{t:.0f} s into {d.name}" for d in data if (t := d.scored_from_s or 0.0) > LATE_START]
         without_truth = [drive.name for drive in data if drive.has_truth is False]
         sentences = [f"Filters and scores start {', '.join(late)}, at {START_RULE}."] if late else []
-        sentences += map(_sentence, partly_scored(data))
+        sentences += map(as_sentence, partly_scored(data))
         sentences += [f"{', '.join(without_truth)}: {NO_TRUTH}."] if without_truth else []
-        sentences += map(_sentence, estimate_position_errors(self.scores, data))
+        sentences += map(as_sentence, estimate_position_errors(self.scores, data))
         sentences += [
             f"{name}: no filter used {n} of the fixes, since they are stale: they repeat an earlier fix, although the "
             "vehicle may have moved."
@@ -236,7 +234,7 @@ class EvaluationView:
         """Return a sentence for each kind of verdict. Drives on which the filter failed are omitted: see `warnings`."""
         failed = {drive for drive, methods in self.scores.failed.items() if "tuned" in methods}
         kinds = verdicts([one for drive, one in self.scores.consistency.items() if drive not in failed])
-        return {kind: _sentence(message) for kind, message in kinds.items()}
+        return {kind: as_sentence(message) for kind, message in kinds.items()}
 
     def warnings(self) -> tuple[str, ...]:
         """Return the warnings as sentences, the most serious first."""
@@ -249,7 +247,7 @@ class EvaluationView:
         if failed := [drive for drive, methods in self.scores.failed.items() if "tuned" in methods]:
             sentences.append(f"the tuned filter failed on {', '.join(failed)}")
         sentences += worse_than_raw(self.scores)
-        sentences += worse_than_untuned(self.scores, self.measures)
+        sentences += (self._not_better() | worse_than_untuned(self.scores, self.measures)).values()
         sentences += restarted(self.scores)
         sentences += [
             f"on {drive} the stated 95% radius contains only {100 * record.inside_95:.0f}% of the position errors"
@@ -259,25 +257,36 @@ class EvaluationView:
             and record.inside_95 < MIN_COVERAGE
         ]
         sentences += self.setup.truth_offsets.values()
-        if len(data) == 1 and (length := data[0].duration_s):
-            sentences += [f"the scores are from one drive of {length:.0f} s, and may differ on other drives"]
-        return tuple(map(_sentence, sentences))
+        return tuple(map(as_sentence, (*sentences, *self._one_drive())))
+
+    def _one_drive(self) -> tuple[str, ...]:
+        data = self.setup.data
+        known = data[0].duration_s if len(data) == 1 else None
+        return (
+            (f"The scores are from one drive of {known:.0f} s, and may differ on other drives.",)
+            if known
+            else ()
+        )
 
     def findings(self) -> tuple[str, ...]:
-        return tuple(_sentence(message) for messages in self.setup.findings.values() for message in messages)
+        return tuple(
+            as_sentence(message) for messages in self.setup.findings.values() for message in messages
+        )
 
     def sentences(self, added: Iterable[str] = ()) -> tuple[str, ...]:
-        """Return all sentences, the most important first; ``added`` follows the verdicts."""
-        positions = map(_sentence, estimate_position_errors(self.scores, self.setup.data))
+        """Return the sentences below a table, the most important first; ``added`` follows the verdicts."""
+        positions = map(as_sentence, estimate_position_errors(self.scores, self.setup.data))
+        one_drive = self._one_drive()
         first = (
             self.result(),
+            *(warning for warning in self.warnings() if warning not in one_drive),
             *positions,
-            *self.warnings(),
+            *one_drive,
             *self.verdicts().values(),
             *added,
             *self.radii(),
         )
-        second = (*self.coverage(), *self.missing_scores(), *self.drifts(), *self.explanations())
+        second = (*self.coverage(), *self.drifts(), *self.explanations())
         return tuple(dict.fromkeys((*first, *second)))
 
     def missing_scores(self) -> tuple[str, ...]:
@@ -390,10 +399,6 @@ def with_training(drive: DriveRecord, tuned_on: Sequence[DriveRecord]) -> DriveR
 def _compared(tuned: float, other: float, name: str) -> str:
     change = describe_change(100 * (other - tuned) / other, "lower", "HIGHER")
     return f"{change} {name} ({other:.3g} m)"
-
-
-def _sentence(text: str) -> str:
-    return f"{text[0].upper()}{text[1:].removesuffix('.')}."
 
 
 def _column(measure: Measure) -> Column:

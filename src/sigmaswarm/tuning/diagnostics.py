@@ -90,7 +90,7 @@ def drift_table(forecasts: Sequence[DriftComparison], durations: Sequence[float]
     )
     rows = ("tuned", "tuned_m"), (BASELINE, "baseline_m"), (FIXES, "fixes_alone_m")
     return Table(
-        f"Drift (RMS) at the end of an outage, on the {first}training drives{part}",
+        f"RMS position drift at the end of an outage (a time without fixes), on the {first}training drives{part}",
         (Column("method"), *(Column(f"{one.length_s:g} s outage", "m") for one in forecasts)),
         tuple((METHODS[method], *(getattr(one, key) for one in forecasts)) for method, key in rows),
         strong=frozenset((0,)),

@@ -95,8 +95,8 @@ def noise_warnings(
     stated, scatter = (_median([getattr(one, what) for one in drives]) for what in ("stated", "scatter"))
     if parameters.fix_error is not None:
         why = (
-            "the receiver states no accuracy, so the filter assumes correlated errors with a standard deviation of "
-            f"{UNSTATED_GPS_STD:g} m per axis"
+            "the log does not state the accuracy of its fixes. The filter assumes correlated errors with a standard "
+            f"deviation of {UNSTATED_GPS_STD:g} m per axis"
         )
         return [to_do(_state_remedy(scatter), why)] if np.isnan(stated) and scatter < MIN_SCATTER else []
     remedy = _state_remedy(scatter) if np.isnan(stated) else f"tune with --use {' '.join([*use, 'accuracy'])}"
@@ -113,15 +113,15 @@ def noise_warnings(
             )
         elif np.isnan(stated) and scatter < MIN_SCATTER:
             why = (
-                f"the fixes scatter by only {scatter:.2g} m per axis, and their receiver states no accuracy. This does "
-                "not prove that the fixes are accurate, since correlated errors cause little scatter"
+                f"the log does not state the accuracy of its fixes. Their small scatter of {scatter:.2g} m per axis "
+                "does not prove that they are accurate, since correlated errors cause little scatter"
             )
         else:
             return []
         return [to_do(remedy, f"{why}. {UNKNOWN}")]
-    copied = "the filter copies the fixes, since its R corresponds to a standard deviation of"
-    message = f"{copied} {r:.2g} m per axis, but {why}"
-    return [to_do(remedy, f"{message}. Predictions of the fixes do not show correlated errors. {UNKNOWN}")]
+    message = f"the filter assumes a standard deviation of the fixes of {r:.2g} m per axis, but {why}"
+    why = f"{message}. Therefore the filter copies the fixes, with their errors"
+    return [to_do(remedy, f"{why}. Predictions of the fixes do not show correlated errors. {UNKNOWN}")]
 
 
 def _state_remedy(scatter: float) -> str:
@@ -152,14 +152,15 @@ def prior_warnings(
                 f". The fixes scatter by only {one.scatter:.2g} m, so their errors seem correlated. {UNKNOWN}"
             )
             addition = lasting if std > MAX_SCATTER_RATIO * one.scatter else ""
-            return [f"{name}: {compromise} the stated {std:.2g} m{addition}"]
+            return [f"on {name}, {compromise} the stated {std:.2g} m{addition}"]
         if std == UNSTATED_GPS_STD:
             why = (
-                f"{name} does not state the accuracy of its fixes. {compromise} the {std:.2g} m of a typical receiver. "
-                "If the receiver smooths its fixes, NIS will be low"
+                f"the drive {name} does not state the accuracy of its fixes. Tune assumed {std:.2g} m per axis, as of "
+                "a typical receiver, so the filter may follow the fixes too closely or too loosely. "
+                f"{compromise} this value. If the receiver smooths its fixes, NIS will be low"
             )
             return [to_do(f"if you know the receiver, {_state_remedy(one.scatter)}", why)]
-        return [f"{name}: {compromise} the {std:.2g} m of white noise that the fixes show"]
+        return [f"on {name}, {compromise} the {std:.2g} m of white noise that the fixes show"]
     return []
 
 

@@ -35,7 +35,8 @@ from sigmaswarm.wording import count_of, sort_remarks, to_do
 P = TypeVar("P", default=FilterParameters)
 SHOWN_REMARKS = 5  # number of remarks in the printed text
 INFLATION_REMARK = (
-    "process-noise inflation, for other roads and IMUs, multiplied {}; --inflation 0 turns the inflation off"
+    "after the search, the process noise was increased as far as it hardly changes the cost, for other roads and IMUs. "
+    "This step multiplied {}; --inflation 0 omits it"
 )
 SENSORS_REMARK = (
     "a filter tuned with truth is valid only for the receiver and the IMU of its training drives. With other sensors "
@@ -297,15 +298,16 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
     car = p if isinstance(p, FilterParameters) else None
     yield from t.warnings
     if factor != 1.0:
-        inflated = f"all process noise variances by {factor:.3g}"
+        times = _plain(factor)
+        inflated = f"all process noise variances by {times}"
         if car and MODELS[car.model].gyro_bias is not None:
-            inflated = f"all process noise variances except that of the gyro's bias by {factor:.3g}"
+            inflated = f"all process noise variances except that of the gyro's bias by {times}"
         if car and MODELS[car.model].measures_imu:
-            inflated = f"the process noise variances of position, velocity and acceleration by {factor:.3g}"
+            inflated = f"the process noise variances of position, velocity and acceleration by {times}"
         if car and MODELS[car.model].tilts:
-            root = f"{factor**0.5:.3g}"
+            root = _plain(factor**0.5)
             inflated = (
-                f"the variances of the biases' random walks by {factor:.3g} and the process noise variances of "
+                f"the variances of the biases' random walks by {times} and the process noise variances of "
                 f"position and velocity by {root}"
             )
         yield INFLATION_REMARK.format(inflated)
@@ -347,3 +349,8 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
     elif t.validation.gap > LARGE_GAP:
         gap = f"{t.validation.gap:.0%} larger than on the training drives"
         yield to_do(MORE_DRIVES, f"errors on the validation drives are {gap}")
+
+
+def _plain(factor: float) -> str:
+    """Format a factor with three digits, or as an integer with separators instead of a power of ten."""
+    return f"{factor:.3g}" if factor < 999.5 else f"{factor:,.0f}"

@@ -73,7 +73,12 @@ class TuningView:
     @property
     def start(self) -> str:
         cost = self.result.start_cost
-        return "" if cost is None else f"cost {cost:.4f} of the filter from which the search started"
+        new = self.result.cost
+        return (
+            ""
+            if cost is None
+            else f"cost {new:.4f}; cost of the filter from which the search started: {cost:.4f}"
+        )
 
     @property
     def training(self) -> str:

@@ -160,6 +160,8 @@ class CheckPage(Page):
                     text("h3", finding.code)
                 self._ways(finding)
             text("p", finding.what)
+            if finding.consequence:
+                text("p", finding.consequence)
             text("p", finding.remedy)
             first, last = finding.span
             confidence = f"confidence {finding.confidence:.0%}"

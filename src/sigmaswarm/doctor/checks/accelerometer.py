@@ -205,8 +205,8 @@ def _magnitude(evidence: Evidence, unit: float) -> Iterator[Finding]:
     level = float(np.median(np.sum(force[:2] ** 2, axis=0)))
     factor = math.sqrt(GRAVITY**2 - level) / float(np.median(force[2])) if level < GRAVITY**2 / 2 else 1.0
     what = (
-        f"the median magnitude of the specific force is {size:.2f} m/s2. It differs by {off:+.2f} m/s2 from gravity "
-        f"({GRAVITY:.2f} m/s2)"
+        f"the IMU measures a gravity of {size:.2f} instead of {GRAVITY:.2f} m/s2 (median magnitude of the specific "
+        "force)"
     )
     yield Finding(
         "gravity-size", "warning" if large else "note", what, "imu.csv, az", evidence.span, 0.99,

@@ -60,7 +60,10 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
             yield Finding("gyro-unit", "warning", what, "imu.csv, gz", span, 0.9, remedy)
         return
     where, confidence = f"imu.csv, {yaw.column}", confidence_of(fit.gain / fit.std / 6 * 3)
-    seen = f"course = {fit.gain:.3g} x integral of {yaw.column}, standard deviation {fit.std:.2g}"
+    seen = (
+        f"The course is {fit.gain:.3g} times the integral of {yaw.column} (standard deviation of the factor "
+        f"{fit.std:.2g})"
+    )
     column, unit = float("xyz".index(yaw.column[1])), abs(yaw.factor)
     alone = _only_yaw_is_wrong(evidence)
     columns = "gz" if alone else "gx, gy, gz"
@@ -98,7 +101,7 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
         ),
     ):
         if wrong:
-            what = f"{what} ({seen})"
+            what = f"{what}. {seen}"
             yield Finding(code, "serious", what, where, span, confidence, remedy, Repair("gyro", repair))
     off = fit.gain / yaw.factor - 1
     clear = fit.course_change > MIN_SCALE_TURN and fit.separates_delay

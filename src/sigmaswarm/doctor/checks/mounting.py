@@ -85,8 +85,8 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
         backward = ", or the vehicle drives backward from then on" if not moved and angle > BACKWARD else ""
         what = f"the IMU was moved at t = {time:.0f} s{backward}: {seen} changes by {math.degrees(angle):.0f} deg"
         remedy = (
-            f"split the drive at this time: sigmaswarm split DRIVE --at {time:.0f} --out parts; the two parts "
-            "have different mountings"
+            f"split the drive at this time: sigmaswarm split DRIVE --at {time:.0f} --out parts. The two parts have "
+            "different mountings"
         )
         span = time, evidence.span[1]
         yield Finding("mounting-changed", "serious", what, WHERE, span, 0.99, remedy, cut=round(time))
@@ -97,7 +97,9 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
 def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
     mount = ",".join(f"{degrees:g}" for degrees in roll_pitch_yaw(mounting.mount, 1))
     total, angle = float(np.linalg.norm(mounting.std)), angle_of(mounting.repair)
-    sure = f"(total standard deviation {math.degrees(total):.1f} deg; confidence: {mounting.confidence})"
+    sure = (
+        f"The total standard deviation is {math.degrees(total):.1f} deg (confidence: {mounting.confidence})"
+    )
     # The mounting is constant in a drive, and a part determines it less accurately than the whole drive.
     whole = name_of_whole(evidence.drive)
     if mounting.needed and (angle > SERIOUS or not whole):
@@ -106,14 +108,15 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
         roll, pitch, yaw = roll_pitch_yaw(mounting.repair, 1)
         yield Finding(
             "mounting", "serious" if angle > SERIOUS else "warning",
-            f"the IMU is rotated relative to the vehicle: roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} deg {sure}",
+            f"the IMU is {'' if mounting.confidence == 'sure' else 'probably '}rotated relative to the vehicle: roll "
+            f"{roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} deg. {sure}",
             WHERE, evidence.span, confidence_of(angle / total),
             f"rotate all six axes: import with --mount {mount}{instead}",
             Repair("rotate", tuple(mounting.repair.ravel().tolist())),
         )  # fmt: skip
     elif evidence.drive.mounting and (apart := angle_of(mounting.mount @ mounting.before.T)) > MIN_DIFFERENCE:
         what = (
-            f"the log shows the mounting {mount} deg {sure}. The mounting in drive.toml differs from it by "
+            f"the log shows the mounting {mount} deg. {sure}. The mounting in drive.toml differs from it by "
         )
         what += f"{math.degrees(apart):.1f} deg. "
         less = "A part of a drive determines the mounting less accurately than the whole drive"

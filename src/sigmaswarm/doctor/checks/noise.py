@@ -42,9 +42,9 @@ def check_noise(evidence: Evidence) -> Iterator[Finding]:
     what = f"{len(time)} {lie} far from the path ({share:.1f}% of all), at t = {first} s"
     severity, jump = "warning", float(np.hypot(gps.x[then] - gps.x[0], gps.y[then] - gps.y[0]))
     if off[0] and jump > MAX_FIRST_DISTANCE:
-        severity, what = "serious", f"{what}. The first fix lies {jump / 1e3:.3g} km from the others"
+        severity, what = "serious", f"{what}; the first fix lies {jump / 1e3:.3g} km from the others"
     span, repair = (float(time[0]), float(time[-1])), Repair("drop-fixes", tuple(time.tolist()))
-    remedy = "leave these fixes out; the default filter of tune also reduces their weight (robust)"
+    remedy = "leave these fixes out. The default filter of tune also reduces their weight (robust)"
     yield Finding("gps-outliers", severity, what, "gps.csv, positions", span, 0.99, remedy, repair)
 
 
@@ -75,7 +75,7 @@ def _disturbed(evidence: Evidence) -> Iterator[Finding]:
     )
     span = float(course.time[fixes[0]]), float(course.time[fixes[-1]])
     remedy = (
-        "no action is needed for the default filter of tune, which reduces the weight of such fixes (robust). To leave "
+        "no action is needed: the default filter of tune reduces the weight of such fixes (robust). To leave "
         f"them out: sigmaswarm split DRIVE --at {span[0]:.0f} {span[1]:.0f} --out parts"
     )
     yield Finding("gps-disturbed", "warning", what, "gps.csv, positions", span, 0.99, remedy)
@@ -131,9 +131,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         f"the stated standard deviation of the fixes ({stated:.2g} m) is {how} than their scatter "
         f"({scatter:.2g} m per axis) by a factor of {factor:.0f}"
     )
-    remedy = (
-        f"state {scatter:.2g} m, or more if you know of slow errors, which a log without truth does not show"
-    )
+    remedy = f"state {scatter:.2g} m, or more if you know of slow errors. A log without truth does not show slow errors"
     repair, severity = Repair("state-noise", (scatter,)), "warning"
     if gps.std_x is None:
         what += ". A tuning without truth takes R from this value: with a smaller value the filter follows the fixes "

@@ -36,7 +36,7 @@ def check_observability(evidence: Evidence) -> Iterator[Finding]:
         return
     if not evidence.yaw.known:
         what, remedy = _unseen_yaw(evidence)
-        what += ". Sign and unit of gz can't be checked. Errors of heading and gyro bias are hardly visible"
+        what = f"sign and unit of gz can't be checked. {what}. Errors of heading and gyro bias are hardly visible"
         yield Finding("unseen-yaw", "warning", what, "imu.csv, gz", span, 0.95, remedy)
     known = evidence.mount.known if evidence.mount else (False, False)
     for axis, seen, motion in zip(("ax", "ay"), known, ("changes of speed", "cornering"), strict=True):
@@ -52,7 +52,7 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
     moving = course.moving
     interval = float(np.median(np.diff(course.time)))
     shown = (
-        f"the course is known only while the car is faster than {course.slowest:.1f} m/s, "
+        f"The course is known only while the car is faster than {course.slowest:.1f} m/s, "
         f"which is {np.count_nonzero(moving) * interval:.0f} of {np.ptp(course.time):.0f} s"
     )
     if fit is None:
@@ -62,11 +62,11 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
     explained = MIN_TURN_SIGMAS * wander / float(np.median(np.abs(course.velocity[moving])))
     if fit.course_change > max(MIN_DETERMINED_TURN, explained):
         return (
-            f"the RMS change of the course within 20 s is {change:.0f} deg, but no column of the gyro follows it",
-            f"check the gyro's unit and the clocks; clock offsets above {MAX_OFFSET:.0f} s are not searched for",
+            f"The RMS change of the course within 20 s is {change:.0f} deg, but no column of the gyro follows it",
+            f"check the gyro's unit and the clocks. Clock offsets above {MAX_OFFSET:.0f} s are not searched for",
         )
     if fit.course_change > MIN_DETERMINED_TURN:
-        what = f"the RMS change of the course within 20 s is {change:.0f} deg"
+        what = f"The RMS change of the course within 20 s is {change:.0f} deg"
         return f"{what}. At this speed, errors of the fixes may cause this change", REMEDY
     if np.ptp(course.angle[moving]) > CIRCLE:
         steady = (

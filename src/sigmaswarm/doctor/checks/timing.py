@@ -68,9 +68,9 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
             f"the fixes {'are' if clear else 'may be'} {size} {way} relative to the IMU "
             f"(standard deviation {std:.2f} s)",
             where, span, confidence_of(delay / std),
-            f"{correction.format(size)}{'' if clear else ' if other drives also show this offset'}, or tune the delay "
-            f"({_latency_option(evidence)}). The tuned delay is that with the lowest cost, so it may differ from this "
-            "offset by a few standard deviations",
+            f"{correction.format(size)}{'' if clear else ' if other drives also show this offset'}. Alternatively, "
+            f"tune the delay ({_latency_option(evidence)}). The tuned delay is that with the lowest cost, so it may "
+            "differ from this offset by a few standard deviations",
             Repair("shift-fixes", (-delay, with_truth)) if clear else None,
         )  # fmt: skip
     elif evidence.drives:
@@ -114,7 +114,10 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     imu, gps = evidence.drive.imu, evidence.drive.gps
     yield _rate("imu", "IMU samples", imu.time)
     yield _rate("gps", "fixes", gps.time)
-    remedy = "a filter uses the mean of the samples around a gap, and increases the state's covariance"
+    remedy = (
+        "no action is needed, unless the car maneuvered during a gap. A filter uses the mean of the samples around a "
+        "gap, and increases the state's covariance"
+    )
     yield from _gaps("imu", gaps_in(imu.time, IMU_GAP), remedy)
     remedy = "during this time a filter uses only the IMU; no action is needed if this is intended"
     yield from _gaps("gps", gaps_in(gps.time, GPS_GAP, imu.time), remedy)
@@ -134,7 +137,7 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     stale = gps.time[evidence.stale]
     if len(stale) >= MIN_STALE_FIXES:
         what = f"{len(stale)} fixes repeat the previous position to the last digit, although the car moves"
-        remedy = "no action is needed, since filters ignore these fixes; for other programs, remove them"
+        remedy = "remove these fixes. No action is needed for sigmaswarm, whose filters ignore them"
         repair = Repair("drop-fixes", tuple(stale.tolist()))
         yield Finding(
             "gps-repeats", "warning", what, "gps.csv, positions", _ends(stale), 0.99, remedy, repair
@@ -157,7 +160,7 @@ def _rate(sensor: str, counted: str, time: Array) -> Finding:
 def _gaps(sensor: str, gaps: GapSummary | None, remedy: str) -> Iterator[Finding]:
     if gaps:
         many = f"there are {gaps.count} gaps; the longest lasts" if gaps.count > 1 else "there is a gap of"
-        what = f"{many} {gaps.length:.2g} s (usual interval {gaps.usual:.3g} s)"
+        what = f"{many} {gaps.length:.2g} s at t = {gaps.start:.1f} s (usual interval {gaps.usual:.3g} s)"
         severity = "warning" if sensor == "imu" and gaps.length > LONG_GAP else "note"
         span = gaps.start, gaps.start + gaps.length
         yield Finding(f"{sensor}-gap", severity, what, f"{sensor}.csv, t", span, 1.0, remedy)
@@ -179,20 +182,20 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
         code, severity, repair = "logger-pause", "note", None
         remedy = "no action is needed; you can split the drive at this time"
         if 0.5 * fix_missed < SIGMAS * std:
-            what = "The logger paused, or its clock jumped; the car's speed does not distinguish these cases"
+            what = "the logger paused, or its clock jumped"
+            evidence = "The car's speed does not distinguish these cases"
         elif passed < fix_usual + 0.5 * fix_missed:
-            what = (
-                f"The logger's clock jumped, since the car needs only {passed:.1f} s for the distance between the "
-                "fixes before and after the jump"
-            )
+            what = "the logger's clock jumped"
+            evidence = f"The car needs only {passed:.1f} s for the distance between the fixes before and after the jump"
             code, severity = "clock-jump", "warning"
             remedy = "subtract the jump from all later times in all files"
             # A jump can be closed only if both sensors have the full jump, since lost samples can't be restored.
             if apart < 0.5 * fix_usual and passed < fix_usual + SIGMAS * std:
                 repair = Repair("close-jump", (float(imu[i]), missed))
         else:
-            what = "The logger paused while the car drove on"
-        what = f"for {missed:.2g} s after t = {imu[i]:.2f} s, IMU samples and fixes are missing. {what}"
+            what, evidence = "the logger paused while the car drove on", ""
+        what += f": for {missed:.2g} s after t = {imu[i]:.2f} s, IMU samples and fixes are missing"
+        what += f". {evidence}" if evidence else ""
         span = float(imu[i]), float(imu[i + 1])
         yield Finding(code, severity, what, "imu.csv, gps.csv, t", span, 0.9, remedy, repair)
 

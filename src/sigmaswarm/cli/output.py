@@ -1,0 +1,85 @@
+"""Print the result of a command: result, problems, details (only with ``--verbose``), next commands."""
+
+from collections import Counter
+from textwrap import wrap
+from typing import NamedTuple
+
+from sigmaswarm.cli.common import print_lines
+from sigmaswarm.cli.terminal import MIN_COLUMNS, console
+from sigmaswarm.wording import REASON, TO_DO, as_sentence, count_of, sentences
+
+INDENT = 11  # columns before the text of a remark with a label
+_STYLES = {"serious": "bold red", "to do": "bold red", "warning": "yellow", "note": "dim"}
+
+
+class Remark(NamedTuple):
+    """A fact, its consequence, the remedy, and the evidence, which is printed only with ``--verbose``.
+
+    ``label``: a key of `_STYLES`, or "" for a result.
+    """
+
+    label: str
+    what: str
+    consequence: str = ""
+    remedy: str = ""
+    evidence: str = ""
+
+    @classmethod
+    def of(cls, text: str, label: str = "") -> "Remark":
+        """Read sentences on a fact, its consequence and the evidence; a text of `to_do` begins with the remedy."""
+        remedy, _, why = text.partition(REASON) if text.startswith(TO_DO) else ("", "", text)
+        what, *more = map(as_sentence, sentences(why))
+        label = "to do" if remedy else label
+        return cls(label, what, " ".join(more[:1]), remedy.removeprefix(TO_DO), " ".join(more[1:]))
+
+
+class Output:
+    """Print the result of a command; only this class decides what is printed without ``--verbose``.
+
+    ``silent``: print nothing, for the option ``--json``.
+    """
+
+    def __init__(self, *, verbose: bool, silent: bool = False) -> None:
+        self._verbose, self._silent = verbose, silent
+        self._hidden: Counter[str] = Counter()
+
+    def show(self, *lines: object) -> None:
+        """Print lines, tables and remarks; evidence is printed only with ``--verbose``."""
+        for line in () if self._silent else lines:
+            print_lines(self._drawn(line) if isinstance(line, Remark) else line)
+
+    def details(self, name: str, *lines: object) -> None:
+        """Print lines only with ``--verbose``; ``name``: a noun that is counted, or "the" and a noun."""
+        if self._verbose:
+            self.show(*lines)
+        else:
+            self._hidden[name] += len(lines)
+
+    def next(self, *lines: object) -> None:
+        """Name the hidden details, and print the next commands."""
+        hidden = [
+            name if name.startswith("the ") else count_of(n, name) for name, n in self._hidden.items() if n
+        ]
+        *others, last = hidden or [""]
+        if last:
+            self.show(f"--verbose adds {' and '.join(filter(None, [', '.join(others), last]))}")
+        self.show(*lines)
+
+    def _drawn(self, remark: Remark) -> object:
+        """Format a remark; the remedy is one line, so that a command in it can be copied."""
+        from rich.text import Text
+
+        if remark.evidence and not self._verbose:
+            self.details("the evidence", remark.evidence)
+        texts = [*filter(None, (remark.what, remark.consequence, remark.evidence * self._verbose))]
+        if not remark.label:
+            return " ".join(texts)
+        width = max(console().width - INDENT, MIN_COLUMNS)
+        lines = [
+            line
+            for text in texts
+            for line in wrap(text, width, break_long_words=False, break_on_hyphens=False)
+        ]
+        lines += [f"-> {remark.remedy}"] if remark.remedy else []
+        label = f"  {remark.label.upper() if remark.label == 'serious' else remark.label}"
+        return Text.assemble((f"{label:{INDENT}}", _STYLES[remark.label]), f"\n{'':{INDENT}}".join(lines))

@@ -1,0 +1,82 @@
+"""What commands print with and without `--verbose`."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import sigmaswarm as library
+from sigmaswarm.cli.output import Output, Remark
+from sigmaswarm.doctor.findings import CONSEQUENCES
+from sigmaswarm.wording import to_do
+
+MAX_LINES = 25
+
+
+def test_verbose_adds_evidence_and_details_and_the_default_names_them(capsys: pytest.CaptureFixture[str]):
+    remark = Remark.of("the clock is late. Fixes are wrong. Its delay is 3 s. All turns show it", "warning")
+
+    def printed(*, verbose: bool) -> str:
+        output = Output(verbose=verbose)
+        output.show("result", remark)
+        output.details("note", "one", "two")
+        output.details("the cost", "cost 3")
+        output.details("the names")
+        output.next("next: tune")
+        return capsys.readouterr().out
+
+    what = "result\n  warning  The clock is late.\n           Fixes are wrong.\n"
+    assert printed(verbose=False) == (
+        f"{what}--verbose adds the evidence, 2 notes and the cost\nnext: tune\n"
+    )
+    assert printed(verbose=True) == (
+        f"{what}           Its delay is 3 s. All turns show it.\none\ntwo\ncost 3\nnext: tune\n"
+    )
+    silent = Output(verbose=True, silent=True)
+    silent.show("result")
+    silent.details("note", remark)
+    silent.next("next: tune")
+    assert capsys.readouterr().out == ""
+
+
+def test_a_remedy_is_one_line_that_can_be_copied(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("COLUMNS", "40")
+    command = f"sigmaswarm tune {'drives/monday ' * 9}--out tuned"
+    why = "the accuracy of the fixes of this receiver is unknown. So the result may be wrong. It is"
+    Output(verbose=False).show(Remark.of(to_do(command, why)))
+    *lines, remedy = capsys.readouterr().out.splitlines()
+    assert remedy == f"{'':11}-> {command}"
+    assert max(map(len, lines)) <= 40 and lines[0].startswith("  to do    The accuracy")
+    assert " ".join(" ".join(lines).split()).endswith(". So the result may be wrong.")
+
+
+def test_each_fault_of_the_doctor_has_a_consequence():
+    page = (Path(__file__).parents[2] / "docs" / "doctor.md").read_text()
+    rows = re.findall(r"^\| (`[^|]+) \| [^|]+ \| (serious|warning) \|", page, re.MULTILINE)
+    codes = {code for row, _ in rows for code in re.findall(r"`([a-z-]+)`", row)}
+    notes = {"unseen-ax", "unseen-ay", "unseen-tilt", "unseen-clock", "gps-rate", "gps-gap"}
+    assert len(codes) > 40
+    assert codes - notes == {*CONSEQUENCES}
+
+
+@pytest.mark.parametrize("truth", [True, False])
+def test_evaluate_prints_table_three_sentences_and_the_next_command(
+    sigmaswarm, tuned: Path, here: Path, truth: bool
+):
+    drive = library.simulate("urban", duration=60.0, imu_rate=50.0, gps="white-1m")
+    library.write_drive(drive if truth else replace(drive, truth=None), here / "drive")
+    ended = sigmaswarm("evaluate", tuned, "drive", "--out", "e")
+    assert ended.code == 0
+    lines = ended.out.splitlines()
+    assert len(lines) <= MAX_LINES
+    empty = lines.index("")
+    (written,) = (i for i, line in enumerate(lines) if line.startswith("wrote "))
+    assert written - empty - 1 == 3, ended.out
+    assert lines[written + 2].startswith("next: sigmaswarm report e")
+    verbose = sigmaswarm("evaluate", tuned, "drive", "--out", "e2", "--verbose").out
+    for line in lines[:written]:
+        assert line.strip() in verbose
+    assert "whiteness" in verbose and "whiteness" not in ended.out
