@@ -10,10 +10,12 @@ import pytest
 
 from sigmaswarm import Drive, run_batch, simulate, tune
 from sigmaswarm.drives.gyro_bias import GyroBiasEvidence
+from sigmaswarm.drives.sensors import true_gyro_bias
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.inflation import REFERENCE_DURATION, STEP, inflate, shown_bias
+from sigmaswarm.tuning.inflation import REFERENCE_DURATION, STEP, inflate, predicted_bias, shown_bias
+from sigmaswarm.tuning.problem import car_problem
 from sigmaswarm.tuning.result import INFLATION_REMARK
 from sigmaswarm.tuning.space import search_space
 from support import quickly
@@ -118,6 +120,7 @@ def test_a_model_with_roll_and_pitch_has_a_longer_reference_duration(model: str,
         costs_without_prior=lambda points, executor=None: np.max(points - space.low, axis=1),
         relative_increase=lambda costs, cost: costs - cost,
         starts=lambda: (),
+        true_gyro_biases=lambda: (),
     )
     assert inflate(problem, space.low, 0.96, None)[2] == pytest.approx(10**decades)
 
@@ -165,6 +168,9 @@ def test_a_tilted_model_has_lower_limits(
         def starts(self):
             return ()
 
+        def true_gyro_biases(self):
+            return ()
+
     point, cost, factor = inflate(Lowest(), space.low, 0.02, None)
     assert cost == Lowest().costs(point[np.newaxis])[0]
     assert (factor == 1.0) == (cost_per_decade > 0)
@@ -207,7 +213,48 @@ def test_biases_that_starts_show_are_the_least_deviation_of_the_gyros_bias(start
         costs_without_prior=lambda points, executor=None: np.zeros(len(points)),
         relative_increase=lambda costs, cost: costs - cost,
         starts=lambda: starts,
+        true_gyro_biases=lambda: (),
     )
     point = inflate(problem, space.low, 0.02, None)[0]
     (found,) = space.decode(point[np.newaxis])
     assert found.bias_std[1] == pytest.approx(min(max(shown, 1e-5), 0.1), rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("biases", "predicted"),
+    [
+        ([], 0.0),
+        ([np.nan, np.nan], 0.0),  # truth without a heading
+        ([-3e-3], 3e-3),
+        ([1e-3, -1e-3, np.nan], 1e-3),
+        ([2e-3, -2e-3, 2e-3, -2e-3], 2e-3 * np.sqrt(2)),  # four of many: Student's t
+    ],
+)
+def test_true_biases_predict_the_deviation_on_other_drives(biases: list[float], predicted: float):
+    assert predicted_bias(biases) == pytest.approx(predicted)
+    space = search_space("tilted12", "log10", 0.01, kind="ekf", use=("lateral",))
+    problem = SimpleNamespace(
+        space=space,
+        data=[{"duration_s": 100.0}] * 3,
+        config=TuneConfig(model="tilted12", objective="truth-pose"),
+        costs=lambda points, executor=None: np.zeros(len(points)),
+        costs_without_prior=lambda points, executor=None: np.zeros(len(points)),
+        relative_increase=lambda costs, cost: costs - cost,
+        starts=lambda: (),
+        true_gyro_biases=lambda: biases,
+    )
+    (found,) = space.decode(inflate(problem, space.low, 0.02, None)[0][np.newaxis])
+    assert found.bias_std[1] == pytest.approx(max(predicted, 1e-5), rel=1e-6)
+
+
+def test_a_truth_shows_the_gyros_bias_not_its_scale():
+    drive = simulate("urban", seed=1, duration=60.0, imu="ideal")
+    for scale in (1.0, 1.02):  # a drive that turns mostly to one side
+        gz = scale * drive.imu.gz + 2e-3
+        biased = replace(drive, imu=replace(drive.imu, gz=gz))
+        assert true_gyro_bias(biased) == pytest.approx(2e-3, abs=5e-5)
+    assert np.isnan(true_gyro_bias(replace(drive, truth=None)))
+    problem = car_problem([biased] * 3, TuneConfig(model="tilted12", objective="truth-pose"))
+    assert problem.true_gyro_biases() == pytest.approx([2e-3] * 3, abs=5e-5)
+    problem = car_problem([biased] * 3, TuneConfig(model="tilted12", objective="innovation-t"))
+    assert not len(problem.true_gyro_biases())  # truth only with objectives that use it

@@ -56,7 +56,8 @@ class LogProperties:
     driven : time between the last fix and the first fix that is more than 20 m from the start, s; 0 if there is none
     fixes : number of fixes within the IMU's time span
     noise, true_std : white noise of the fixes, and their standard deviation from the truth (NaN without truth), m per
-        axis; ``true_std`` is used only with objectives that use truth
+        axis
+    true_gyro_bias : result of `true_gyro_bias`; like ``true_std``, it is used only with objectives that use truth
     mounting : mounting of the IMU, deg; None if the drive states none
     """
 
@@ -78,6 +79,7 @@ class LogProperties:
     fix_interval: float = np.nan
     noise: float = np.nan
     true_std: float = np.nan
+    true_gyro_bias: float = np.nan
     mounting: Angles | None = None
 
 
@@ -105,6 +107,7 @@ def log_properties(drive: Drive | LogProperties) -> LogProperties:
         fix_interval=float(np.median(np.diff(gps.time))) if len(gps) > 1 else np.nan,
         noise=white_noise(gps.x + 1j * gps.y),
         true_std=true_std(drive),
+        true_gyro_bias=true_gyro_bias(drive),
         # An imported drive states its axes, but not a rotation of zero.
         mounting=drive.mounting or (NO_ROTATION if axes_of(drive.metadata) else None),
     )
@@ -171,6 +174,24 @@ def true_std(drive: Drive) -> float:
     gps = gps.select((gps.time >= truth.time[0]) & (gps.time <= truth.time[-1]))
     off = [getattr(gps, axis) - np.interp(gps.time, truth.time, getattr(truth, axis)) for axis in ("x", "y")]
     return float(np.median(np.abs(off)) / 0.6745) if len(gps) else float("nan")
+
+
+def true_gyro_bias(drive: Drive) -> float:
+    """Return the mean bias of gz relative to the heading of the truth, rad/s; NaN without such truth.
+
+    The scale error of the gyro is fitted too: otherwise, it would appear as a bias if a drive turns mostly to one side.
+    """
+    imu, truth = drive.imu, drive.truth
+    if truth is None:
+        return float("nan")
+    inside = (truth.time >= imu.time[0]) & (truth.time <= imu.time[-1]) & np.isfinite(truth.theta)
+    time, heading = truth.time[inside], np.unwrap(truth.theta[inside])
+    if len(time) < 3:
+        return float("nan")
+    steps = np.diff(imu.time) * (imu.gz[1:] + imu.gz[:-1]) / 2
+    turned = np.interp(time, imu.time, np.append(0.0, np.cumsum(steps)))
+    columns = np.column_stack([time - time[0], heading - heading[0], np.ones(len(time))])
+    return float(np.linalg.lstsq(columns, turned - heading, rcond=None)[0][0])
 
 
 def has_white_errors(drive: Drive) -> bool:

@@ -16,8 +16,9 @@ Multiplication hardly changes a noise near zero. In a filter with roll and pitch
 walks of the gyro's x and y biases, and the standard deviations of the initial biases therefore have minima
 (`space.INFLATION_MINIMA`). With these minima, a filter that was tuned on one drive has a position RMSE of 0.8 m instead
 of 1.7 m on another car's drive. On drives of the same car, the minima change the RMSE by -5 to +2%. Three or more
-drives with truth determine the standard deviations of the initial biases, so these have no minimum: a minimum would
-increase the heading error by 10%.
+drives with truth determine the standard deviations of the initial biases, so these minima do not apply: they would
+increase the heading error by 10%. The standard deviation of the gyro's bias then is at least the one that the biases on
+these drives predict for another drive.
 
 The standard deviation of the gyro's initial bias has another minimum if the starts of the training drives show biases.
 At its start, a filter subtracts a bias of many standard deviations (`GyroBiasEvidence.update`), so the cost hardly
@@ -84,7 +85,7 @@ def inflate(
     last, least = int(within.sum()) - 1 if within.any() else 0, space.least
     if len(problem.data) >= MIN_DRIVES_WITH_TRUTH and parse_objective(problem.config.objective).needs_truth:
         least = np.where([one.field == "bias_std" for one in space.dimensions], -np.inf, least)
-    if shown := shown_bias(problem.starts()):
+    if shown := max(shown_bias(problem.starts()), predicted_bias(problem.true_gyro_biases())):
         gyro = [name == "gyro_bias_std" for name in space.names]
         least = np.where(gyro, np.maximum(least, np.minimum(np.log10(shown), space.high)), least)
     chosen = np.maximum(points[last], least)
@@ -101,3 +102,16 @@ def shown_bias(starts: Sequence[InitialState]) -> float:
     if not known.any() or np.mean(squares / variance) < MIN_BIAS_RATIO:
         return 0.0
     return float(np.sqrt(max(np.mean(squares - variance), 0.0)))
+
+
+def predicted_bias(biases: Sequence[float]) -> float:
+    """Return the standard deviation (rad/s) of the gyro bias on another drive, from the true ones; 0 if unknown.
+
+    With a mean of zero, it is that of a Student's t distribution with n degrees of freedom. For fewer than three
+    drives, where this is infinite, the RMS of the biases is returned.
+    """
+    known = np.array([bias for bias in biases if np.isfinite(bias)])
+    if not len(known):
+        return 0.0
+    unknown = len(known) / (len(known) - 2) if len(known) > 2 else 1.0
+    return float(np.sqrt(np.mean(np.square(known)) * unknown))

@@ -126,6 +126,10 @@ class Problem(ABC, Generic[P]):
         """Return the initial state of the filter on each drive; none for a custom model."""
         return ()
 
+    def true_gyro_biases(self) -> Sequence[float]:
+        """Return the bias of gz on each drive, rad/s, if the objective uses truth; none for a custom model."""
+        return ()
+
     def failure_reason(self, point: Array) -> str | None:
         """Return the reason why the filter at a point failed; None if unknown."""
         return None
@@ -207,6 +211,9 @@ class CarProblem(Problem[FilterParameters]):
 
     def starts(self) -> Sequence[InitialState]:
         return self.scorer.map_prepared(attrgetter("initial"))
+
+    def true_gyro_biases(self) -> Sequence[float]:
+        return [one.true_gyro_bias for one in self.sensors] if self.objective.needs_truth else ()
 
     def forecasts(self, point: Array, noise: MotionNoise) -> list[DriftComparison]:
         return [*forecasts_of(self.parameters(point), noise, self.scorer)]
