@@ -194,6 +194,7 @@ def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tup
 
     try:
         drive = _plausible(made(proposal))
+        named = proposal
         if (scaled := _with_shown_unit(proposal, drive)) != proposal:
             proposal, drive = scaled, made(scaled)
         first = diagnose(drive)
@@ -207,7 +208,7 @@ def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tup
         )
     if corrected != proposal and _faults(last) >= _faults(first):
         corrected, last = proposal, first
-    changed = "corrected with" if corrected != proposal else "checked with"
+    changed = "corrected with" if corrected != named else "checked with"
     basis = (
         f"the mapping follows from the columns' names and values, and was {changed} the motion of the fixes"
     )
@@ -238,7 +239,8 @@ def _busiest_part(drive: Drive) -> Drive:
 def _with_shown_unit(proposal: Proposal, drive: Drive) -> Proposal:
     imu = proposal.columns.get("imu", {})
     rates = {name: imu[name] for name in AXES[3:] if name in imu}
-    shown = unit_of_rates(drive, {"imu": [Part("", rates)]}, rates).expressions
+    columns = {name: re.sub(r"^radians\((.+)\)$", r"\1", text) for name, text in rates.items()}
+    shown = unit_of_rates(drive, {"imu": [Part("", rates)]}, columns).expressions
     return replace(proposal, columns={**proposal.columns, "imu": {**imu, **shown}}) if shown else proposal
 
 

@@ -139,17 +139,22 @@ def _axes(values: dict[str, Array]) -> dict[str, str]:
     """Find three columns whose magnitude is gravity, and the rates in three other columns if there are any."""
     place = _place(values).values()  # with an altitude, their magnitude is about constant
     names = [name for name, column in values.items() if np.isfinite(column).any() and name not in place]
-    for gravity in GRAVITY:
+    for k in _forces(values, names, GRAVITY):
+        return dict(zip(AXES, [*names[k : k + 3], *_rates(values, names, k)], strict=False))
+    return {}
+
+
+def _forces(values: dict[str, Array], names: Sequence[str], units: Sequence[float]) -> Iterator[int]:
+    """Yield the index of the first of three columns whose magnitude is gravity in one of the units."""
+    for gravity in units:
         for k in range(len(names) - 2):
             size = np.sqrt(sum(values[n] ** 2 for n in names[k : k + 3]))
             if not np.isfinite(size).any():
                 continue
             low, middle, high = np.nanquantile(size, (0.25, 0.5, 0.75))
             fits = abs(middle / gravity - 1) <= TOLERANCE
-            if not fits or not MIN_SPREAD < high / low - 1 < MAX_QUARTILE_RATIO - 1:
-                continue
-            return dict(zip(AXES, [*names[k : k + 3], *_rates(values, names, k)], strict=False))
-    return {}
+            if fits and MIN_SPREAD < high / low - 1 < MAX_QUARTILE_RATIO - 1:
+                yield k
 
 
 def _rates(values: dict[str, Array], names: Sequence[str], k: int) -> Sequence[str]:
@@ -176,9 +181,14 @@ def _median_ratio(values: dict[str, Array], names: Sequence[str]) -> float:
 
 
 def _place(values: dict[str, Array]) -> dict[str, str]:
+    """Find latitude and longitude in two columns; a column of a quiet accelerometer may look like one of them."""
+    names = [*values]
+    forces = [{*names[k : k + 3]} for k in _forces(values, names, (G,))]
     for lat, lon in pairwise(values):
         both = [values[n][np.isfinite(values[n]) & (values[n] != 0)] for n in (lat, lon)]
         if min(map(len, both)) < 2 or np.max(np.abs(both[0])) > 90 or np.max(np.abs(both[1])) > 180:
+            continue
+        if any(len(axes & {lat, lon}) == 1 for axes in forces):
             continue
         if all(0 < np.ptp(v) < MAX_DEGREES < np.min(np.abs(v)) and (v * 1e3 % 1).any() for v in both):
             return {"lat": lat, "lon": lon}
