@@ -235,6 +235,20 @@ def test_a_recording_is_found_within_3_degrees(name: str):
     assert np.degrees(error) < 3
 
 
+def test_hills_at_constant_speed_are_no_turned_imu():
+    """In its last 22 s, the car drives at 8 m/s through a hilly bend."""
+    drive = sigmaswarm.simulate(
+        "urban",
+        run=158,
+        duration=120.0,
+        imu="gnss-ins-sim-mid",
+        gps="f9p-rtk",
+        terrain="hilly",
+        vibration=1.0,
+    )
+    assert find_turn(gather(drive)) is None
+
+
 @pytest.mark.parametrize(
     ("axis", "angle"),
     quickly(

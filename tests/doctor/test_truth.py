@@ -1,4 +1,4 @@
-"""A truth whose clock is wrong: it is found with its offset, repaired, and not mistaken for a delay of the fixes."""
+"""The truth: a wrong clock is found and repaired; it shows delay and errors of the fixes."""
 
 from dataclasses import replace
 
@@ -7,6 +7,7 @@ import pytest
 
 from sigmaswarm.doctor import evidence
 from sigmaswarm.doctor.diagnose import diagnose
+from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.repairs import repair
 from sigmaswarm.doctor.truth_clock import truth_delay
 from sigmaswarm.drives.drive import Drive
@@ -120,3 +121,37 @@ def test_three_clocks_are_two_findings():
     assert {"clock-offset", "truth-clock"} <= set(diagnosis.codes)
     again = repair(late, diagnosis)
     np.testing.assert_allclose(again.truth.time, DRIVES["urban"].truth.time, atol=0.15)
+
+
+@pytest.mark.parametrize("moved", [0.0, 0.6])
+def test_a_truth_shows_the_delay_of_noisy_fixes(moved: float):
+    """The truth may have the clock of the IMU or that of the fixes."""
+    drive = simulate("urban", run=2, duration=60.0, gps="gnss-ins-sim")
+    late = replace(drive, gps=replace(drive.gps, time=drive.gps.time + 0.6))
+    blind, clock = gather(replace(late, truth=None)).clock, gather(shifted(late, moved, move=3e4)).clock
+    assert clock.std < 0.8 * blind.std
+    assert abs(clock.delay - 0.6) < 2 * clock.std
+    assert gather(shifted(late, 18.0)).clock == blind  # nothing follows from a truth whose clock is wrong
+
+
+def stating(drive: Drive, std: float) -> Drive:
+    return replace(
+        drive, gps=replace(drive.gps, std_x=np.full(len(drive.gps), std), std_y=np.full(len(drive.gps), std))
+    )
+
+
+def test_a_truth_shows_the_size_of_errors_that_last():
+    drive = simulate("urban", run=5, duration=60.0, gps="f9p-rtk")
+    assert "gps-noise" not in diagnose(drive).codes  # 0.01 m
+    (said,) = (f for f in diagnose(stating(drive, 0.1)).findings if f.code == "gps-noise")
+    assert "larger than their errors relative to the truth" in said.what
+    assert said.repair is not None and said.repair.values[0] == pytest.approx(0.01, rel=0.2)
+    wander = 2.0 * np.sin(2 * np.pi * drive.gps.time / 60.0)
+    smooth = replace(drive, gps=replace(drive.gps, x=drive.gps.x + wander, y=drive.gps.y - wander))
+    (said,) = (f for f in diagnose(stating(smooth, 0.15)).findings if f.code == "gps-noise")
+    assert "smaller than their errors relative to the truth" in said.what and said.repair is None
+    x, y = drive.gps.x, drive.gps.y
+    own = replace(drive.truth, time=drive.gps.time, x=x, y=y, vx=x, vy=y, theta=0 * x)
+    for truth in (None, own, shifted(drive, 18.0).truth):
+        assert "gps-noise" not in diagnose(replace(stating(drive, 0.1), truth=truth)).codes
+    assert "gps-noise" not in diagnose(shifted(stating(smooth, 2.0), 0.0, move=3e4)).codes

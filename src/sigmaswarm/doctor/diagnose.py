@@ -46,7 +46,7 @@ _cache: dict[tuple[str, str], Diagnosis] = {}
 
 
 def diagnose(drive: Drive) -> Diagnosis:
-    """Find the faults of a drive. Of the truth, only the clock is checked.
+    """Find the faults of a drive. A truth is only compared with the fixes: its clock, and the size of their errors.
 
     Parameters
     ----------

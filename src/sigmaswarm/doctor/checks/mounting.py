@@ -22,6 +22,8 @@ MIN_MOVEMENT, MIN_MOVEMENT_RATIO = math.radians(18.0), 4.0
 # Of an IMU that was turned about the vertical: shortest part, s; smallest coherence of measured and expected
 # accelerations in each part; smallest angle, rad. In 84 fault-free drives and parts of 60 s, it was up to 19 deg.
 MIN_PART, MIN_COHERENCE, MIN_TURNED = 20.0, 0.7, math.radians(45.0)
+# m/s2, smallest RMS acceleration of the vehicle in each part; hills (RMS slope of 4%) have the same effect on ax
+MIN_MOTION = 0.4
 # Smallest change of the direction of acceleration, rad, that driving backward explains
 BACKWARD = math.radians(150.0)
 # Largest relative deviation of the magnitude of the specific force from its median, for 90% of the intervals of 5 s. In
@@ -152,8 +154,9 @@ def find_turn(evidence: Evidence) -> tuple[float, float] | None:
     cut = cuts[np.argmax(np.abs(totals[0][cuts]) + np.abs(totals[0][-1] - totals[0][cuts]))]
     before, after = ([v[cut] for v in totals], [v[-1] - v[cut] for v in totals])
     coherent = all(abs(s) > MIN_COHERENCE * math.sqrt(abs(x * y)) > 0 for s, x, y in (before, after))
+    moving = all(x > MIN_MOTION**2 * n for (_, x, _), n in ((before, cut + 1), (after, len(at) - cut - 1)))
     angle = abs(float(np.angle(after[0] * np.conj(before[0]))))
-    return (float(at[cut]), angle) if coherent and angle > MIN_TURNED else None
+    return (float(at[cut]), angle) if coherent and moving and angle > MIN_TURNED else None
 
 
 def find_movement(drive: Drive) -> tuple[float, float] | None:

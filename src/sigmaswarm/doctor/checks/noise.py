@@ -1,4 +1,4 @@
-"""Compare stated standard deviations with the scatter of the fixes; find correlated errors, outliers and multipath.
+"""Compare stated standard deviations with the fixes; find correlated errors, outliers and multipath.
 
 The stated standard deviation is that of the receiver (std_x, std_y), or gps_std_m in drive.toml.
 """
@@ -18,6 +18,9 @@ MAX_OBSERVED_RATIO = 2.0  # largest ratio of observed noise to stated noise
 MIN_STATED_STD = 0.003
 # Largest ratio of stated noise to observed white noise; high, since slow errors are not observed
 MAX_STATED_RATIO = 6.5
+# Largest ratio of the errors relative to the truth to the stated noise, and the reverse; high, since a short drive may
+# have one error that lasts
+MAX_ERROR_RATIO = 3.5
 MAX_TYPED_RATIO = 3.0  # the same for a value in drive.toml
 # m, distance of the first fix from the others; a farther outlier displaces the drive's origin
 MAX_FIRST_DISTANCE = 1000.0
@@ -103,10 +106,23 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         scatter, unseen = noise, 0.0
     # A receiver that smooths has correlated errors, so its stated accuracy may be right despite little scatter.
     white = noise > MIN_WHITE_RATIO * scatter and scatter > MIN_NOISE
+    error, variation = (fit.error, fit.variation) if (fit := evidence.truth_fit) else (0.0, 0.0)
+    if variation < MIN_WHITE_RATIO * noise:  # the truth follows the fixes
+        error = variation = 0.0
+    size, by_truth = scatter, False
+    limit = MAX_TYPED_RATIO if gps.std_x is None else MAX_STATED_RATIO
     if noise - unseen > MAX_OBSERVED_RATIO * stated:
         how, confidence = "smaller", confidence_of(3 + noise / stated / MAX_OBSERVED_RATIO)
-    elif white and stated > (MAX_TYPED_RATIO if gps.std_x is None else MAX_STATED_RATIO) * scatter:
+    elif white and stated > max(limit * scatter, MAX_ERROR_RATIO * variation):
         how, confidence = "larger", confidence_of(2 * stated / MAX_STATED_RATIO / scatter)
+        if variation > MAX_SCATTER_RATIO * scatter:
+            size, by_truth = variation, True
+    elif variation > MAX_ERROR_RATIO * stated:
+        how, confidence = "smaller", confidence_of(2 * variation / MAX_ERROR_RATIO / stated)
+        size, by_truth = variation, True
+    elif error and stated > MAX_STATED_RATIO * max(error, noise):
+        how, confidence = "larger", confidence_of(2 * stated / MAX_STATED_RATIO / error)
+        size, by_truth = max(error, noise), True
     else:
         if stated > MAX_SCATTER_RATIO * max(scatter, MIN_NOISE) or (
             noise < MIN_WHITE_RATIO * scatter and scatter > MIN_NOISE
@@ -126,17 +142,22 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
                 "gps-correlated", "note", what, where, span, confidence_of(stated / scatter), remedy
             )
         return
-    factor = max(stated / scatter, scatter / stated)
+    factor = max(stated / size, size / stated)
+    compared = "errors relative to the truth" if by_truth else "scatter"
     what = (
-        f"the stated standard deviation of the fixes ({stated:.2g} m) is {how} than their scatter "
-        f"({scatter:.2g} m per axis) by a factor of {factor:.0f}"
+        f"the stated standard deviation of the fixes ({stated:.2g} m) is {how} than their {compared} "
+        f"({size:.2g} m per axis) by a factor of {factor:.0f}"
     )
-    remedy = f"state {scatter:.2g} m, or more if you know of slow errors. A log without truth does not show slow errors"
-    repair, severity = Repair("state-noise", (scatter,)), "warning"
+    remedy = f"state {size:.2g} m"
+    repair, severity = Repair("state-noise", (size,)), "warning"
+    if not by_truth:
+        remedy += ", or more if you know of slow errors. A log without truth does not show slow errors"
+    elif how == "smaller":  # the lever arm of the antenna may be missing
+        repair, remedy = None, f"check the lever arm of the antenna; if it is right, {remedy}"
     if gps.std_x is None:
         what += ". A tuning without truth takes R from this value: with a smaller value the filter follows the fixes "
         what += "more closely, and with a larger value it trusts the IMU for longer"
-        if how == "larger":  # a user may know of slow errors
+        if how == "larger" and not by_truth:  # a user may know of slow errors
             repair, severity = None, "note"
             remedy = (
                 "keep this value if the data sheet of the receiver states it, since slow errors do not increase "
