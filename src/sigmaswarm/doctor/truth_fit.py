@@ -81,7 +81,8 @@ def truth_as_fixes(drive: Drive, fit: TruthFit) -> Drive:
     assert truth is not None
     every = max(round(STEP / float(np.median(np.diff(truth.time)))), 1)
     antenna = _antenna(drive, truth)[::every]
-    return replace(drive, gps=Gps(truth.time[::every] + fit.delay, antenna.real, antenna.imag))
+    x, y = (np.asarray(part, np.float64) for part in (antenna.real, antenna.imag))
+    return replace(drive, gps=Gps(truth.time[::every] + fit.delay, x, y))
 
 
 def _antenna(drive: Drive, truth: Truth) -> Complex:
