@@ -17,6 +17,7 @@ from sigmaswarm.importing.assemble import REQUIRED, assemble, assemble_imu
 from sigmaswarm.importing.formats import open_log, unsupported_format
 from sigmaswarm.importing.gather import ROW, PartColumns, complete_parts, gather
 from sigmaswarm.importing.gravity import impossible_rates, wrong_scale
+from sigmaswarm.importing.guess import guess_roles
 from sigmaswarm.importing.long_tables import describe_kinds
 from sigmaswarm.importing.magnetometer import part_of, with_magnetometer
 from sigmaswarm.importing.mounting import AUTO, find_mount
@@ -185,10 +186,10 @@ def _read(
         wanted = {role: parts for role, parts in recipe.roles.items() if role in roles}
         recipe = replace(recipe, roles=wanted)
         unitless = guesses[request.source].unitless
-        if faults := faults_left(request, recipe, logs, guesses):
-            raise InputError("; and ".join(faults[:MAX_FAULTS]))
         if fault := missing_sensor(recipe, request, logs, guesses, roles):
             raise InputError(f"{fault}{SHOW_HINT}")
+        if faults := faults_left(request, recipe, logs, guesses):
+            raise InputError("; and ".join(faults[:MAX_FAULTS]))
         gathered = _gather_all(request, logs, recipe, progress)
         metadata = {key: value for guess in guesses.values() for key, value in guess.metadata.items()}
         notes, assumed = notes_of(request, logs, guesses, recipe), assumed_mounting(guesses, recipe)
@@ -218,12 +219,44 @@ def _guess(log: Log, request: Request) -> Guess:
     for role, path in (("truth", request.truth), ("odometer", request.odometer)):
         if log.path == path and len(log.tables) == 1:
             tables[role] = next(iter(log.tables))
-    chosen = tables.pop("mag", None)
-    guess = log.guess(replace(request.choice, mapped=mapped_roles(request.maps), tables=tables))
+    chosen, mapped = tables.pop("mag", None), mapped_roles(request.maps)
+    for role, table in tables.items():
+        if table not in log.tables:
+            _refuse_file(log, role, Path(table), log.path.parent / table)
+    guess = log.guess(replace(request.choice, mapped=mapped, tables=tables))
+    for role in ROLES:
+        if role in tables and role not in mapped:
+            guess = _with_chosen(guess, log, role, tables[role])
     if chosen is None:
         return guess
     part = part_of(chosen, log.tables[chosen].columns if chosen in log.tables else ())
     return replace(guess, roles={**guess.roles, "mag": (part,)})
+
+
+def _with_chosen(guess: Guess, log: Log, role: Role, table: str) -> Guess:
+    """Return a guess that reads a role from the chosen table, since readers of formats with fixed tables ignore it."""
+    if table.lstrip("/") in (part.table.lstrip("/") for part in guess.roles.get(role, ())):
+        return guess
+    if table not in log.tables:
+        _refuse_file(log, role, log.path / table)
+        raise InputError(
+            f"{log.path}: has no table {table!r} for --{role}-table; choose from {list_names(log.tables)}"
+        )
+    _, rows, _ = next(iter(log.batches({table: log.tables[table].columns})))
+    other = guess_roles({table: rows}, {role: table})
+    if len(columns := other.roles.get(role, (Part(table, {}),))[0].columns) < 2:
+        raise InputError(
+            f"{log.path}: {table} has no columns with recognized names for --{role}-table; name them with --map"
+        )
+    return replace(
+        guess, roles={**guess.roles, role: (Part(table, columns),)}, notes=guess.notes + other.notes
+    )
+
+
+def _refuse_file(log: Log, role: str, *files: Path) -> None:
+    """Raise `InputError` if a chosen table is a file that the log does not contain."""
+    if role in ("gps", "truth", "odometer") and (file := next(filter(Path.is_file, files), None)):
+        raise InputError(f"{log.path}: has no table {file.name!r}; write --{role} {quote(str(file))}")
 
 
 def complete_recipe(request: Request, guesses: Guesses) -> Recipe:

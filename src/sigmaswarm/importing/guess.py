@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from shlex import quote
 
@@ -42,9 +42,10 @@ SAMPLE_ROWS = 2000
 BLOCKS, BLOCK = 16, 500
 _WHEELS = re.compile(r"odo|wheel|(?:^|[^a-z])can(?:[^a-z]|$)", re.IGNORECASE)
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|[^a-z])(?:gt|ref)(?:[^a-z]|$)", re.IGNORECASE)
-# Words of a truth's columns that do not change the meaning of a name
+# Words of a truth's columns that do not change the meaning of a name; x_ref may be a setpoint
 _OF_TRUTH = re.compile(
-    r"^(?:(?:ground_?)?truth|true|gt|ref(?:erence)?)_|_(?:(?:ground_?)?truth|true|gt|ref)$", re.IGNORECASE
+    r"^(?:(?:ground_?)?truth|true|gt|ref(?:erence)?)[\W_]|[\W_](?:(?:ground_?)?truth|true|gt)$",
+    re.IGNORECASE,
 )
 _FORCES = re.compile(r"acc", re.IGNORECASE)
 _RATES = re.compile(r"gyr|ang(?:ular)?_?(?:vel|rate)|rotation_?rate|rotationrate", re.IGNORECASE)
@@ -111,19 +112,21 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
     ``samples``: rows of each table; ``chosen``: table by role, as chosen by the user.
     """
     found = {table: _find_columns(frame, table) for table, frame in samples.items()}
+    named = {t: _columns_of_truth(frame) for t, frame in samples.items() if not _TRUTH.search(t)}
+    truths = {table: columns for table, columns in named.items() if columns.located}
     roles: dict[Role, tuple[Part, ...]] = {}
     notes: list[str] = []
     faults: list[Fault] = []
     about: dict[str, list[tuple[Role, str]]] = {}
     ticks: dict[Role, str] = {}
-    for role, tables in _candidates(found).items():
+    for role, tables in _candidates(found, truths, chosen.get("truth")).items():
         if role in chosen and chosen[role] not in samples:
             raise InputError(f"there is no table {chosen[role]!r}; choose from {list_names(samples)}")
         if not tables and role not in chosen:
             continue
         best = chosen.get(role) or _best_table(role, tables, found)
         used = {best, *chosen.values(), *(part.table for parts in roles.values() for part in parts)}
-        located = [t for t, c in found.items() if c.has("lat", "lon") or c.has("x", "y")]
+        located = [t for t, c in found.items() if c.located]
         ask = role == "gps" and role not in chosen
         others = [t for t in (located if role == "gps" else tables) if t not in used]
         notes += _other_tables(role, best, others, samples, ask=ask)
@@ -132,7 +135,8 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
             expressions: dict[str, str] = {}
             # In a table with an IMU, the rate of the IMU determines the unit of the times, also for other roles.
             shared = "imu" in roles and table == roles["imu"][0].table
-            for what, found_as in _expressions(found[table], role, "imu" if shared else role):
+            columns = truths.get(table, found[table]) if role == "truth" else found[table]
+            for what, found_as in _expressions(columns, role, "imu" if shared else role):
                 notes += [found_as.note] if found_as.note else []
                 about.setdefault(found_as.note, []).append((role, what))
                 if found_as.ticks:
@@ -238,16 +242,34 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
     return columns
 
 
-def _candidates(found: Mapping[str, Columns]) -> dict[Role, list[str]]:
+def _columns_of_truth(frame: pl.DataFrame) -> Columns:
+    """Find the columns whose names mark them as truth: truth_x, gt_lat, ref_y.
+
+    The truth of a moving vehicle changes; the position of a reference station does not.
+    """
+    columns = Columns(frame)
+    for column in frame.columns:
+        name = replace(read_name(bare := _OF_TRUTH.sub("", column)), column=column)
+        if bare == column or (what := name.meaning) not in _WANTED["truth"] or read_name(column).meaning:
+            continue
+        if column_numbers(frame[column]).n_unique() > 1:
+            columns.names.setdefault(what, name)
+    return columns
+
+
+def _candidates(
+    found: Mapping[str, Columns], truths: Collection[str], chosen: str | None
+) -> dict[Role, list[str]]:
     """List the tables that fit each role.
 
-    If a table has latitude and longitude, tables with only x, y are not fixes.
+    If a table has latitude and longitude, tables with only x, y are not fixes. ``truths``: tables in which the names of
+    some columns mark a truth. ``chosen``: the user's table of the truth.
     """
     forces = {t for t, c in found.items() if c.has("ax", "ay")}
     rates = {t for t, c in found.items() if "gz" in c}
     degrees = {t for t, c in found.items() if c.has("lat", "lon")}
-    located = degrees | {t for t, c in found.items() if c.has("x", "y")}
-    truth = {t for t in found if _TRUTH.search(t)}
+    located = {t for t, c in found.items() if c.located}
+    truth = {t for t in found if t not in truths and (t == chosen or _TRUTH.search(t))}
     loose = {t for t in forces if rates and not re.search("lin|gravity", t, re.IGNORECASE)}
     counted = {
         t
@@ -256,7 +278,7 @@ def _candidates(found: Mapping[str, Columns]) -> dict[Role, list[str]]:
     }
     chosen: dict[Role, set[str]] = {
         "imu": forces & rates or loose,
-        "truth": truth & located,
+        "truth": truth & located | {*truths},
         # a pose in meters is that of another system, or an estimate
         "gps": degrees - truth or {t for t in located - truth if "q" not in found[t]},
         "odometer": counted,

@@ -139,6 +139,7 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
         filled &= ~copies
     if role == "gps" and (repeated := int(np.count_nonzero(filled & again))):
         say(f"{role}: {rows_left_out(repeated)}, since the previous position is repeated")
+        values = _with_repeated(values, again)
         filled &= ~again
     if filled.any():
         time, values = time[filled], _rows(values, filled)
@@ -201,10 +202,29 @@ def _same_position(values: Values) -> NDArray[np.bool_]:
 
 
 def _messages(time: Nanoseconds, values: Values) -> NDArray[np.bool_]:
-    """Mark rows that repeat the position of a row just before, if all do: other messages of the same fix."""
-    near, same = in_burst(time, "gps"), _same_position(values)
+    """Mark other messages of the same fix: rows that repeat the position of a row just before, if all do.
+
+    Rows at the time of the previous row in which other cells are filled may differ from it by rounding.
+    """
+    filled = np.array([np.isfinite(column) for column in values.values()])
+    other = (np.diff(time) == 0) & (np.diff(filled, axis=1).any(axis=0))
+    near, same = in_burst(time, "gps"), _same_position(values) | other
     others = np.count_nonzero(near & ~same) > MAX_OTHER_SHARE * np.count_nonzero(~near)
     return np.append(False, near & same & ~others)
+
+
+def _with_repeated(values: Values, again: NDArray[np.bool_]) -> Values:
+    """Fill empty cells of each fix from the rows that repeat it: RMC contains the speed, GGA the altitude."""
+    first = np.maximum.accumulate(np.where(again, 0, np.arange(len(again))))
+    filled = dict(values)
+    for name, column in values.items():
+        known = np.flatnonzero(again & np.isfinite(column))[
+            ::-1
+        ]  # the first of several values is written last
+        known = known[np.isnan(column[first[known]])]
+        filled[name] = column.copy()
+        filled[name][first[known]] = column[known]
+    return filled
 
 
 def _rows(values: Values, rows: Any) -> Values:

@@ -63,6 +63,11 @@ class Columns:
     def has(self, *whats: str) -> bool:
         return self.names.keys() >= set(whats)
 
+    @property
+    def located(self) -> bool:
+        """True if the table has both coordinates of a position."""
+        return self.has("lat", "lon") or self.has("x", "y")
+
     def numbers(self, what: str) -> pl.Series:
         """Return the numbers of a column, without placeholders."""
         column = self.names[what].column

@@ -19,6 +19,7 @@ from sigmaswarm.importing.expressions import time_expression
 from sigmaswarm.importing.guess import SAMPLE_ROWS, guess_roles, spread_rows
 from sigmaswarm.importing.readers.dialect import BLANKS, Dialect, dialect_of, is_table, uneven_row
 from sigmaswarm.importing.readers.packed import paths_in, unpacked
+from sigmaswarm.importing.readers.points import with_points
 from sigmaswarm.importing.source import (
     FILES,
     Batch,
@@ -211,7 +212,11 @@ def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.L
     # the integers that encode categories have no meaning
     frame = frame.with_columns(pl.col(pl.Categorical, pl.Enum).cast(pl.String))
     old = frame.collect_schema().names()
-    return frame.rename(dict(zip(old, _plain(names, shown_as, remarks), strict=True)))
+    frame = frame.rename(dict(zip(old, _plain(names, shown_as, remarks), strict=True)))
+    try:
+        return with_points(frame)
+    except POLARS_ERRORS as error:
+        raise broken_table(shown_as, shown_as.name, error) from None
 
 
 _DECODE = """

@@ -1,0 +1,65 @@
+"""Tables in which several rows, or one text, contain a fix: GGA and RMC with the same time; POINT (lon lat)."""
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from importing.logs import EPOCH, a_drive, assert_close, imported
+
+DRIVE = a_drive()
+IMU, GPS = DRIVE.imu, DRIVE.gps
+COURSE = (90 - np.degrees(GPS.course)) % 360
+
+
+def imu_table(folder: Path) -> None:
+    axes = {name: getattr(IMU, name) for name in ("ax", "ay", "az", "gx", "gy", "gz")}
+    pl.DataFrame({"t": IMU.time + EPOCH, **axes}).write_csv(folder / "imu.csv")
+
+
+@pytest.mark.parametrize("order", ["gga first", "rmc first"])
+@pytest.mark.parametrize("digits", [9, 5], ids=["same position", "rounded position"])
+def test_two_rows_of_a_fix_are_joined(tmp_path: Path, order: str, digits: int):
+    imu_table(tmp_path)
+    row = pl.DataFrame({"time": GPS.time + EPOCH, "row": range(len(GPS))})
+    gga = row.with_columns(type=pl.lit("GGA"), lat=GPS.lat, lon=GPS.lon, alt=GPS.alt)
+    rmc = row.with_columns(
+        type=pl.lit("RMC"),
+        lat=np.round(GPS.lat, digits if order == "gga first" else 9),
+        lon=np.round(GPS.lon, digits if order == "gga first" else 9),
+        speed=GPS.speed,
+        course=COURSE,
+    )
+    if order == "rmc first":
+        gga = gga.with_columns(pl.col("lat", "lon").round(digits))
+    pair = [gga, rmc] if order == "gga first" else [rmc, gga]
+    both = pl.concat(pair, how="diagonal").sort("row", maintain_order=True).drop("row")
+    both.write_csv(tmp_path / "gps.csv")
+    got = imported(tmp_path).drive.gps
+    assert_close(got, GPS, "lat lon", 1e-8)
+    assert_close(got, GPS, "alt speed", 1e-6)
+    assert np.abs(np.exp(1j * got.course) - np.exp(1j * GPS.course)).max() < 1e-6
+
+
+@pytest.mark.parametrize("column", ["geom", "position"])
+@pytest.mark.parametrize("form", ["POINT ({} {})", "POINT({} {})", "SRID=4326;POINT Z ({} {} 100.0)"])
+def test_points_in_well_known_text(tmp_path: Path, column: str, form: str):
+    imu_table(tmp_path)
+    points = [
+        form.format(repr(float(lon)), repr(float(lat))) for lat, lon in zip(GPS.lat, GPS.lon, strict=True)
+    ]
+    pl.DataFrame({"t": GPS.time + EPOCH, column: points}).write_csv(tmp_path / "gps.csv")
+    assert_close(imported(tmp_path).drive.gps, GPS, "lat lon", 1e-9)
+
+
+def test_points_in_meters_and_a_row_without_a_point(tmp_path: Path):
+    imu_table(tmp_path)
+    points: list[str | None] = [
+        f"POINT ({x + 5e5!r} {y + 5e6!r})" for x, y in zip(GPS.x.tolist(), GPS.y.tolist(), strict=True)
+    ]
+    points[0] = None
+    pl.DataFrame({"t": GPS.time + EPOCH, "geom": points}).write_csv(tmp_path / "gps.csv")
+    got = imported(tmp_path).drive.gps
+    assert len(got) == len(GPS) - 1
+    np.testing.assert_allclose(np.diff(got.x), np.diff(GPS.x[1:]), atol=1e-6)
