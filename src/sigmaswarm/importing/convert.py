@@ -186,10 +186,10 @@ def _read(
         wanted = {role: parts for role, parts in recipe.roles.items() if role in roles}
         recipe = replace(recipe, roles=wanted)
         unitless = guesses[request.source].unitless
-        if fault := missing_sensor(recipe, request, logs, guesses, roles):
-            raise InputError(f"{fault}{SHOW_HINT}")
         if faults := faults_left(request, recipe, logs, guesses):
             raise InputError("; and ".join(faults[:MAX_FAULTS]))
+        if fault := missing_sensor(recipe, request, logs, guesses, roles):
+            raise InputError(f"{fault}{SHOW_HINT}")
         gathered = _gather_all(request, logs, recipe, progress)
         metadata = {key: value for guess in guesses.values() for key, value in guess.metadata.items()}
         notes, assumed = notes_of(request, logs, guesses, recipe), assumed_mounting(guesses, recipe)

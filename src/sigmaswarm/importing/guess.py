@@ -113,7 +113,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
     """
     found = {table: _find_columns(frame, table) for table, frame in samples.items()}
     named = {t: _columns_of_truth(frame) for t, frame in samples.items() if not _TRUTH.search(t)}
-    truths = {table: columns for table, columns in named.items() if columns.located}
+    truths = {t: c for t, c in named.items() if c.located and not _in_wrong_unit(c)}
     roles: dict[Role, tuple[Part, ...]] = {}
     notes: list[str] = []
     faults: list[Fault] = []
@@ -255,6 +255,10 @@ def _columns_of_truth(frame: pl.DataFrame) -> Columns:
         if column_numbers(frame[column]).n_unique() > 1:
             columns.names.setdefault(what, name)
     return columns
+
+
+def _in_wrong_unit(truth: Columns) -> bool:
+    return not truth.has("lat", "lon") and bool(degrees_as_meters(truth, "truth"))
 
 
 def _candidates(
