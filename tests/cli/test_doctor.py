@@ -15,7 +15,7 @@ from doctor.faults import FAULTS, flipped_yaw
 from sigmaswarm.cli.common import read_datasets
 from sigmaswarm.cli.findings import print_diagnosis
 from sigmaswarm.cli.output import Output
-from sigmaswarm.doctor.findings import Diagnosis, Finding
+from sigmaswarm.doctor.findings import Diagnosis, Finding, split_command
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import SigmaswarmWarning
@@ -264,12 +264,13 @@ def test_a_mended_copy_is_offered_where_something_can_be_mended_and_its_folder_i
 
 
 def test_a_remedy_can_be_pasted(here: Path, capsys: pytest.CaptureFixture[str]):
-    remedy = "leave them out: sigmaswarm split DRIVE --at 3 40 --out parts"
-    found = Finding("gps-disturbed", "warning", "multipath", "gps.csv", (3.0, 40.0), 0.99, remedy)
+    command = split_command(-3.0, 40.0)
+    about = "gps-disturbed", "warning", "multipath", "gps.csv", (3.0, 40.0), 0.99
+    found = Finding(*about, f"leave them out: {command}", command=command)
     (here / "parts").mkdir()
     (here / "parts" / "a").touch()
     print_diagnosis(Output(verbose=False), Diagnosis("monday", (found,)), Path("my drives/monday"))
-    assert "sigmaswarm split 'my drives/monday' --at 3 40 --out parts-2\n" in capsys.readouterr().out
+    assert "sigmaswarm split 'my drives/monday' --at -3 40 --out parts-2\n" in capsys.readouterr().out
 
 
 def test_for_machines(sigmaswarm, sick: Path):

@@ -4,7 +4,6 @@ import re
 import shlex
 import warnings
 from collections.abc import Iterator, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,8 +48,10 @@ def print_diagnosis(
 
 def _problem(finding: "Finding", folder: "Location | None", *, part: bool) -> Remark:
     """``part``: True for a part of a split drive, which is not repaired alone."""
-    names = partial(_with_names, folder=folder) if folder else str
-    (what, *evidence), (remedy, *more) = sentences(finding.what), sentences(names(finding.remedy))
+    remedy = finding.remedy
+    if folder is not None and finding.command:
+        remedy = remedy.replace(finding.command, _with_names(finding.command, folder))
+    (what, *evidence), (remedy, *more) = sentences(finding.what), sentences(remedy)
     start, end = finding.span
     place = f"({finding.where}; t = {start:.1f} to {end:.1f} s; confidence {100 * finding.confidence:.3g}%)"
     fixed = " (sigmaswarm doctor --fix does this)" if finding.repair and not part else ""
@@ -92,18 +93,14 @@ def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[Rem
 
 def split_command(diagnosis: "Diagnosis", folder: "Location") -> str:
     """Return the command that splits a drive, if a serious finding recommends a split; otherwise an empty string."""
-    remedies = [finding.remedy for finding in diagnosis.findings if finding.severity == "serious"]
-    match = re.search(r"sigmaswarm split DRIVE --at \S+ --out parts", " ".join(remedies))
-    return _with_names(match[0], folder) if match else ""
+    commands = (f.command for f in diagnosis.findings if f.severity == "serious" and f.command)
+    return _with_names(next(commands, ""), folder)
 
 
-def _with_names(text: str, folder: "Location") -> str:
-    """Insert the drive and a free folder in the command that splits a drive."""
-    return re.sub(
-        r"(sigmaswarm split )DRIVE( --at [\d. ]+ --out )parts",
-        lambda found: f"{found[1]}{shlex.quote(str(folder))}{found[2]}{free_path('parts')}",
-        text,
-    )
+def _with_names(command: str, folder: "Location") -> str:
+    """Replace the placeholders in a finding's command by the drive and a free folder."""
+    names = {"DRIVE": shlex.quote(str(folder)), "PARTS": str(free_path("parts"))}
+    return " ".join(names.get(word, word) for word in command.split())
 
 
 def affects_axes(diagnosis: "Diagnosis") -> bool:

@@ -1,7 +1,10 @@
 """`sigmaswarm split`."""
 
 import shlex
+import warnings
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -52,10 +55,8 @@ def split(
         )
     from sigmaswarm.drives.split import is_repaired_alone
 
-    times = None if not at else at[0] if len(at) == 1 else (at[0], at[1])
     whole = read_silently(drive)
-    parts = sigmaswarm.split_time(whole, 0.7 if train_fraction is None else train_fraction, at=times)
-    _require_enough(whole, parts)
+    parts = _parts(whole, 0.7 if train_fraction is None else train_fraction, at)
     diagnosis, own = sigmaswarm.diagnose(whole), all(map(is_repaired_alone, parts))
     require_writable([out / part.name for part in parts], [drive], overwrite=overwrite)
     for part in parts:
@@ -66,6 +67,33 @@ def split(
     print_lines(*(f"wrote {out / part.name} ({part.duration:.0f} s)" for part in parts))
     repairs = [] if own else [*repair_and_split(diagnosis, drive, _options(train_fraction, at))]
     print_lines(*(repairs or _next_steps(parts, out, own=own)))
+
+
+def _parts(
+    whole: "sigmaswarm.Drive", train_fraction: float, at: list[float] | None
+) -> "Sequence[sigmaswarm.Drive]":
+    """Split a drive; if data between two times are left out, also leave out a part that is too short for a drive."""
+    times = None if not at else at[0] if len(at) == 1 else (at[0], at[1])
+    try:
+        parts = sigmaswarm.split_time(whole, train_fraction, at=times)
+        _require_enough(whole, parts)
+        return parts
+    except sigmaswarm.InputError:
+        long = _longest_part(whole, at) if at and len(at) == 2 and at[0] <= at[1] else None
+        if long is None:
+            raise
+        return [long]
+
+
+def _longest_part(whole: "sigmaswarm.Drive", at: list[float]) -> "sigmaswarm.Drive | None":
+    """Return the longer of the parts before and after two times; None if it is too short for a drive."""
+    late = float(whole.imu.time[-1]) - at[1] > at[0] - float(whole.imu.time[0])
+    with warnings.catch_warnings(), suppress(sigmaswarm.InputError):
+        warnings.simplefilter("ignore")  # about the other part
+        part = sigmaswarm.split_time(whole, at=at[late])[late]
+        _require_enough(whole, [part])
+        return replace(part, name=f"{whole.name}-{('before', 'after')[late]}")
+    return None
 
 
 def _options(train_fraction: float | None, at: list[float] | None) -> list[str]:
@@ -96,17 +124,28 @@ def _require_enough(whole: "sigmaswarm.Drive", parts: "Sequence[sigmaswarm.Drive
         )
 
 
+def _is_longer(part: "sigmaswarm.Drive", other: "sigmaswarm.Drive") -> bool:
+    return part.duration >= other.duration
+
+
 def _next_steps(parts: "Sequence[sigmaswarm.Drive]", out: Path, *, own: bool) -> list[str]:
     from sigmaswarm.drives.alignment import StartFailure, find_start
+    from sigmaswarm.drives.split import part_of
 
-    short = [too_short_for_outages(part) for part in parts]
-    chosen = parts[::-1] if short[0] and not short[1] else parts  # tune on the part that is long enough
+    if len(parts) == 1:
+        return [f"next: sigmaswarm split {shlex.quote(str(out / parts[0].name))} --out {free_path(out.name)}"]
+    short, named = [too_short_for_outages(part) for part in parts], bool(part_of(parts[0]))
+    # tune on the part that is long enough
+    chosen = parts[::-1] if (short[0] and not short[1]) or not (named or _is_longer(*parts)) else parts
     train, test = (shlex.quote(str(out / part.name)) for part in chosen)
     tuned = free_path("tuned")
     diagnoses = [sigmaswarm.diagnose(part) for part in parts]
     serious = any(diagnosis.serious for diagnosis in diagnoses)
-    unusable = any(isinstance(find_start(part), StartFailure) for part in parts)
-    if unusable or any(map(has_unrepairable, diagnoses)) or (serious and not own):
+    failed = [isinstance(find_start(part), StartFailure) for part in chosen]
+    if not named and not failed[0] and (failed[1] or too_short_for_outages(chosen[1])):
+        again = f"sigmaswarm split {train} --out {free_path(out.name)}"
+        return [f"next: {again}    (the other part is too short for an evaluation)"]
+    if any(failed) or any(map(has_unrepairable, diagnoses)) or (serious and not own):
         return [f"next: sigmaswarm doctor {train} {test}"]
     if all(short):
         return [f"next: use a longer drive, or split at another time; {short[0]}"]

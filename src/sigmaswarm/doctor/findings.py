@@ -97,6 +97,8 @@ class Finding:
         The repair that ``repair`` applies, if any.
     cut : float or None
         Time at which to cut the log, s; the part after this time does not have the fault.
+    command : str
+        Command in ``remedy`` with the placeholders DRIVE and PARTS, or "".
     """
 
     code: str
@@ -108,6 +110,7 @@ class Finding:
     remedy: str
     repair: Repair | None = None
     cut: float | None = None
+    command: str = ""
 
     @property
     def consequence(self) -> str:
@@ -116,9 +119,14 @@ class Finding:
 
     def to_dict(self) -> dict[str, Any]:
         """Return a dictionary for JSON."""
-        about: dict[str, Any] = {k: v for k, v in vars(self).items() if k not in ("repair", "cut")}
+        about: dict[str, Any] = {k: v for k, v in vars(self).items() if k not in ("repair", "cut", "command")}
         about |= {"consequence": self.consequence, "repairable": self.repair is not None}
         return about | {"span": list(self.span)}
+
+
+def split_command(*times: float) -> str:
+    """Return the command that splits a drive at one time (s), or leaves out the part between two times."""
+    return f"sigmaswarm split DRIVE --at {' '.join(f'{time:.0f}' for time in times)} --out PARTS"
 
 
 def finding_of(

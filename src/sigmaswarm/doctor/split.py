@@ -64,8 +64,12 @@ def split_time(
     sha256 = fingerprint(drive)
     found = diagnose(drive).findings if not shortage_of(drive.imu, drive.gps) else ()
     alone = {REPAIR_ALONE: True} if any(f.cut is not None for f in found if f.severity == "serious") else {}
-    for part in parts:
-        if isinstance(result := find_start(part), StartFailure):
+    starts = [find_start(part) for part in parts]
+    rest = len(times) == 2 or bool(alone)  # a part that is left over need not be a drive
+    for part, result in zip(parts, starts, strict=True):
+        if isinstance(result, StartFailure) and not (
+            rest and any(type(s) is not StartFailure for s in starts)
+        ):
             message = f"{part.name} can't be used as a drive: {result.what}; split at another time, or {result.remedy}"
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
     cuts = [

@@ -38,9 +38,19 @@ def split_drives(
 
 
 def part_of(drive: Drive) -> str:
-    """Return "train" or "test" for a part that `split_time` cut and named, otherwise ""."""
+    """Return "train" or "test" for a part that `split_time` cut and named, otherwise "".
+
+    The result is also "" for parts that are repaired alone, since the other part may not suit a tuning.
+    """
     ends = [name for name in ("train", "test") if drive.name.endswith(f"-{name}")]
-    return ends[0] if ends and CUT in drive.metadata else ""
+    return ends[0] if ends and CUT in drive.metadata and not is_repaired_alone(drive) else ""
+
+
+def name_of_other(part: str) -> str:
+    """Return the name of the other part of a split drive."""
+    whole, _, end = part.rpartition("-")
+    other = {"train": "test", "test": "train", "before": "after", "after": "before"}.get(end, "")
+    return f"{whole}-{other}"
 
 
 def name_of_whole(drive: Drive) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 
 from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.evidence import Evidence
-from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
+from sigmaswarm.doctor.findings import Finding, Repair, confidence_of, split_command
 from sigmaswarm.doctor.mounting import SERIOUS, Mounting, angle_of
 from sigmaswarm.doctor.windows import integral, smoothed
 from sigmaswarm.drives.alignment import StartFailure, find_start
@@ -86,12 +86,12 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
         )
         backward = ", or the vehicle drives backward from then on" if not moved and angle > BACKWARD else ""
         what = f"the IMU was moved at t = {time:.0f} s{backward}: {seen} changes by {math.degrees(angle):.0f} deg"
-        remedy = (
-            f"split the drive at this time: sigmaswarm split DRIVE --at {time:.0f} --out parts. The two parts have "
-            "different mountings"
-        )
+        command = split_command(time)
+        remedy = f"split the drive at this time: {command}. The two parts have different mountings"
         span = time, evidence.span[1]
-        yield Finding("mounting-changed", "serious", what, WHERE, span, 0.99, remedy, cut=round(time))
+        yield Finding(
+            "mounting-changed", "serious", what, WHERE, span, 0.99, remedy, cut=round(time), command=command
+        )
     elif mounting is not None and mounting.confidence != "no":
         yield from _rotation(evidence, mounting)
 
@@ -260,10 +260,11 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
             f"the car seems to drive in reverse until t = {until:.0f} s: in this part ax is positive while "
             "the speed falls"
         )
-        remedy = f"remove this part: sigmaswarm split DRIVE --at {until + 2:.0f} --out parts, and use the second part"
+        command = split_command(until + 2)
+        remedy = f"remove this part: {command}, and use the second part"
         span = evidence.span[0], until
         where, cut = "gps.csv, imu.csv, ax", round(until + 2)
-        yield Finding("reverse-start", "serious", what, where, span, 0.99, remedy, cut=cut)
+        yield Finding("reverse-start", "serious", what, where, span, 0.99, remedy, cut=cut, command=command)
 
 
 def _slope(time: Array, speed: Array, gained: Array) -> tuple[float, float] | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from sigmaswarm.doctor.acceleration_fit import MIN_NOISE
 from sigmaswarm.doctor.evidence import MAX_SCATTER_RATIO, Evidence
-from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
+from sigmaswarm.doctor.findings import Finding, Repair, confidence_of, split_command
 from sigmaswarm.drives.sensors import motion_in_noise, receiver_std, stated_std
 
 MAX_OBSERVED_RATIO = 2.0  # largest ratio of observed noise to stated noise
@@ -77,11 +77,12 @@ def _disturbed(evidence: Evidence) -> Iterator[Finding]:
         "Multipath at buildings or trees has this effect"
     )
     span = float(course.time[fixes[0]]), float(course.time[fixes[-1]])
+    command = split_command(*span)
     remedy = (
         "no action is needed: the default filter of tune reduces the weight of such fixes (robust). To leave "
-        f"them out: sigmaswarm split DRIVE --at {span[0]:.0f} {span[1]:.0f} --out parts"
+        f"them out: {command}"
     )
-    yield Finding("gps-disturbed", "warning", what, "gps.csv, positions", span, 0.99, remedy)
+    yield Finding("gps-disturbed", "warning", what, "gps.csv, positions", span, 0.99, remedy, command=command)
 
 
 def _stated(evidence: Evidence) -> Iterator[Finding]:
