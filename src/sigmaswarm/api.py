@@ -170,7 +170,8 @@ def evaluate(
     **options
         ``outage_length`` (s), ``outage_seed``, ``as_recorded``, ``smooth``, ``bank`` (also evaluate a filter bank),
         ``seen`` (landmarks of the training drives), ``fixes_alone`` (noise parameters of the filter that uses only the
-        fixes), ``cluster``. ``as_recorded``, ``seen`` and ``fixes_alone`` are by default those of the tuning.
+        fixes), ``cluster``. ``shown_std``: accuracy of the fixes that the truth of the training drives shows.
+        ``as_recorded``, ``seen``, ``fixes_alone`` and ``shown_std`` are by default those of the tuning.
 
     Returns
     -------
@@ -191,6 +192,7 @@ def evaluate(
     tuned = tuned_filter(parameters)
     other = tuned_filter(against).parameters if isinstance(against, Tuning) else against
     own: dict[str, Any] = {"as_recorded": tuned.record.as_recorded, "fixes_alone": tuned.record.fixes_alone}
+    own["shown_std"] = tuned.record.shown_std
     own["seen"] = tuned.seen or None
     return evaluation.evaluate(drives, tuned.parameters, against=other, **own | options)
 

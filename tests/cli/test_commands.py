@@ -35,7 +35,7 @@ from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.diagnostics import DriftComparison, drift_table
 from sigmaswarm.tuning.objectives import OBJECTIVES
 from sigmaswarm.tuning.options import Option
-from sigmaswarm.tuning.receiver import STATE_REMEDY
+from sigmaswarm.tuning.receiver import StdCheck
 from sigmaswarm.tuning.record import ResultRecord, TuningRecord
 from sigmaswarm.tuning.view import TuningView
 from support import make_drive, no_pictures
@@ -162,11 +162,15 @@ def test_a_missing_outage_drift_is_explained(sigmaswarm, tuned: Path, drives: Pa
     assert "No 30 s outage drift" in both
 
 
-def test_a_remedy_in_drive_toml_names_the_file_and_the_line(sigmaswarm, drives: Path, here: Path):
+def test_a_remedy_in_drive_toml_names_the_file_and_the_line(
+    sigmaswarm, drives: Path, here: Path, monkeypatch: pytest.MonkeyPatch
+):
     drive = read_drive(drives / "urban-clear-00")
     smooth = {name: np.interp(drive.gps.time, drive.truth.time, getattr(drive.truth, name)) for name in "xy"}
     gps = replace(drive.gps, std_x=None, std_y=None, **smooth)
     write_drive(replace(drive, name="car", truth=None, gps=gps, metadata={}), here / "logs/car")
+    check = "sigmaswarm.tuning.problem.confirmed_std"
+    monkeypatch.setattr(check, lambda parameters, std, scorer: StdCheck(1.5, 5.0, 1.0, 2.0))
     said = sigmaswarm("tune", "logs/car", "--out", "t", *QUICK, "--model", "planar8").out
     assert "write the line `gps_std_m = 1.5` at the top of logs/car/drive.toml" in said
     about = Path("logs/car/drive.toml")
@@ -174,27 +178,71 @@ def test_a_remedy_in_drive_toml_names_the_file_and_the_line(sigmaswarm, drives: 
     assert "gps_std_m" not in sigmaswarm("tune", "logs/car", "--out", "u", *QUICK, "--model", "planar8").out
 
 
+def disturbed(start: float, end: float) -> library.Drive:
+    """A drive of 160 s whose fixes scatter by 0.6 m instead of 0.1 m between two times, s."""
+    drive = simulate("urban", duration=160.0, imu_rate=50.0, gps="white-1m")
+    rng, time, truth = np.random.default_rng(4), drive.gps.time, drive.truth
+    noise = np.where((time > start) & (time < end), 0.6, 0.1) * rng.standard_normal((2, len(time)))
+    x, y = np.array([np.interp(time, truth.time, v) for v in (truth.x, truth.y)]) + noise
+    return replace(drive, name="car", gps=type(drive.gps)(time, x, y), truth=None, metadata={})
+
+
+@pytest.mark.parametrize(("start", "end"), [(0.0, 20.0), (12.0, 32.0), (100.0, 125.0)])
+def test_the_split_that_leaves_out_disturbed_fixes_leads_to_a_tuning_and_an_evaluation(
+    sigmaswarm, here: Path, start: float, end: float
+):
+    write_drive(disturbed(start, end), "logs/car")
+    said = " ".join(sigmaswarm("doctor", "logs/car").out.split())
+    found = re.search(r"To leave them out: sigmaswarm (split logs/car --at [-\d. ]+ --out parts)", said)
+    assert found, said
+    steps = [found[1]]
+    while not steps[0].startswith("tune"):
+        ended = sigmaswarm(*shlex.split(steps[0]))
+        assert ended.code == 0, ended.err
+        new = re.findall(r"^(?:next|then): sigmaswarm (.*?)(?:    .*)?$", ended.out, re.M)
+        steps = new if steps[0].startswith("split") else steps[1:]
+    tune, evaluate = map(shlex.split, steps)
+    assert sigmaswarm(*tune, *QUICK).code == sigmaswarm(*evaluate).code == 0
+    trained, tested = (read_drive(folder).imu.time for folder in (tune[1], evaluate[2]))
+    assert trained[-1] < tested[0] or tested[-1] < trained[0]
+    for time in (trained, tested):
+        assert time[-1] <= start + 8.0 or time[0] >= end - 8.0  # the windows last ten seconds
+
+
+@pytest.mark.parametrize(("at", "next_part"), [((10.0, 30.0), "after"), ((120.0, 155.0), "before")])
+def test_a_part_that_is_too_short_for_an_evaluation_is_not_proposed_for_it(
+    sigmaswarm, here: Path, at: tuple[float, float], next_part: str
+):
+    write_drive(disturbed(0.0, 0.0), "logs/car")
+    said = sigmaswarm("split", "logs/car", "--at", *at, "--out", "parts")
+    assert "can't be used as a drive" not in said.err
+    assert f"next: sigmaswarm split parts/car-{next_part} --out parts-2" in said.out
+
+
+REMEDY = StdCheck(0.24, 5.0, 1.0, 2.0).remedy
+
+
 def test_a_line_for_a_part_belongs_into_the_whole_drive(here: Path):
     whole = replace(simulate("urban", duration=30.0, imu_rate=50.0), name="car")
     write_drive(whole, "logs/car")
     for part in split_time(read_drive("logs/car"), 0.5):
         write_drive(part, f"parts/{part.name}")
-    here_it_is = "at the top of logs/car/drive.toml (the whole drive); replace "
+    here_it_is = "at the top of logs/car/drive.toml (the whole drive), the scatter "
     again = "; then run sigmaswarm split logs/car --out parts --overwrite and tune again with a new folder"
-    named = name_files(STATE_REMEDY, [Path("parts/car-train")])
+    named = name_files(REMEDY, [Path("parts/car-train")])
     assert here_it_is in named and named.endswith(again)
-    assert name_training_files([STATE_REMEDY], ["car-train"], ["parts/car-test"]) == [named]
-    (named,) = name_training_files([STATE_REMEDY], ["bus"], ["parts/car-test"])
-    assert "at the top of drive.toml of bus; replace " in named
+    assert name_training_files([REMEDY], ["car-train"], ["parts/car-test"]) == [named]
+    (named,) = name_training_files([REMEDY], ["bus"], ["parts/car-test"])
+    assert "at the top of drive.toml of bus, the scatter " in named
     Path("parts").rename("mended-parts")  # the parts of a repaired copy lead to this copy
     write_drive(read_drive("logs/car"), "mended/car")
     Path("logs/car/imu.csv").unlink()
-    named = name_files(STATE_REMEDY, [Path("mended-parts/car-train")])
+    named = name_files(REMEDY, [Path("mended-parts/car-train")])
     assert "run sigmaswarm split mended/car --out mended-parts " in named
     Path("parts/car-train").mkdir(parents=True)
     Path("parts/car-train/drive.toml").write_text('repaired = ["x"]\n[cut_from]\ndrive = "lost"\n')
-    named = name_files(STATE_REMEDY, [Path("parts/car-train")])
-    assert "at the top of drive.toml of the whole drive lost; replace " in named
+    named = name_files(REMEDY, [Path("parts/car-train")])
+    assert "at the top of drive.toml of the whole drive lost, the scatter " in named
     assert named.endswith("; then split and repair this drive again and tune again with a new folder")
 
 

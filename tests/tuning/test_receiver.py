@@ -6,13 +6,14 @@ from functools import cache
 import numpy as np
 import pytest
 
+from sigmaswarm import evaluate, split_time
 from sigmaswarm.doctor import evidence
 from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import DEFAULTS
+from sigmaswarm.filters.presets import DEFAULTS, baseline
 from sigmaswarm.simulation.scenarios import simulate
-from sigmaswarm.tuning.receiver import FixNoise, accuracy_warnings, fix_noise, noise_warnings
+from sigmaswarm.tuning.receiver import FixNoise, StdCheck, accuracy_warnings, fix_noise, noise_warnings
 from sigmaswarm.tuning.tune import tune
 
 
@@ -25,6 +26,10 @@ def town() -> Drive:
 def unstated() -> Drive:
     """Without truth, and without what the receiver states."""
     return replace(town(), truth=None, metadata={}, gps=replace(town().gps, std_x=None, std_y=None))
+
+
+def confirming(std: float) -> StdCheck:
+    return StdCheck(std, 5.0, 1.0, 2.0)
 
 
 NONE = float("nan")
@@ -60,11 +65,11 @@ def with_r(std: float):
     ],
 )
 def test_r_is_held_against_the_receiver_and_the_scatter(std: float, noise: FixNoise, said: str):
-    found = noise_warnings(with_r(std), [noise])
+    found = noise_warnings(with_r(std), [noise], confirming)
     assert len(found) == bool(said)
     assert all(said in one and "A log without truth does not show" in one for one in found)
     scaled = replace(with_r(std), accuracy_scale=1.0)
-    assert noise_warnings(scaled, [noise]) == []
+    assert noise_warnings(scaled, [noise], confirming) == []
 
 
 @pytest.mark.parametrize(("scale", "said"), [(None, False), (0.004, True), (0.1, False), (1.0, False)])
@@ -86,11 +91,14 @@ def test_a_drive_tells_what_is_stated_and_how_the_fixes_scatter():
 def test_errors_that_are_only_assumed_to_be_correlated_are_reported():
     """Where the receiver states nothing, no log shows whether it smooths or is precise."""
     p = FilterParameters(1.0, 2.0, 0.0, (1e-3,) * 5, (1.0, 1.0), kind="ekf", fix_error=0.5)
-    (said,) = noise_warnings(p, [FixNoise(np.nan, 0.1)])
-    assert said.startswith("TO DO: write the line `gps_std_m = 1.5` at the top of drive.toml")
+    (said,) = noise_warnings(p, [FixNoise(np.nan, 0.1)], confirming)
+    assert said.startswith("TO DO: write the line `gps_std_m = 0.1` at the top of drive.toml")
     assert "correlated errors with a standard deviation of 2.1 m per axis" in said
-    assert "m per axis (at least their scatter of 0.1 m)" in said
-    assert noise_warnings(p, [FixNoise(2.0, 0.1)]) == noise_warnings(p, [FixNoise(np.nan, 1.0)]) == []
+    assert "the baseline drifts 1 m instead of 2 m in outages of 5 s. It is a lower limit" in said
+    (said,) = noise_warnings(p, [FixNoise(np.nan, 0.1)], lambda std: None)
+    assert not said.startswith("TO DO") and "The fixes do not show their accuracy either" in said
+    for noise in (FixNoise(2.0, 0.1), FixNoise(np.nan, 1.0)):
+        assert noise_warnings(p, [noise], confirming) == []
 
 
 def test_a_tuning_without_truth_says_so_and_one_with_truth_does_not():
@@ -133,3 +141,24 @@ def test_the_scatter_of_a_drive_is_computed_once(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(evidence, "_scatters", {})
     assert kept == fix_noise(drive).scatter
     assert kept != fix_noise(replace(drive, gps=replace(drive.gps, y=1.5 * drive.gps.y))).scatter
+
+
+def test_the_baseline_uses_the_accuracy_that_the_truth_of_the_training_drives_shows():
+    rng, plain = np.random.default_rng(5), simulate("urban", duration=100.0, gps="white-1m", imu_rate=50.0)
+    time, truth = plain.gps.time, plain.truth
+    assert truth is not None
+    x, y = (
+        np.interp(time, truth.time, v) + 0.02 * rng.standard_normal(len(time)) for v in (truth.x, truth.y)
+    )
+    train, test = split_time(replace(plain, gps=type(plain.gps)(time, x, y), metadata={}), 0.6)
+    quick = {"model": "planar8", "particles": 2, "generations": 1}
+    seen = tune(train, **quick)
+    assert seen.record.shown_std == pytest.approx(0.02, rel=0.2)
+    assert tune(train, **quick, objective="innovation-t").record.shown_std is None
+    shown, assumed = (evaluate(test, given) for given in (seen, seen.parameters))
+    rmse = [one.value(test.name, "untuned", "position_rmse_m") for one in (shown, assumed)]
+    assert rmse[0] < 0.7 * rmse[1], rmse
+    stated = replace(test, metadata={"gps_std_m": 3.0})
+    assert baseline(stated, seen.parameters, 0.02).measurement_noise == (9.0, 9.0)
+    blind = replace(test, truth=None)  # the truth of the tested drive has no effect
+    assert baseline(blind, seen.parameters, 0.02) == baseline(test, seen.parameters, 0.02)

@@ -255,6 +255,7 @@ def _evaluated(
             bank=options.bank,
             more={learned.kind: run} if learned and run else {},
             fixes_alone=tuned.record.fixes_alone,
+            shown_std=tuned.record.shown_std,
         )
 
 

@@ -138,7 +138,8 @@ def tune(
             f"next: {command}", f"      (then {then}, since the faults of the log distort this filter)"
         )
     elif unusable:
-        output.next("next: sigmaswarm doctor DRIVE    (check the training drives, then tune as stated above)")
+        check = f"sigmaswarm doctor {join(map(str, drives))}"
+        output.next(f"next: {check}    (check the training drives, then tune as stated above)")
     else:
         output.details("the command for a filter with the receiver's velocity", *velocity)
         output.next(*following)
@@ -159,7 +160,9 @@ def _tune(
         tuning = sigmaswarm.tune(
             read, validation=held_back, executor=pool, progress=progress, **run, **config
         )
-    follow = partial(first_track, parameters=tuning.parameters, as_recorded=tuning.record.as_recorded)
+    record = tuning.record
+    options_of_track = {"as_recorded": record.as_recorded, "shown_std": record.shown_std}
+    follow = partial(first_track, parameters=tuning.parameters, **options_of_track)
     (track,) = read.subset([0]).map(follow)
     (part,) = read.subset([0]).map(_is_part)
     alone = len(read) == 1 and not len(held_back)
@@ -275,13 +278,14 @@ def _next(out: Path, given: str, name: str, *, part: bool) -> tuple[str, list[st
     ``given``: path of the drive; ``name``: its name; ``part``: True for a part of a split drive.
     """
     from sigmaswarm.drives.reader import drive_folders
+    from sigmaswarm.drives.split import name_of_other
     from sigmaswarm.drives.urls import is_url
 
     if is_url(given):
         return _evaluate(out), []
     (folder, *_) = drive_folders(Path(given))  # the path may be the parent folder
     if part:
-        rest = folder.parent / f"{name.removesuffix('-train')}-test"
+        rest = folder.parent / name_of_other(name)
         return _evaluate(out, rest if rest.is_dir() else None), []
     parts = free_path("parts")
     train, test = (quote(str(parts / f"{name}-{part}")) for part in ("train", "test"))

@@ -63,17 +63,20 @@ Its square is added to the squared density of the sensor. IMUs at standstill hav
 m/s2/sqrt(Hz) and 4e-5 to 2e-4 rad/s/sqrt(Hz). On six drives, a filter with the densities of data sheets alone drifted
 1.3 to 60 times as far in 5 s as the tuned filter.
 """
+MIN_SHOWN_STD = 0.01  # m, smallest standard deviation that is taken from the truth: RTK
 ADDED_VARIANCE = 0.1**2  # m2, added to the stated variance of each fix
 
 
-def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParameters:
+def baseline(
+    drive: Drive, like: FilterParameters | None = None, shown_std: float | None = None
+) -> FilterParameters:
     """Set a filter's parameters from the data sheets of a drive's sensors, without tuning.
 
-    The receiver's accuracy is the stated accuracy or, if none is stated, an estimate from the fixes. The IMU's noise
-    densities are ``accel_noise_density`` (m/s2/sqrt(Hz)) and ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml, or
-    those of an MPU-6050, combined with `MODEL_NOISE`. The random walks of the biases are ``accel_bias_walk``
-    (m/s2/sqrt(s)) and ``gyro_bias_walk`` (rad/s/sqrt(s)) of drive.toml, which ``sigmaswarm noise`` measures, or
-    `BIAS_WALKS`. Parameters that no data sheet states have `TYPICAL_VALUES`.
+    The receiver's accuracy is the stated accuracy or, if none is stated, ``shown_std`` or an estimate from the fixes.
+    The IMU's noise densities are ``accel_noise_density`` (m/s2/sqrt(Hz)) and ``gyro_noise_density`` (rad/s/sqrt(Hz)) of
+    drive.toml, or those of an MPU-6050, combined with `MODEL_NOISE`. The random walks of the biases are
+    ``accel_bias_walk`` (m/s2/sqrt(s)) and ``gyro_bias_walk`` (rad/s/sqrt(s)) of drive.toml, which ``sigmaswarm noise``
+    measures, or `BIAS_WALKS`. Parameters that no data sheet states have `TYPICAL_VALUES`.
 
     Parameters
     ----------
@@ -82,10 +85,13 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
         Filter that determines the model, type and options of the result. If None, the result is the preset
         ``datasheet``, a planar5 UKF with values from data sheets only (without `MODEL_NOISE` and without an estimate
         from the fixes).
+    shown_std : float, optional
+        Standard deviation of the receiver's fixes, m per axis, that the truth of the training drives shows.
     """
     if like is None:
         return _planar(drive, stated_std(drive) or (UNSTATED_GPS_STD, UNSTATED_GPS_STD))
-    plain = _planar(drive, receiver_std(drive), MODEL_NOISE)
+    shown = None if shown_std is None else (max(shown_std, MIN_SHOWN_STD),) * 2
+    plain = _planar(drive, stated_std(drive) or shown or receiver_std(drive), MODEL_NOISE)
     if MODELS[like.model].measures_imu:
         return _robot_localization(drive, like, plain)
     dt, gyro = drive.nominal_interval, plain.process_noise[THETA]
@@ -102,13 +108,16 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
     )
 
 
-def baseline_of(drive: Drive, model: ModelName, use: Collection[str]) -> FilterParameters:
+def baseline_of(
+    drive: Drive, model: ModelName, use: Collection[str], shown_std: float | None = None
+) -> FilterParameters:
     """Return the baseline of a model's EKF with options of ``tune --use``."""
     used: dict[str, Any] = {
         name: value for name, value in TYPICAL_VALUES.items() if SEARCHED[name].option in use
     }
     noises = (1.0,) * len(MODELS[model].states), (1.0, 1.0)
-    return baseline(drive, FilterParameters(0.1, 2.0, 0.0, *noises, model=model, kind="ekf", **used))
+    like = FilterParameters(0.1, 2.0, 0.0, *noises, model=model, kind="ekf", **used)
+    return baseline(drive, like, shown_std)
 
 
 def _bias_walk(drive: Drive, sensor: str) -> float:

@@ -100,6 +100,8 @@ class EvaluationOptions:
     fixes_alone : MotionNoise, optional
         Noise parameters of the filter that uses only the fixes, as in ``tuning.fixes_alone``. By default, they are
         fitted to each evaluated drive, so the errors of this filter are too small.
+    shown_std : float, optional
+        Standard deviation of the fixes, m per axis, that the truth of the training drives shows, for the baseline.
     """
 
     against: FilterParameters | None = None
@@ -110,6 +112,7 @@ class EvaluationOptions:
     bank: bool = False
     more: RunFactories = field(default_factory=dict[str, Callable[[FilterPass], Run]])
     fixes_alone: MotionNoise | None = None
+    shown_std: float | None = None
 
     def optional_runs(self, parameters: FilterParameters) -> dict[str, Callable[[FilterPass], Run]]:
         runs: dict[str, Callable[[FilterPass], Run]] = {}
@@ -365,7 +368,7 @@ def _evaluated(
     """Run every method over a drive; return the drive's name, the results and, if ``marked``, the landmarks."""
     marks = landmarks(drive) if marked else None
     own = {} if options.against is None else {AGAINST: options.against}
-    filters = compared(drive, parameters) | own
+    filters = compared(drive, parameters, options.shown_std) | own
     ready = PreparedDrive(drive, as_recorded=options.as_recorded)
     tracker = Tracker(ready, picture=True)
     lengths = dict(zip(DRIFTS, (SHORT_OUTAGE_LENGTH, options.outage_length, LONG_OUTAGE_LENGTH), strict=True))

@@ -71,8 +71,10 @@ class Picture:
     frame: Array
 
 
-def compared(drive: Drive, tuned: FilterParameters) -> dict[str, FilterParameters]:
-    return {BASELINE: baseline(drive, like=tuned), "tuned": tuned}
+def compared(
+    drive: Drive, tuned: FilterParameters, shown_std: float | None = None
+) -> dict[str, FilterParameters]:
+    return {BASELINE: baseline(drive, tuned, shown_std), "tuned": tuned}
 
 
 class Tracker:
@@ -208,10 +210,12 @@ class FirstTrack:
     radius: RadiusRecord | None = None
 
 
-def first_track(drive: Drive, parameters: FilterParameters, *, as_recorded: bool) -> FirstTrack:
+def first_track(
+    drive: Drive, parameters: FilterParameters, *, as_recorded: bool, shown_std: float | None = None
+) -> FirstTrack:
     ready = PreparedDrive(drive, as_recorded=as_recorded)
     tracker = Tracker(ready, picture=True)
-    filters = compared(drive, parameters)
+    filters = compared(drive, parameters, shown_std)
     recorded = {series: tracker.record(series, whole_pass(ready), p) for series, p in filters.items()}
     rmse = {series: score.position_rmse for series, score in tracker.scores.items()}
     rmse["raw_gps"] = score_raw_gps(drive, ready.initial).position_rmse

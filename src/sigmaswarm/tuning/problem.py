@@ -32,6 +32,7 @@ from sigmaswarm.tuning.bounds import Bounds
 from sigmaswarm.tuning.config import SearchConfig, TuneConfig
 from sigmaswarm.tuning.diagnostics import (
     DriftComparison,
+    confirmed_std,
     correlation_of,
     correlation_warnings,
     forecasts_of,
@@ -153,8 +154,20 @@ class CarProblem(Problem[FilterParameters]):
 
     @property
     def described(self) -> list[dict[str, Any]]:
-        pairs = zip(self.data, self._receiver_std.max(axis=1).tolist(), strict=True)
-        return [{**entry, "receiver_std_m": rounded(std)} for entry, std in pairs]
+        shown = [
+            {} if self.shown_std is None else {"shown_std_m": rounded(one.true_std)} for one in self.sensors
+        ]
+        stds = self._receiver_std.max(axis=1).tolist()
+        return [
+            {**entry, "receiver_std_m": rounded(std), **also}
+            for entry, std, also in zip(self.data, stds, shown, strict=True)
+        ]
+
+    @property
+    def shown_std(self) -> float | None:
+        """Standard deviation of the fixes from the truth, m per axis; None if the objective does not use the truth."""
+        std = float(np.median([one.true_std for one in self.sensors]))
+        return std if self.objective.needs_truth and np.isfinite(std) else None
 
     @cached_property
     def _weight_of_typical(self) -> float:
@@ -203,7 +216,9 @@ class CarProblem(Problem[FilterParameters]):
     def baseline_point(self) -> Array:
         """Return the baseline for the first drive as a point in the search space, shape (d,)."""
         model, use = self.config.model, self.config.use
-        (parameters,) = self.scorer.dataset.subset([0]).map(partial(baseline_of, model=model, use=use))
+        (parameters,) = self.scorer.dataset.subset([0]).map(
+            partial(baseline_of, model=model, use=use, shown_std=self.shown_std)
+        )
         return self.space.point_of(parameters)
 
     def fixes_alone(self) -> MotionNoise:
@@ -216,11 +231,11 @@ class CarProblem(Problem[FilterParameters]):
         return [one.true_gyro_bias for one in self.sensors] if self.objective.needs_truth else ()
 
     def forecasts(self, point: Array, noise: MotionNoise) -> list[DriftComparison]:
-        return [*forecasts_of(self.parameters(point), noise, self.scorer)]
+        return [*forecasts_of(self.parameters(point), noise, self.scorer, self.shown_std)]
 
     def warnings(self, point: Array) -> list[str]:
         parameters, scorer, objective = self.parameters(point), self.scorer, self.objective
-        messages = loss_warnings(parameters, scorer, outages=not objective.needs_outages)
+        messages = loss_warnings(parameters, scorer, self.shown_std, outages=not objective.needs_outages)
         if parameters.accuracy_scale is not None:
             messages += accuracy_warnings(parameters, scorer.dataset.map(median_stated_std), self.config.use)
         messages += scale_warnings(objective, parameters, scorer)
@@ -229,8 +244,10 @@ class CarProblem(Problem[FilterParameters]):
             noise = scorer.dataset.map(fix_noise)
             prior = self.config.prior or 0.0
             names = [drive.name for drive in self.sensors]
-            decided = prior_warnings(parameters, prior, names, self._receiver_std, noise) if prior else []
-            messages += decided or noise_warnings(parameters, noise, self.config.use)
+            confirm = partial(confirmed_std, parameters, scorer=scorer)
+            stds = self._receiver_std
+            decided = prior_warnings(parameters, prior, names, stds, noise, confirm) if prior else []
+            messages += decided or noise_warnings(parameters, noise, confirm, self.config.use)
             if enough_for_fix_error(self.sensors):  # with fewer fixes, fix-error increases errors
                 correlations = scorer.map_prepared(partial(correlation_of, parameters=parameters))
                 messages += correlation_warnings(parameters, correlations, self.config.use)

@@ -7,7 +7,7 @@ per fix. If it were counted once in total, its relative weight would decrease wi
 of the fixes were independent.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,10 +32,47 @@ MIN_SCATTER = 0.5  # m per axis; if fixes scatter less, the receiver smooths the
 UNKNOWN = "A log without truth does not show an error that all fixes have in common"
 AT_THE_TOP = "at the top of drive.toml"
 TUNE_AGAIN = "tune again with a new folder"
-STATE_REMEDY = (
-    f"write the line `gps_std_m = 1.5` {AT_THE_TOP}; replace 1.5 by the standard deviation of the receiver's fixes, "
-    f"m per axis; then {TUNE_AGAIN}"
+NO_STD = (
+    "The fixes do not show their accuracy either, since the baseline does not drift less with their scatter as the "
+    f"standard deviation. If you know it (m per axis), write it as gps_std_m {AT_THE_TOP}; then {TUNE_AGAIN}"
 )
+
+
+@dataclass(frozen=True)
+class StdCheck:
+    """A standard deviation of the fixes, m per axis, with which the baseline drifts no more than with the assumed one.
+
+    ``stated_m``, ``assumed_m``: RMS drifts (m) of the baseline in outages of ``length_s`` on the training drives.
+    """
+
+    std: float
+    length_s: float
+    stated_m: float
+    assumed_m: float
+
+    @property
+    def remedy(self) -> str:
+        return (
+            f"write the line `gps_std_m = {self.std:.2g}` {AT_THE_TOP}, the scatter of the fixes in m per axis; then "
+            f"{TUNE_AGAIN}"
+        )
+
+    @property
+    def reason(self) -> str:
+        return (
+            f"With this value, the baseline drifts {self.stated_m:.3g} m instead of {self.assumed_m:.3g} m in outages "
+            f"of {self.length_s:g} s. It is a lower limit, since slow errors of the fixes do not show"
+        )
+
+
+Confirm = Callable[[float], StdCheck | None]
+"""Function that checks a standard deviation of the fixes (m per axis): `diagnostics.confirmed_std`."""
+
+
+def _about_std(why: str, scatter: float, confirm: Confirm) -> str:
+    """Return the remedy for a receiver that states no accuracy, or a note if the log confirms no value."""
+    check = confirm(scatter)
+    return f"{why}. {NO_STD}" if check is None else to_do(check.remedy, f"{why}. {check.reason}")
 
 
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
@@ -86,7 +123,7 @@ def median_stated_std(drive: Drive) -> float:
 
 
 def noise_warnings(
-    parameters: FilterParameters, drives: Sequence[FixNoise], use: Sequence[str] = ()
+    parameters: FilterParameters, drives: Sequence[FixNoise], confirm: Confirm, use: Sequence[str] = ()
 ) -> list[str]:
     """Warn if R contradicts the training drives' fixes; ``use``: values of ``--use`` in the proposed command."""
     if parameters.accuracy_scale is not None or not drives:
@@ -98,9 +135,7 @@ def noise_warnings(
             "the log does not state the accuracy of its fixes. The filter assumes correlated errors with a standard "
             f"deviation of {UNSTATED_GPS_STD:g} m per axis"
         )
-        return [to_do(_state_remedy(scatter), why)] if np.isnan(stated) and scatter < MIN_SCATTER else []
-    remedy = _state_remedy(scatter) if np.isnan(stated) else f"tune with --use {' '.join([*use, 'accuracy'])}"
-    remedy += ", or evaluate with the truth of a reference receiver"
+        return [_about_std(why, scatter, confirm)] if np.isnan(stated) and scatter < MIN_SCATTER else []
     if r * MAX_STD_RATIO < stated:
         why = f"the receiver states a standard deviation of {stated:.2g} m"
     elif r * MAX_STD_RATIO < scatter:
@@ -118,16 +153,18 @@ def noise_warnings(
             )
         else:
             return []
-        return [to_do(remedy, f"{why}. {UNKNOWN}")]
+        return [_remedied(f"{why}. {UNKNOWN}", stated, scatter, confirm, use)]
     message = f"the filter assumes a standard deviation of the fixes of {r:.2g} m per axis, but {why}"
     why = f"{message}. Therefore the filter copies the fixes, with their errors"
-    return [to_do(remedy, f"{why}. Predictions of the fixes do not show correlated errors. {UNKNOWN}")]
+    why = f"{why}. Predictions of the fixes do not show correlated errors. {UNKNOWN}"
+    return [_remedied(why, stated, scatter, confirm, use)]
 
 
-def _state_remedy(scatter: float) -> str:
-    """Return the remedy, which states the scatter of the fixes (m per axis; NaN if unknown) as a lower limit."""
-    limit = f" (at least their scatter of {scatter:.2g} m)" if np.isfinite(scatter) else ""
-    return STATE_REMEDY.replace(", m per axis", f", m per axis{limit}")
+def _remedied(why: str, stated: float, scatter: float, confirm: Confirm, use: Sequence[str]) -> str:
+    if np.isnan(stated):
+        return _about_std(why, scatter, confirm)
+    also = ", or evaluate with the truth of a reference receiver"
+    return to_do(f"tune with --use {' '.join([*use, 'accuracy'])}{also}", why)
 
 
 def prior_warnings(
@@ -136,6 +173,7 @@ def prior_warnings(
     names: Sequence[str],
     receiver: Array,
     noise: Sequence[FixNoise],
+    confirm: Confirm,
 ) -> list[str]:
     """Report the first drive on which the prior changed R noticeably; ``receiver``: `receiver_std` of each drive, m."""
     costs = weight * prior_costs([parameters], receiver)[0]
@@ -159,7 +197,7 @@ def prior_warnings(
                 "a typical receiver, so the filter may follow the fixes too closely or too loosely. "
                 f"{compromise} this value. If the receiver smooths its fixes, NIS will be low"
             )
-            return [to_do(f"if you know the receiver, {_state_remedy(one.scatter)}", why)]
+            return [_about_std(why, one.scatter, confirm)]
         return [f"on {name}, {compromise} the {std:.2g} m of white noise that the fixes show"]
     return []
 

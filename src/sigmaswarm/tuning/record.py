@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import polars as pl
 from pydantic import AliasChoices, BaseModel, BeforeValidator, Field
 
@@ -113,6 +114,12 @@ class TuningRecord(BaseModel):
     def imu_axes(self) -> dict[str, str]:
         """Import expressions of the IMU's axes; empty if they are unknown or differ between the training drives."""
         return common_axes(drive.imu_axes for drive in self.data)
+
+    @property
+    def shown_std(self) -> float | None:
+        """Standard deviation of the fixes from the truth of the training drives, m per axis; None if it is unknown."""
+        known = [drive.shown_std_m for drive in self.data if drive.shown_std_m is not None]
+        return float(np.median(known)) if known else None
 
     @property
     def for_export(self) -> dict[str, Any]:
