@@ -90,8 +90,9 @@ def baseline(
     """
     if like is None:
         return _planar(drive, stated_std(drive) or (UNSTATED_GPS_STD, UNSTATED_GPS_STD))
-    shown = None if shown_std is None else (max(shown_std, MIN_SHOWN_STD),) * 2
-    plain = _planar(drive, stated_std(drive) or shown or receiver_std(drive), MODEL_NOISE)
+    shown = None if shown_std is None else max(shown_std, MIN_SHOWN_STD)
+    std = stated_std(drive) or (receiver_std(drive) if shown is None else (shown, shown))
+    plain = _planar(drive, std, MODEL_NOISE)
     if MODELS[like.model].measures_imu:
         return _robot_localization(drive, like, plain)
     dt, gyro = drive.nominal_interval, plain.process_noise[THETA]

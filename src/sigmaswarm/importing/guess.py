@@ -262,18 +262,18 @@ def _in_wrong_unit(truth: Columns) -> bool:
 
 
 def _candidates(
-    found: Mapping[str, Columns], truths: Collection[str], chosen: str | None
+    found: Mapping[str, Columns], truths: Collection[str], chosen_truth: str | None
 ) -> dict[Role, list[str]]:
     """List the tables that fit each role.
 
     If a table has latitude and longitude, tables with only x, y are not fixes. ``truths``: tables in which the names of
-    some columns mark a truth. ``chosen``: the user's table of the truth.
+    some columns mark a truth. ``chosen_truth``: the user's table of the truth.
     """
     forces = {t for t, c in found.items() if c.has("ax", "ay")}
     rates = {t for t, c in found.items() if "gz" in c}
     degrees = {t for t, c in found.items() if c.has("lat", "lon")}
     located = {t for t, c in found.items() if c.located}
-    truth = {t for t in found if t not in truths and (t == chosen or _TRUTH.search(t))}
+    truth = {t for t in found if t not in truths and (t == chosen_truth or _TRUTH.search(t))}
     loose = {t for t in forces if rates and not re.search("lin|gravity", t, re.IGNORECASE)}
     counted = {
         t
