@@ -192,7 +192,7 @@ def test_the_split_that_leaves_out_disturbed_fixes_leads_to_a_tuning_and_an_eval
     sigmaswarm, here: Path, start: float, end: float
 ):
     write_drive(disturbed(start, end), "logs/car")
-    said = " ".join(sigmaswarm("doctor", "logs/car").out.split())
+    said = " ".join(sigmaswarm("doctor", "logs/car", "--verbose").out.split())
     found = re.search(r"To leave them out: sigmaswarm (split logs/car --at [-\d. ]+ --out parts)", said)
     assert found, said
     steps = [found[1]]
