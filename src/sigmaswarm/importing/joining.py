@@ -206,7 +206,7 @@ def _messages(time: Nanoseconds, values: Values) -> NDArray[np.bool_]:
 
     Rows at the time of the previous row in which other cells are filled may differ from it by rounding.
     """
-    filled = np.array([np.isfinite(column) for column in values.values()])
+    filled = np.array([np.isfinite(column) for column in values.values()], np.bool_).reshape(-1, len(time))
     other = (np.diff(time) == 0) & (np.diff(filled, axis=1).any(axis=0))
     near, same = in_burst(time, "gps"), _same_position(values) | other
     others = np.count_nonzero(near & ~same) > MAX_OTHER_SHARE * np.count_nonzero(~near)
