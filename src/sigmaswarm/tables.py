@@ -97,15 +97,18 @@ class Table:
     def to_rich(self, *, grouped: bool = False) -> "RichTable":
         """Return the table for a terminal of 80 columns, with emphasized rows in bold.
 
-        ``grouped``: neighboring rows with the same first cell form a group, with this cell as its heading.
+        ``grouped``: neighboring rows with the same first cell form a group, with this cell as its heading; for a
+        single group, the caption ends with this cell.
         """
         from rich import box
         from rich.table import Table as RichTable
         from rich.text import Text
 
-        names = [row[0] for row in self.rows]
+        names = [str(row[0]) for row in self.rows]
+        headings = grouped and len({*names}) > 1
+        captions = self.caption, *names[: int(grouped and not headings)]
         drawn = RichTable(
-            title=self.caption or None,
+            title=": ".join(filter(None, captions)) or None,
             title_justify="left",
             box=box.SIMPLE_HEAD,
             show_edge=False,
@@ -120,9 +123,9 @@ class Table:
             justify = "left" if words else "right"
             drawn.add_column(heading, justify=justify, overflow="fold", min_width=least, no_wrap=not words)
         for i, cells in enumerate(self.rows):
-            if grouped and (i == 0 or names[i] != names[i - 1]):
+            if headings and (i == 0 or names[i] != names[i - 1]):
                 drawn.add_section()
-                drawn.add_row(Text(str(names[i]), "italic"))
+                drawn.add_row(Text(names[i], "italic"))
             row = list(map(format_cell, cells, self.columns))
             drawn.add_row(*map(Text, row[grouped:]), style="bold" if i in self.strong else None)
         return drawn

@@ -192,8 +192,8 @@ def test_the_split_that_leaves_out_disturbed_fixes_leads_to_a_tuning_and_an_eval
     sigmaswarm, here: Path, start: float, end: float
 ):
     write_drive(disturbed(start, end), "logs/car")
-    said = " ".join(sigmaswarm("doctor", "logs/car", "--verbose").out.split())
-    found = re.search(r"To leave them out: sigmaswarm (split logs/car --at [-\d. ]+ --out parts)", said)
+    said = sigmaswarm("doctor", "logs/car").out
+    found = re.search(r"leave them out: sigmaswarm (split logs/car --at [-\d. ]+ --out parts)\n", said)
     assert found, said
     steps = [found[1]]
     while not steps[0].startswith("tune"):
@@ -523,7 +523,8 @@ def test_what_asks_for_action_comes_first_and_begins_alike(sigmaswarm, drives: P
     assert [one for one in asked if one in remarks] == remarks
     said = sigmaswarm("tune", drives, "--out", "u", *quick, *options, "--verbose").out
     assert "  note     " in said and "--verbose" not in said
-    assert "TO DO: tune with" in sigmaswarm("evaluate", "t", drives, "--verbose").out
+    said = sigmaswarm("evaluate", "t", drives, "--verbose").out
+    assert "  to do    " in said and "\n           -> tune with" in said
 
 
 def test_run_says_why_the_beginning_is_missing_and_writes_its_fixes(sigmaswarm, tuned: Path, here: Path):

@@ -40,7 +40,7 @@ def test_a_good_drive_ends_with_0(sigmaswarm, good, here: Path):
     assert ended.out.startswith("urban-clear-00: no serious fault")
     assert "\n--verbose adds 4 notes\nnext: sigmaswarm split fine --out parts\n" in ended.out
     verbose = sigmaswarm("doctor", "fine", "--verbose").out
-    assert "  note     [imu-rate] There are 2000 IMU samples at 50 Hz over 40 s.\n" in verbose
+    assert "  note     [imu-rate] There are 2000 IMU samples at 50 Hz over 40 s. (imu.csv, t)\n" in verbose
     assert "--verbose" not in verbose and verbose.endswith("\nnext: ".join(ended.out.split("\nnext: ")[1:]))
     Path("one").mkdir()
     shutil.copytree("fine", "one/fine")  # the folder of a drive's folder
@@ -192,6 +192,19 @@ def test_unused_fixes_are_named_by_tune_once_and_not_by_later_commands(
     with pytest.warns(SigmaswarmWarning) as caught:
         read_datasets(["early"], ["early"], gaps=True)
     assert ["lie outside of the IMU" in str(warning.message) for warning in caught] == [True]
+
+
+def test_tune_names_a_gap_once(sigmaswarm, good, here: Path):
+    kept = (good.imu.time < 20.0) | (good.imu.time > 21.5)
+    write_drive(replace(good, imu=good.imu.select(kept)), here / "log")
+    with pytest.warns(SigmaswarmWarning) as caught:
+        read_datasets(["log"], remedies=[], gaps=True)
+    (warning,) = (str(warning.message) for warning in caught)
+    assert "1 gap" in warning and warning.endswith("split the drive")
+    with pytest.warns(SigmaswarmWarning, match=r"less accurate \(imu-gap\)"):
+        read_datasets(["log"], remedies=[])
+    remedy = sigmaswarm("doctor", "log").out.split("-> ")[1]
+    assert remedy.startswith("if the car maneuvered during a gap, split the drive there; otherwise")
 
 
 def test_exchanged_fixes_beside_a_truth_are_exchanged_by_the_command_that_is_named(

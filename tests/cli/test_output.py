@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 
 import sigmaswarm as library
+from sigmaswarm.cli.evaluate import print_evaluation
 from sigmaswarm.cli.output import Output, Remark
 from sigmaswarm.doctor.findings import CONSEQUENCES
+from sigmaswarm.filters.presets import baseline_of
 from sigmaswarm.wording import to_do
 
 MAX_LINES = 25
@@ -60,6 +62,20 @@ def test_each_fault_of_the_doctor_has_a_consequence():
     notes = {"unseen-ax", "unseen-ay", "unseen-tilt", "unseen-clock", "gps-rate", "gps-gap"}
     assert len(codes) > 40
     assert codes - notes == {*CONSEQUENCES}
+
+
+def test_remarks_of_a_tuning_are_printed_by_evaluate_as_by_tune(capsys: pytest.CaptureFixture[str]):
+    drive = library.simulate("urban", duration=40.0, imu_rate=50.0, gps="white-1m")
+    evaluation = library.evaluate([replace(drive, name="my-drive")], baseline_of(drive, "planar8", []))
+    remarks = to_do("tune on more drives", "errors differ"), "on my-drive, R is a compromise. It is 2 m"
+    print_evaluation(Output(verbose=True), evaluation, remarks)
+    said = capsys.readouterr().out
+    assert "\n  to do    Errors differ.\n           -> tune on more drives\n" in said
+    assert "\nOn my-drive, R is a compromise. It is 2 m.\n" in said
+    assert Remark.of("my-drive: no truth. So there is no error").what == "my-drive: no truth."
+    title, *table = said.splitlines()
+    assert title.endswith(" (lower is better): my-drive")
+    assert not any(line.startswith("my-drive") for line in table[:8])
 
 
 @pytest.mark.parametrize("truth", [True, False])

@@ -132,7 +132,7 @@ def read_datasets(
     _warn_of_reading(warned, gaps=gaps)
     if remedies is not None:
         for drives, group in zip(datasets, locations, strict=True):
-            remedies += warn_of_serious(drives, group)
+            remedies += warn_of_serious(drives, group, ["imu-gap"] if gaps else [])
     return datasets
 
 

@@ -24,6 +24,7 @@ from sigmaswarm.cli.output import Output, Remark
 from sigmaswarm.cli.remarks import name_training_files, warn_of_unusable
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.files import free_path
+from sigmaswarm.wording import as_sentence
 
 if TYPE_CHECKING:
     from sigmaswarm import Evaluation
@@ -151,7 +152,7 @@ def print_evaluation(output: Output, evaluation: "Evaluation", more: Iterable[st
 
     view = evaluation.view
     several = len(view.scores.drives) > 1
-    by_drive, sentences = view.drive_table(), view.sentences(more)
+    by_drive, sentences = view.drive_table(), view.sentences(map(as_sentence, more))
     title = f"Scores on {describe_drives(view.setup.data)} (lower is better)"
     table = replace(view.mean_table() if several else by_drive, caption=title)
     output.show(
@@ -166,7 +167,7 @@ def print_evaluation(output: Output, evaluation: "Evaluation", more: Iterable[st
     caption = "Consistency of the tuned filter (mean NIS and mean NEES should be 2)"
     tables = replace(view.consistency_table(), caption=caption), view.radius_table()
     output.details("the consistency", *(one.to_rich() for one in tables))
-    output.details("remark", *sentences[MAX_SENTENCES:])
+    output.details("remark", *map(Remark.of, sentences[MAX_SENTENCES:]))
 
 
 def _check_input(tuning: Path, options: EvaluateOptions) -> None:

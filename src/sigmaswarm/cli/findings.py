@@ -3,7 +3,7 @@
 import re
 import shlex
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -43,7 +43,7 @@ def print_diagnosis(
     output.show(f"{diagnosis.drive}: {summary}")
     output.show(*(_problem(finding, folder, part=bool(diagnosis.whole)) for finding in new))
     notes = [f for f in diagnosis.findings if f.severity == "note" and (f.code, f.what) not in known]
-    output.details("note", *(Remark("note", f"[{f.code}] {as_sentence(f.what)}") for f in notes))
+    output.details("note", *(Remark("note", f"[{f.code}] {as_sentence(f.what)} ({f.where})") for f in notes))
 
 
 def _problem(finding: "Finding", folder: "Location | None", *, part: bool) -> Remark:
@@ -64,10 +64,13 @@ def _problem(finding: "Finding", folder: "Location | None", *, part: bool) -> Re
     )
 
 
-def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[Remedy]:
+def warn_of_serious(
+    drives: "Dataset", places: "Sequence[Location]", printed: Collection[str] = ()
+) -> list[Remedy]:
     """Warn about faults, in one warning per drive; return the remedies for serious faults.
 
-    A warning lists the serious faults or, if there are none, the doctor's warnings.
+    A warning lists the serious faults or, if there are none, the doctor's warnings. ``printed``: codes of faults that
+    were printed before.
     """
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.errors import SigmaswarmWarning
@@ -83,7 +86,9 @@ def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> list[Rem
                 f"run {remedies[-1][0]}, or suppress this warning with --trust-log"
             )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
-        elif codes := ", ".join(f.code for f in diagnosis.findings if f.severity == "warning"):
+        elif codes := ", ".join(
+            f.code for f in diagnosis.findings if f.severity == "warning" and f.code not in printed
+        ):
             findings = (
                 f"the log makes the filter less accurate ({codes}); {_doctor(folder)} describes the faults"
             )
@@ -99,7 +104,7 @@ def split_command(diagnosis: "Diagnosis", folder: "Location") -> str:
 
 def _with_names(command: str, folder: "Location") -> str:
     """Replace the placeholders in a finding's command by the drive and a free folder."""
-    names = {"DRIVE": shlex.quote(str(folder)), "PARTS": str(free_path("parts"))}
+    names = {"DRIVE": shlex.quote(str(folder)), "parts": str(free_path("parts"))}
     return " ".join(names.get(word, word) for word in command.split())
 
 

@@ -28,8 +28,9 @@ class Remark(NamedTuple):
     def of(cls, text: str, label: str = "") -> "Remark":
         """Read sentences on a fact, its consequence and the evidence; a text of `to_do` begins with the remedy."""
         remedy, _, why = text.partition(REASON) if text.startswith(TO_DO) else ("", "", text)
-        what, *more = map(as_sentence, sentences(why))
         label = "to do" if remedy else label
+        # without a label the text is whole sentences, which may begin with the name of a drive
+        what, *more = map(as_sentence, sentences(why)) if label else sentences(why)
         return cls(label, what, " ".join(more[:1]), remedy.removeprefix(TO_DO), " ".join(more[1:]))
 
 

@@ -190,7 +190,7 @@ def _print_tuning(output: Output, tuning: "Tuning[Any]", track: "FirstTrack", gi
     if view.drifts:
         output.show(view.drifts.to_rich(), LEGEND, "")
     if position := describe_first_track(track):
-        output.show(Remark.of(position))
+        output.show(Remark.of(as_sentence(position)))
     output.show(*_larger_drifts(view))
     remarks = [name_files(remark, folders) for remark in tuning.remarks if remark not in record.unusable]
     output.show(*(Remark.of(remark) for remark in remarks if remark.startswith(TO_DO)))

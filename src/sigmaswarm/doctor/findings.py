@@ -98,7 +98,7 @@ class Finding:
     cut : float or None
         Time at which to cut the log, s; the part after this time does not have the fault.
     command : str
-        Command in ``remedy`` with the placeholders DRIVE and PARTS, or "".
+        Command in ``remedy`` with the placeholders DRIVE and parts, or "".
     """
 
     code: str
@@ -126,7 +126,7 @@ class Finding:
 
 def split_command(*times: float) -> str:
     """Return the command that splits a drive at one time (s), or leaves out the part between two times."""
-    return f"sigmaswarm split DRIVE --at {' '.join(f'{time:.0f}' for time in times)} --out PARTS"
+    return f"sigmaswarm split DRIVE --at {' '.join(f'{time:.0f}' for time in times)} --out parts"
 
 
 def finding_of(

@@ -333,7 +333,7 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
         yield to_do(remedy, why)
     better = min(t.sensitivities, key=lambda s: s.lowest_rise, default=None)
     if better and better.lowest_rise < -MAX_INCREASE and factor == 1.0:
-        why = f"a change of {better.name} alone lowers the cost by {-better.lowest_rise:.0%}"
+        why = f"a change of {better.name} alone lowers the cost by {-better.lowest_rise:.0%}, so the search ended early"
         polish = "" if t.config.polish else ", or add --polish 300"
         yield to_do(f"increase --generations or --trials{polish}", why)
     if car and objective.needs_truth:

@@ -53,7 +53,8 @@ def _axes(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
             what = f"{what} (the drive shows only {'forward' if mount.known[0] else 'sideways'} acceleration)"
         remedy = f"use {forward} as ax and {left} as ay" + (" and change the sign of az" if opposite else "")
         if (opposite and evidence.mounted) or (evidence.yaw.factor < 0 and np.linalg.det(axes) < 0):
-            remedy += "; check the fixes first, since exchanged x and y (lat and lon) have the same effect"
+            same = "exchanged x and y (lat and lon) have the same effect"
+            remedy = f"check the fixes first, since {same}; if they are right, {remedy}"
         yield Finding(
             "accelerometer-axes" if axes[0, 0] == 0 else "accelerometer-sign", "serious", what, WHERE, span, confidence,
             remedy, Repair("accelerometer", (*axes.ravel().tolist(), -1.0 if opposite else 1.0)),

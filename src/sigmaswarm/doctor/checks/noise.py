@@ -79,8 +79,8 @@ def _disturbed(evidence: Evidence) -> Iterator[Finding]:
     span = float(course.time[fixes[0]]), float(course.time[fixes[-1]])
     command = split_command(*span)
     remedy = (
-        "no action is needed: the default filter of tune reduces the weight of such fixes (robust). To leave "
-        f"them out: {command}"
+        "no action is needed with the default filter of tune (robust), which reduces the weight of such fixes; for "
+        f"other filters, leave them out: {command}"
     )
     yield Finding("gps-disturbed", "warning", what, "gps.csv, positions", span, 0.99, remedy, command=command)
 
@@ -149,7 +149,8 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         f"the stated standard deviation of the fixes ({stated:.2g} m) is {how} than their {compared} "
         f"({size:.2g} m per axis) by a factor of {factor:.0f}"
     )
-    remedy = f"state {size:.2g} m"
+    file, columns = where.split(", ", 1)
+    remedy = f"state {size:.2g} m as {columns} in {file}"
     repair, severity = Repair("state-noise", (size,)), "warning"
     if not by_truth:
         remedy += ", or more if you know of slow errors. A log without truth does not show slow errors"

@@ -115,8 +115,8 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     yield _rate("imu", "IMU samples", imu.time)
     yield _rate("gps", "fixes", gps.time)
     remedy = (
-        "no action is needed, unless the car maneuvered during a gap. A filter uses the mean of the samples around a "
-        "gap, and increases the state's covariance"
+        "if the car maneuvered during a gap, split the drive there; otherwise no action is needed. A filter uses the "
+        "mean of the samples around a gap, and increases the state's covariance"
     )
     yield from _gaps("imu", gaps_in(imu.time, IMU_GAP), remedy)
     remedy = "during this time a filter uses only the IMU; no action is needed if this is intended"
@@ -137,7 +137,7 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     stale = gps.time[evidence.stale]
     if len(stale) >= MIN_STALE_FIXES:
         what = f"{len(stale)} fixes repeat the previous position to the last digit, although the car moves"
-        remedy = "remove these fixes. No action is needed for sigmaswarm, whose filters ignore them"
+        remedy = "remove these fixes for other programs; the filters of sigmaswarm ignore them"
         repair = Repair("drop-fixes", tuple(stale.tolist()))
         yield Finding(
             "gps-repeats", "warning", what, "gps.csv, positions", _ends(stale), 0.99, remedy, repair
