@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.drives.sensors import true_std
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import AlignmentError, InputError, SigmaswarmWarning, TuningStopped
 from sigmaswarm.filters.parameters import FilterParameters
@@ -87,7 +88,8 @@ def test_the_first_generation_is_around_the_baseline():
     first = list[Progress]()
     tuning = tune(DRIVES, particles=6, generations=2, progress=first.append)
     space = search_space("planar5", "log10", tuning.parameters.nominal_interval)
-    start = space.point_of(baseline_of(DRIVES[0], "planar5", ()))
+    shown_std = float(np.median([true_std(drive) for drive in DRIVES]))
+    start = space.point_of(baseline_of(DRIVES[0], "planar5", (), shown_std))
     rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(0,)))
     rng.uniform(size=(6, 10))
     points = np.clip(rng.normal(start, 0.3 * (space.high - space.low), (6, 10)), space.low, space.high)
