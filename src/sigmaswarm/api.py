@@ -71,7 +71,8 @@ def import_log(
         If ``say`` is not given, for each note, for example about an assumption, or about times that only the IMU or
         only the fixes cover.
     """
-    from sigmaswarm.importing.convert import import_drive, request_of
+    from sigmaswarm.importing.convert import import_drive
+    from sigmaswarm.importing.opening import request_of
 
     request = request_of(log, settings)
     imported = import_drive(request, name or Path(log).resolve().stem)
@@ -92,8 +93,8 @@ def inspect_log(log: str | Path, **settings: Any) -> "Inspection":
     log, **settings
         See `import_log`.
     """
-    from sigmaswarm.importing.convert import request_of
     from sigmaswarm.importing.inspection import inspect_request
+    from sigmaswarm.importing.opening import request_of
 
     return inspect_request(request_of(log, settings))
 

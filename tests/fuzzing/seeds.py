@@ -20,8 +20,9 @@ from importing.test_px4 import write_ulog
 from importing.test_receivers import GPS, nmea, ubx
 from sigmaswarm import read_drive, write_drive
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.importing.convert import Request, import_drive
+from sigmaswarm.importing.convert import import_drive
 from sigmaswarm.importing.inspection import inspect_request
+from sigmaswarm.importing.opening import Request
 from sigmaswarm.importing.recipe import Recipe
 from support import make_drive
 

@@ -7,7 +7,8 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.geodesy import enu_to_geodetic
-from sigmaswarm.importing.convert import ImportResult, Request, import_drive
+from sigmaswarm.importing.convert import ImportResult, import_drive
+from sigmaswarm.importing.opening import Request
 from support import make_drive
 
 ORIGIN = (50.0, 8.0, 100.0)

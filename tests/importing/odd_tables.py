@@ -10,7 +10,8 @@ import numpy as np
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu, wrap_angle
-from sigmaswarm.importing.convert import Request, import_drive
+from sigmaswarm.importing.convert import import_drive
+from sigmaswarm.importing.opening import Request
 
 G = 9.80665
 AXES = ("x", "y", "z")

@@ -21,8 +21,8 @@ from importing.test_px4 import write_ulog
 from importing.test_receivers import nmea, ubx
 from sigmaswarm import read_drive, write_drive
 from sigmaswarm.errors import DriveWarning, InputError
-from sigmaswarm.importing.convert import Request
 from sigmaswarm.importing.inspection import inspect_request
+from sigmaswarm.importing.opening import Request
 from sigmaswarm.importing.recipe import Recipe
 from support import make_drive, quickly
 

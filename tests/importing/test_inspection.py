@@ -8,8 +8,8 @@ import polars as pl
 import pytest
 
 from importing.logs import a_drive
-from sigmaswarm.importing.convert import Request
 from sigmaswarm.importing.inspection import MAX_SCANNED_ROWS, PREVIEW_ROWS, beginnings, inspect_request
+from sigmaswarm.importing.opening import Request
 from sigmaswarm.importing.readers.messages import message_log
 from sigmaswarm.importing.source import CHUNK, Table
 

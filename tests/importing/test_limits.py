@@ -15,9 +15,9 @@ from importing.bags import ROS1
 from importing.logs import a_drive, imported
 from importing.test_phones import phyphox, zipped
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.convert import Request
 from sigmaswarm.importing.formats import open_log
 from sigmaswarm.importing.inspection import inspect_request
+from sigmaswarm.importing.opening import Request
 from sigmaswarm.importing.source import Limits
 from support import quickly
 

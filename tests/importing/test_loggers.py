@@ -18,8 +18,9 @@ from importing.logs import imported
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic
-from sigmaswarm.importing.convert import Request, import_drive
+from sigmaswarm.importing.convert import import_drive
 from sigmaswarm.importing.inspection import inspect_request
+from sigmaswarm.importing.opening import Request
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import TableChoice
 from sigmaswarm.simulation.scenarios import simulate

@@ -17,8 +17,9 @@ from sigmaswarm import import_log
 from sigmaswarm.doctor.mounting import rotate_imu
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic
-from sigmaswarm.importing.convert import Request, import_drive
+from sigmaswarm.importing.convert import import_drive
 from sigmaswarm.importing.inspection import inspect_request
+from sigmaswarm.importing.opening import Request
 from sigmaswarm.importing.source import TableChoice
 from sigmaswarm.simulation import simulate
 from support import quickly, several, some

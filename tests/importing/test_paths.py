@@ -11,8 +11,8 @@ from importing.logs import a_drive, imported
 from importing.test_datasets import write_nclt
 from importing.test_phones import phyphox
 from sigmaswarm import read_drive, write_drive
-from sigmaswarm.importing.convert import Request
 from sigmaswarm.importing.inspection import inspect_request
+from sigmaswarm.importing.opening import Request
 from support import make_drive
 
 NAMES = ("run[1]", "run*", "run?", "{run1,run2}", "2024-05 [rain]", "a#b%20c")

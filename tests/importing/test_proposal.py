@@ -15,8 +15,9 @@ from sigmaswarm import import_log
 from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic
-from sigmaswarm.importing.convert import Request, import_drive
+from sigmaswarm.importing.convert import import_drive
 from sigmaswarm.importing.inspection import inspect_request
+from sigmaswarm.importing.opening import Request
 from sigmaswarm.importing.proposal import (
     CHECKED_TIME,
     Meaning,

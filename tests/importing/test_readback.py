@@ -9,7 +9,8 @@ import pytest
 from importing.logs import imported
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.convert import Request, import_drive
+from sigmaswarm.importing.convert import import_drive
+from sigmaswarm.importing.opening import Request
 
 TIME = np.arange(2000) * 0.01
 

@@ -17,8 +17,9 @@ from importing.logs import a_drive, assert_close, imported
 from sigmaswarm import simulate
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic
-from sigmaswarm.importing.convert import Request, import_drive
+from sigmaswarm.importing.convert import import_drive
 from sigmaswarm.importing.inspection import inspect_request
+from sigmaswarm.importing.opening import Request
 from sigmaswarm.importing.readers import dialect
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.shared_frame import require_same_axes

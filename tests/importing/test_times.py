@@ -10,8 +10,8 @@ import pytest
 
 from importing.logs import EPOCH, a_drive, assert_close, imported
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.convert import Request
 from sigmaswarm.importing.inspection import inspect_request
+from sigmaswarm.importing.opening import Request
 from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.timeline import spread_stamps, unwrap
 from support import quickly, several, some

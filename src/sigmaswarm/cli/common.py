@@ -8,11 +8,11 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
+from sigmaswarm.cli.terminal import print_lines
 from sigmaswarm.files import nan_to_none
 
 if TYPE_CHECKING:
     from distributed import Client
-    from rich.console import Console
 
     from sigmaswarm import Drive
     from sigmaswarm.cli.findings import Remedy
@@ -151,18 +151,6 @@ def parse_numbers(text: str | None, count: int, option: str, example: str) -> tu
             f"{option} {text!r} is not {count} numbers; separate them by commas, as in {example}"
         )
     return numbers
-
-
-def stdout() -> "Console":
-    from sigmaswarm.cli.terminal import console
-
-    return console(soft_wrap=True)
-
-
-def print_lines(*lines: object) -> None:
-    console = stdout()
-    for line in lines:
-        console.print(line)
 
 
 def print_json(content: Any) -> None:

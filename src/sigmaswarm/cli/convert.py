@@ -6,8 +6,9 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_json, print_lines, read_silently, require_writable
+from sigmaswarm.cli.common import print_json, read_silently, require_writable
 from sigmaswarm.cli.options import Json, Overwrite
+from sigmaswarm.cli.terminal import print_lines
 from sigmaswarm.errors import InputError
 
 

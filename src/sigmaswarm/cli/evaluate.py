@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from sigmaswarm import Evaluation
     from sigmaswarm.exports.names import Target
     from sigmaswarm.learned.folder import LearnedNetwork
-    from sigmaswarm.tuning.record import TunedFilter
+    from sigmaswarm.tuning.record import TunedFilter, TuningRecord
 
 MAX_SENTENCES = 3  # sentences that are printed without --verbose
 WORSE_STEP = (
@@ -113,7 +113,6 @@ def evaluate(
     """
     from sigmaswarm.learned.folder import load_learned
     from sigmaswarm.reports.evaluation import save_evaluation
-    from sigmaswarm.scoring.remarks import other_sensors
     from sigmaswarm.tuning.record import TunedFilter
 
     _check_input(tuning, options)
@@ -121,9 +120,7 @@ def evaluate(
     record = tuned.record
     remedies: list[Remedy] = []
     result = _evaluated(tuning, tuned, drives, options, learned, remedies)
-    _warn_of_training_drives(result)
-    for message in filter(None, (other_sensors(drive, record.data) for drive in result.setup.data)):
-        warnings.warn(message, SigmaswarmWarning, stacklevel=2)
+    _warn_of_drives(result, record)
     written = save_evaluation(result, out, tuning, learned and learned.save) if out else []
     if options.json:
         print_json(result.to_dict())
@@ -260,8 +257,9 @@ def _evaluated(
         )
 
 
-def _warn_of_training_drives(evaluation: "Evaluation") -> None:
-    from sigmaswarm.scoring.remarks import describe_training_drives
+def _warn_of_drives(evaluation: "Evaluation", tuning: "TuningRecord") -> None:
+    """Warn about drives that the tuning used, and drives with other sensors than the training drives."""
+    from sigmaswarm.scoring.remarks import describe_training_drives, other_sensors
 
     for result in evaluation.drives.values():
         drive = result.record
@@ -271,3 +269,5 @@ def _warn_of_training_drives(evaluation: "Evaluation") -> None:
                 "evaluate on a drive that the tuning did not use"
             )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
+    for message in filter(None, (other_sensors(drive, tuning.data) for drive in evaluation.setup.data)):
+        warnings.warn(message, SigmaswarmWarning, stacklevel=2)

@@ -23,8 +23,9 @@ from sigmaswarm.wording import printable
 if TYPE_CHECKING:
     from sigmaswarm.doctor.findings import Diagnosis
     from sigmaswarm.drives.drive import Drive
-    from sigmaswarm.importing.convert import ImportResult, Request
+    from sigmaswarm.importing.convert import ImportResult
     from sigmaswarm.importing.inspection import Inspection, TablePreview
+    from sigmaswarm.importing.opening import Request
     from sigmaswarm.importing.recipe import Recipe
 
 AXES_NOTE = (
@@ -180,7 +181,7 @@ def import_(
 
 
 def _request(source: Path, options: ImportOptions) -> "Request":
-    from sigmaswarm.importing.convert import request_of
+    from sigmaswarm.importing.opening import request_of
     from sigmaswarm.importing.source import ROLES, Limits, TableChoice
 
     topics = {name: getattr(options, f"{name}_topic", None) for name in (*ROLES, "velocity")}

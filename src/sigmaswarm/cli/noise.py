@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from sigmaswarm.cli.common import print_json, print_lines, require_result_folder
+from sigmaswarm.cli.common import print_json, require_result_folder
 from sigmaswarm.cli.options import FIELDS, Json, Overwrite
+from sigmaswarm.cli.terminal import print_lines
 from sigmaswarm.errors import InputError
 
 if TYPE_CHECKING:

@@ -4,8 +4,7 @@ from collections import Counter
 from textwrap import wrap
 from typing import NamedTuple
 
-from sigmaswarm.cli.common import print_lines
-from sigmaswarm.cli.terminal import MIN_COLUMNS, console
+from sigmaswarm.cli.terminal import MIN_COLUMNS, console, print_lines
 from sigmaswarm.wording import REASON, TO_DO, as_sentence, count_of, sentences
 
 INDENT = 11  # columns before the text of a remark with a label

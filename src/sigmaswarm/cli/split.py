@@ -11,9 +11,10 @@ from typing import Annotated
 from cyclopts import Parameter
 
 import sigmaswarm
-from sigmaswarm.cli.common import print_json, print_lines, read_silently, require_writable
+from sigmaswarm.cli.common import print_json, read_silently, require_writable
 from sigmaswarm.cli.findings import has_unrepairable, repair_and_split, too_short_for_outages
 from sigmaswarm.cli.options import Json, Overwrite
+from sigmaswarm.cli.terminal import print_lines
 from sigmaswarm.files import free_path
 from sigmaswarm.wording import count_of
 

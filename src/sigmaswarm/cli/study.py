@@ -5,9 +5,9 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
-from sigmaswarm.cli.common import cluster_at, print_json, print_lines, require_result_folder
+from sigmaswarm.cli.common import cluster_at, print_json, require_result_folder
 from sigmaswarm.cli.options import FIELDS, Cluster, Count, Json, options_of
-from sigmaswarm.cli.terminal import progress_bar
+from sigmaswarm.cli.terminal import print_lines, progress_bar
 from sigmaswarm.experiments.study.config import QUICK_STUDY, StudyConfig, read_config
 
 if TYPE_CHECKING:

@@ -58,6 +58,13 @@ def console(**options: Any) -> "Console":
     return Plain(markup=False, emoji=False, highlight=False, **options)
 
 
+def print_lines(*lines: object) -> None:
+    """Print lines and tables to stdout, without line breaks in long lines."""
+    stdout = console(soft_wrap=True)
+    for line in lines:
+        stdout.print(line)
+
+
 def one_line(text: object) -> str:
     """Return a message as one line with escaped control characters; shorten it if it exceeds `MAX_LINE_LENGTH`."""
     line = escape_controls(" ".join(str(text).split()))

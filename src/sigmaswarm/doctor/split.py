@@ -1,6 +1,7 @@
 """Split a drive in time; parts with different mountings of the IMU are later repaired separately."""
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -64,20 +65,23 @@ def split_time(
     sha256 = fingerprint(drive)
     found = diagnose(drive).findings if not shortage_of(drive.imu, drive.gps) else ()
     alone = {REPAIR_ALONE: True} if any(f.cut is not None for f in found if f.severity == "serious") else {}
-    starts = [find_start(part) for part in parts]
-    rest = len(times) == 2 or bool(alone)  # a part that is left over need not be a drive
-    for part, result in zip(parts, starts, strict=True):
-        if isinstance(result, StartFailure) and not (
-            rest and any(type(s) is not StartFailure for s in starts)
-        ):
-            message = f"{part.name} can't be used as a drive: {result.what}; split at another time, or {result.remedy}"
-            warnings.warn(message, SigmaswarmWarning, stacklevel=2)
+    _warn_of_parts(parts, rest=len(times) == 2 or bool(alone))
     cuts = [
         {"drive": drive.name, "start_s": float(t[0]), "end_s": float(t[-1]), "sha256": sha256, **alone}
         for t in (part.imu.time for part in parts)
     ]
     first, last = (replace(p, metadata={**p.metadata, CUT: c}) for p, c in zip(parts, cuts, strict=True))
     return first, last
+
+
+def _warn_of_parts(parts: Sequence[Drive], *, rest: bool) -> None:
+    """Warn about parts on which no filter can start; with ``rest``, only if it can start on no part."""
+    starts = [find_start(part) for part in parts]
+    failed = [isinstance(start, StartFailure) for start in starts]
+    for part, start in zip(parts, starts, strict=True):
+        if isinstance(start, StartFailure) and (all(failed) or not rest):
+            message = f"{part.name} can't be used as a drive: {start.what}; split at another time, or {start.remedy}"
+            warnings.warn(message, SigmaswarmWarning, stacklevel=3)
 
 
 split = split_time  # name of `split_time` in the short API

@@ -11,6 +11,6 @@ A table of a `Log` becomes part of a drive in these steps:
    ``assemble.py`` makes the drive. ``rates.py`` compares the IMU with the course of the fixes, and ``shared_frame.py``
    compares the tracks of truth and fixes.
 
-A `Recipe` contains the expressions; ``--map`` changes them. ``convert.py`` runs all steps;
-``inspection.py`` describes a log without importing it.
+A `Recipe` contains the expressions; ``--map`` changes them. ``opening.py`` opens the logs, ``convert.py`` runs all
+steps, and ``inspection.py`` describes a log without importing it.
 """

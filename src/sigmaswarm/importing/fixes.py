@@ -11,10 +11,11 @@ from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.drives.reader import has_table, read_with_warnings
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import placed_fixes
-from sigmaswarm.importing.convert import Request, complete_recipe, opened
+from sigmaswarm.importing.convert import complete_recipe
 from sigmaswarm.importing.dates import MIN_DATE, SECOND, Nanoseconds
 from sigmaswarm.importing.gather import complete_parts, gather
 from sigmaswarm.importing.joining import join
+from sigmaswarm.importing.opening import Request, opened
 from sigmaswarm.importing.positions import Say, Values
 from sigmaswarm.wording import list_names
 

@@ -14,13 +14,14 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing import convert
 from sigmaswarm.importing.assemble import missing_columns
-from sigmaswarm.importing.convert import Request, complete_recipe, opened
+from sigmaswarm.importing.convert import complete_recipe
 from sigmaswarm.importing.dates import SECOND
 from sigmaswarm.importing.expressions import compile_expression, is_valid_expression, time_expression
 from sigmaswarm.importing.gather import ROW, with_row_numbers
 from sigmaswarm.importing.gravity import tilted_mount
 from sigmaswarm.importing.guess import Z_DOWN
 from sigmaswarm.importing.increments import RATE, increments
+from sigmaswarm.importing.opening import Request, opened
 from sigmaswarm.importing.proposal import Proposal, check_proposal, propose_columns
 from sigmaswarm.importing.quantities import in_units
 from sigmaswarm.importing.recipe import Recipe

@@ -15,7 +15,8 @@ from sigmaswarm.drives.urls import is_url
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters, known_interval
-from sigmaswarm.importing.convert import import_imu, request_of
+from sigmaswarm.importing.convert import import_imu
+from sigmaswarm.importing.opening import request_of
 from sigmaswarm.noise.allan import allan_deviation
 from sigmaswarm.noise.records import AxisNoise, Noise
 from sigmaswarm.noise.remarks import on_gravity, on_gyro, on_misfit, on_step, on_stretches, on_trend, trend_of

@@ -4,6 +4,7 @@ The stated standard deviation is that of the receiver (std_x, std_y), or gps_std
 """
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -87,7 +88,7 @@ def _disturbed(evidence: Evidence) -> Iterator[Finding]:
 
 def _stated(evidence: Evidence) -> Iterator[Finding]:
     gps, known = evidence.drive.gps, stated_std(evidence.drive)
-    noise, scatter, span = evidence.noise, max(evidence.scatter, evidence.noise), evidence.span
+    noise, scatter = evidence.noise, max(evidence.scatter, evidence.noise)
     if not scatter:
         return
     if known is None:
@@ -98,71 +99,86 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
             f"assumes {assumed:.2g} m"
         )
         remedy = "if you know a better value, write gps_std_m at the top of drive.toml"
-        yield Finding("gps-noise", "note", what, "drive.toml, gps_std_m", span, 0.95, remedy)
+        yield Finding("gps-noise", "note", what, "drive.toml, gps_std_m", evidence.span, 0.95, remedy)
         return
-    stated = float(np.mean(known))
-    where = "drive.toml, gps_std_m" if gps.std_x is None else "gps.csv, std_x, std_y"
-    unseen = motion_in_noise(float(np.median(np.diff(gps.time))))
+    stated, unseen = float(np.mean(known)), motion_in_noise(float(np.median(np.diff(gps.time))))
     if stated < MIN_STATED_STD:
         scatter, unseen = noise, 0.0
+    if wrong := _wrong_std(evidence, stated, scatter, unseen):
+        yield _wrongly_stated(evidence, stated, wrong)
+    elif stated > MAX_SCATTER_RATIO * max(scatter, MIN_NOISE) or (
+        noise < MIN_WHITE_RATIO * scatter and scatter > MIN_NOISE
+    ):
+        large = stated > MAX_SCATTER_RATIO * scatter
+        otherwise = ", or their stated standard deviation is too large" if large else ""
+        what = (
+            f"the errors of the fixes are correlated{otherwise}. The standard "
+            f"deviation of the fixes per axis is {noise:.2g} m from fix to fix and {scatter:.2g} m about a smooth path "
+            f"of ten seconds; a standard deviation of {stated:.2g} m is stated. Averaging hardly reduces correlated "
+            "errors. If there is no truth, neither the stated standard deviation nor a filter's error can be checked"
+        )
+        remedy = (
+            "expect errors larger than the filter's standard deviations, which represent only the scatter"
+        )
+        confidence = confidence_of(stated / scatter)
+        yield Finding("gps-correlated", "note", what, _place(evidence), evidence.span, confidence, remedy)
+
+
+def _place(evidence: Evidence) -> str:
+    return "drive.toml, gps_std_m" if evidence.drive.gps.std_x is None else "gps.csv, std_x, std_y"
+
+
+class _WrongStd(NamedTuple):
+    larger: bool  # whether the stated standard deviation is larger than that of the fixes
+    std: float  # of the fixes, m per axis
+    by_truth: bool  # whether the truth shows this
+    confidence: float
+
+
+def _wrong_std(evidence: Evidence, stated: float, scatter: float, unseen: float) -> _WrongStd | None:
+    """Compare the stated standard deviation with scatter and truth; ``unseen``: noise that may be motion, m."""
+    noise, fit = evidence.noise, evidence.truth_fit
     # A receiver that smooths has correlated errors, so its stated accuracy may be right despite little scatter.
     white = noise > MIN_WHITE_RATIO * scatter and scatter > MIN_NOISE
-    error, variation = (fit.error, fit.variation) if (fit := evidence.truth_fit) else (0.0, 0.0)
+    error, variation = (fit.error, fit.variation) if fit else (0.0, 0.0)
     if variation < MIN_WHITE_RATIO * noise:  # the truth follows the fixes
         error = variation = 0.0
-    size, by_truth = scatter, False
-    limit = MAX_TYPED_RATIO if gps.std_x is None else MAX_STATED_RATIO
+    limit = MAX_TYPED_RATIO if evidence.drive.gps.std_x is None else MAX_STATED_RATIO
     if noise - unseen > MAX_OBSERVED_RATIO * stated:
-        how, confidence = "smaller", confidence_of(3 + noise / stated / MAX_OBSERVED_RATIO)
-    elif white and stated > max(limit * scatter, MAX_ERROR_RATIO * variation):
-        how, confidence = "larger", confidence_of(2 * stated / MAX_STATED_RATIO / scatter)
-        if variation > MAX_SCATTER_RATIO * scatter:
-            size, by_truth = variation, True
-    elif variation > MAX_ERROR_RATIO * stated:
-        how, confidence = "smaller", confidence_of(2 * variation / MAX_ERROR_RATIO / stated)
-        size, by_truth = variation, True
-    elif error and stated > MAX_STATED_RATIO * max(error, noise):
-        how, confidence = "larger", confidence_of(2 * stated / MAX_STATED_RATIO / error)
-        size, by_truth = max(error, noise), True
-    else:
-        if stated > MAX_SCATTER_RATIO * max(scatter, MIN_NOISE) or (
-            noise < MIN_WHITE_RATIO * scatter and scatter > MIN_NOISE
-        ):
-            large = stated > MAX_SCATTER_RATIO * scatter
-            otherwise = ", or their stated standard deviation is too large" if large else ""
-            what = (
-                f"the errors of the fixes are correlated{otherwise}. The standard deviation of the fixes per axis is "
-                f"{noise:.2g} m from fix to fix and {scatter:.2g} m about a smooth path of ten seconds; "
-                f"a standard deviation of {stated:.2g} m is stated. Averaging hardly reduces correlated errors. If "
-                "there is no truth, neither the stated standard deviation nor a filter's error can be checked"
-            )
-            remedy = (
-                "expect errors larger than the filter's standard deviations, which represent only the scatter"
-            )
-            yield Finding(
-                "gps-correlated", "note", what, where, span, confidence_of(stated / scatter), remedy
-            )
-        return
-    factor = max(stated / size, size / stated)
+        return _WrongStd(False, scatter, False, confidence_of(3 + noise / stated / MAX_OBSERVED_RATIO))
+    if white and stated > max(limit * scatter, MAX_ERROR_RATIO * variation):
+        by_truth = variation > MAX_SCATTER_RATIO * scatter
+        confidence = confidence_of(2 * stated / MAX_STATED_RATIO / scatter)
+        return _WrongStd(True, variation if by_truth else scatter, by_truth, confidence)
+    if variation > MAX_ERROR_RATIO * stated:
+        return _WrongStd(False, variation, True, confidence_of(2 * variation / MAX_ERROR_RATIO / stated))
+    if error and stated > MAX_STATED_RATIO * max(error, noise):
+        confidence = confidence_of(2 * stated / MAX_STATED_RATIO / error)
+        return _WrongStd(True, max(error, noise), True, confidence)
+    return None
+
+
+def _wrongly_stated(evidence: Evidence, stated: float, wrong: _WrongStd) -> Finding:
+    larger, size, by_truth, confidence = wrong
     compared = "errors relative to the truth" if by_truth else "scatter"
     what = (
-        f"the stated standard deviation of the fixes ({stated:.2g} m) is {how} than their {compared} "
-        f"({size:.2g} m per axis) by a factor of {factor:.0f}"
+        f"the stated standard deviation of the fixes ({stated:.2g} m) is {'larger' if larger else 'smaller'} than "
+        f"their {compared} ({size:.2g} m per axis) by a factor of {max(stated / size, size / stated):.0f}"
     )
     file, columns = where.split(", ", 1)
     remedy = f"state {size:.2g} m as {columns} in {file}"
     repair, severity = Repair("state-noise", (size,)), "warning"
     if not by_truth:
         remedy += ", or more if you know of slow errors. A log without truth does not show slow errors"
-    elif how == "smaller":  # the lever arm of the antenna may be missing
+    elif not larger:  # the lever arm of the antenna may be missing
         repair, remedy = None, f"check the lever arm of the antenna; if it is right, {remedy}"
-    if gps.std_x is None:
+    if evidence.drive.gps.std_x is None:
         what += ". A tuning without truth takes R from this value: with a smaller value the filter follows the fixes "
         what += "more closely, and with a larger value it trusts the IMU for longer"
-        if how == "larger" and not by_truth:  # a user may know of slow errors
+        if larger and not by_truth:  # a user may know of slow errors
             repair, severity = None, "note"
             remedy = (
                 "keep this value if the data sheet of the receiver states it, since slow errors do not increase "
                 "the scatter"
             )
-    yield Finding("gps-noise", severity, what, where, span, confidence, remedy, repair)
+    return Finding("gps-noise", severity, what, _place(evidence), evidence.span, confidence, remedy, repair)
