@@ -8,9 +8,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from importing.logs import a_drive, imported
+from importing.logs import ORIGIN, a_drive, imported
 from importing.test_phones import sensor_logger
 from sigmaswarm.errors import InputError
+from sigmaswarm.geodesy import enu_to_geodetic
 from sigmaswarm.importing.source import TableChoice
 
 DRIVE = a_drive()
@@ -43,7 +44,6 @@ def one_table(path: Path, fixes: tuple[str, str], truth: tuple[str, str]) -> Pat
         (("gnss_e", "gnss_n"), ("true_x", "true_y")),
         (("x", "y"), ("gt.x", "gt.y")),
         (("gps_x", "gps_y"), ("x_gt", "y_gt")),
-        (("gps_x", "gps_y"), ("ref_east", "ref_north")),
         (("gps_x", "gps_y"), ("ground_truth_x", "ground_truth_y")),
     ],
 )
@@ -57,10 +57,33 @@ def test_prefixes_separate_fixes_and_truth(tmp_path: Path, fixes: tuple[str, str
 
 
 @pytest.mark.parametrize(
-    ("names", "why"), [(("x_ref", "y_ref"), "setpoint"), (("my_x", "my_y"), "no word for truth")]
+    ("names", "why"),
+    [
+        (("x_ref", "y_ref"), "setpoint"),
+        (("ref_x", "ref_y"), "setpoint"),
+        (("my_x", "my_y"), "no word for truth"),
+    ],
 )
 def test_other_words_mark_no_truth(tmp_path: Path, names: tuple[str, str], why: str):
     assert imported(one_table(tmp_path / "log.csv", ("gps_x", "gps_y"), names)).drive.truth is None, why
+
+
+def test_the_note_on_a_possible_setpoint_tells_how_to_read_a_truth(tmp_path: Path):
+    path = one_table(tmp_path / "log.csv", ("gps_x", "gps_y"), ("ref_east", "ref_north"))
+    (note,) = [note for note in imported(path).notes if "may be setpoints" in note]
+    truth = imported(path, maps=shlex.split(note.partition("--map ")[2])).drive.truth
+    assert truth is not None
+    np.testing.assert_allclose(truth.x, TRUE["x"], atol=1e-6)
+    np.testing.assert_allclose(truth.y, TRUE["y"], atol=1e-6)
+
+
+def test_copies_of_the_fixes_are_no_truth(tmp_path: Path):
+    path = one_table(tmp_path / "log.csv", ("gps_x", "gps_y"), ("u", "v"))
+    copies = {f"gt_{name}": pl.col(f"gps_{name}").forward_fill() for name in "xy"}
+    pl.read_csv(path, infer_schema_length=None).with_columns(**copies).write_csv(path)
+    got = imported(path)
+    assert got.drive.truth is None
+    assert [note for note in got.notes if "gt_x and gt_y are not used as truth" in note]
 
 
 def test_the_position_of_a_reference_station_is_no_truth(tmp_path: Path):
@@ -68,6 +91,23 @@ def test_the_position_of_a_reference_station_is_no_truth(tmp_path: Path):
     station = {f"ref_{name}": pl.lit(value) for name, value in (("x", 10.0), ("y", 20.0))}
     pl.read_csv(path, infer_schema_length=None).with_columns(**station).write_csv(path)
     assert imported(path).drive.truth is None
+
+
+def test_coordinates_from_the_center_of_the_earth_are_no_meters_east_and_north(tmp_path: Path):
+    enu = np.column_stack([GPS.x, GPS.y, np.zeros(len(GPS))])
+    lat, lon = np.radians(enu_to_geodetic(enu, ORIGIN)[:, :2].T)
+    radius = 6378137 / np.sqrt(1 - 0.00669438 * np.sin(lat) ** 2)
+    x, y, z = (
+        radius * np.cos(lat) * np.cos(lon),
+        radius * np.cos(lat) * np.sin(lon),
+        radius * 0.99330562 * np.sin(lat),
+    )
+    path = tmp_path / "imu.csv"
+    pl.DataFrame({"t": IMU.time, **AXES}).write_csv(path)
+    pl.DataFrame({"t": GPS.time, "gps_x": x, "gps_y": y, "gps_z": z}).write_csv(tmp_path / "gps.csv")
+    got = imported(tmp_path).drive.gps
+    assert np.ptp(got.x) == pytest.approx(np.ptp(GPS.x), rel=1e-3)
+    assert np.ptp(got.y) == pytest.approx(np.ptp(GPS.y), rel=1e-3)
 
 
 def folder_of(tmp_path: Path, fixes: str, truth: str) -> Path:

@@ -42,11 +42,12 @@ SAMPLE_ROWS = 2000
 BLOCKS, BLOCK = 16, 500
 _WHEELS = re.compile(r"odo|wheel|(?:^|[^a-z])can(?:[^a-z]|$)", re.IGNORECASE)
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|[^a-z])(?:gt|ref)(?:[^a-z]|$)", re.IGNORECASE)
-# Words of a truth's columns that do not change the meaning of a name; x_ref may be a setpoint
+# Words of a truth's columns that do not change the meaning of a name; x_ref and ref_x may be setpoints
 _OF_TRUTH = re.compile(
     r"^(?:(?:ground_?)?truth|true|gt|ref(?:erence)?)[\W_]|[\W_](?:(?:ground_?)?truth|true|gt)$",
     re.IGNORECASE,
 )
+_MAYBE_TRUTH = re.compile(r"ref", re.IGNORECASE)
 _FORCES = re.compile(r"acc", re.IGNORECASE)
 _RATES = re.compile(r"gyr|ang(?:ular)?_?(?:vel|rate)|rotation_?rate|rotationrate", re.IGNORECASE)
 # Names of tables whose x, y, z are neither a position nor axes of the IMU
@@ -112,10 +113,8 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
     ``samples``: rows of each table; ``chosen``: table by role, as chosen by the user.
     """
     found = {table: _find_columns(frame, table) for table, frame in samples.items()}
-    named = {t: _columns_of_truth(frame) for t, frame in samples.items() if not _TRUTH.search(t)}
-    truths = {t: c for t, c in named.items() if c.located and not _in_wrong_unit(c)}
+    truths, notes = _truths_of_columns(samples, found)
     roles: dict[Role, tuple[Part, ...]] = {}
-    notes: list[str] = []
     faults: list[Fault] = []
     about: dict[str, list[tuple[Role, str]]] = {}
     ticks: dict[Role, str] = {}
@@ -242,19 +241,47 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
     return columns
 
 
-def _columns_of_truth(frame: pl.DataFrame) -> Columns:
-    """Find the columns whose names mark them as truth: truth_x, gt_lat, ref_y.
+def _truths_of_columns(
+    samples: Mapping[str, pl.DataFrame], found: Mapping[str, Columns]
+) -> tuple[dict[str, Columns], list[str]]:
+    """Find the columns of each table whose names mark them as truth: truth_x, gt_lat; return them, and notes.
 
     The truth of a moving vehicle changes; the position of a reference station does not.
     """
-    columns = Columns(frame)
-    for column in frame.columns:
-        name = replace(read_name(bare := _OF_TRUTH.sub("", column)), column=column)
-        if bare == column or (what := name.meaning) not in _WANTED["truth"] or read_name(column).meaning:
+    truths: dict[str, Columns] = {}
+    notes: list[str] = []
+    for table, frame in samples.items():
+        columns = Columns(frame)
+        for column in frame.columns if not _TRUTH.search(table) else ():
+            name = replace(read_name(bare := _OF_TRUTH.sub("", column)), column=column)
+            if bare == column or (what := name.meaning) not in _WANTED["truth"] or read_name(column).meaning:
+                continue
+            if column_numbers(frame[column]).n_unique() > 1:
+                columns.names.setdefault(what, name)
+        if not columns.located or _in_wrong_unit(columns):
             continue
-        if column_numbers(frame[column]).n_unique() > 1:
-            columns.names.setdefault(what, name)
-    return columns
+        pair = ("lat", "lon") if columns.has("lat", "lon") else ("x", "y")
+        both = " and ".join(columns.names[what].column for what in pair)
+        if any(_MAYBE_TRUTH.match(columns.names[what].column) for what in pair):
+            maps = " ".join(quote(f"truth.{what}={columns.text(what)}") for what in pair)
+            notes.append(f"{both} are not used, since they may be setpoints; for a truth write --map {maps}")
+        elif _repeats_fixes(columns, found[table], pair):
+            notes.append(f"{both} are not used as truth, since they repeat the positions of the fixes")
+        else:
+            truths[table] = columns
+    return truths, notes
+
+
+def _repeats_fixes(truth: Columns, fixes: Columns, pair: Sequence[str]) -> bool:
+    if not fixes.has(*pair):
+        return False
+    names = [[columns.names[what].column for what in pair] for columns in (truth, fixes)]
+    placed = truth.frame.select(
+        pl.col(*names[0], *names[1]).cast(pl.Float64, strict=False).fill_nan(None)
+    ).drop_nulls()
+    return len(placed) > 0 and placed.select(names[0]).equals(
+        placed.select(names[1]).rename(dict(zip(names[1], names[0], strict=True)))
+    )
 
 
 def _in_wrong_unit(truth: Columns) -> bool:

@@ -39,6 +39,8 @@ MIN_SHARED = 0.5
 # Largest number of changes of the position within bursts, relative to the number of bursts, if each burst is one fix
 MAX_OTHER_SHARE = 0.1
 POSITIONS = ("lat", "lon", "x", "y")
+# Largest differences between the coordinates of a fix in two messages
+MAX_ROUNDED_DEGREES, MAX_ROUNDED_M = 1e-5, 1.0
 # Smallest bend at a corner of an interpolated path, in median bends; smallest number of corners, and the smallest
 # share of corners at a constant interval
 MIN_CORNER, MIN_CORNERS, MIN_REGULAR_SHARE = 8.0, 20, 0.9
@@ -204,10 +206,15 @@ def _same_position(values: Values) -> NDArray[np.bool_]:
 def _messages(time: Nanoseconds, values: Values) -> NDArray[np.bool_]:
     """Mark other messages of the same fix: rows that repeat the position of a row just before, if all do.
 
-    Rows at the time of the previous row in which other cells are filled may differ from it by rounding.
+    Rows at the time of the previous row in which other cells are filled may differ from it by rounding, or contain the
+    position that it lacks.
     """
     filled = np.array([np.isfinite(column) for column in values.values()], np.bool_).reshape(-1, len(time))
     other = (np.diff(time) == 0) & (np.diff(filled, axis=1).any(axis=0))
+    for name in values.keys() & {*POSITIONS}:
+        other &= ~(
+            np.abs(np.diff(values[name])) > (MAX_ROUNDED_DEGREES if name in POSITIONS[:2] else MAX_ROUNDED_M)
+        )
     near, same = in_burst(time, "gps"), _same_position(values) | other
     others = np.count_nonzero(near & ~same) > MAX_OTHER_SHARE * np.count_nonzero(~near)
     return np.append(False, near & same & ~others)
@@ -218,9 +225,8 @@ def _with_repeated(values: Values, again: NDArray[np.bool_]) -> Values:
     first = np.maximum.accumulate(np.where(again, 0, np.arange(len(again))))
     filled = dict(values)
     for name, column in values.items():
-        known = np.flatnonzero(again & np.isfinite(column))[
-            ::-1
-        ]  # the first of several values is written last
+        # in reverse order, so that the first of several values is written last
+        known = np.flatnonzero(again & np.isfinite(column))[::-1]
         known = known[np.isnan(column[first[known]])]
         filled[name] = column.copy()
         filled[name][first[known]] = column[known]

@@ -88,7 +88,7 @@ _SHORT = r"(?:field|data|msg|imu\d?)_(?=[agw][xyz](?:_|$))"
 # Prefixes of message tables and of loggers
 _CHIPS = r"(?:adis|adxl|bmi|bmx|bno|icm|iim|lis|lsm|mpu)\d+_(?=[ag]_?[xyz]$)|measurement_(?=[xyz]$)"
 _PREFIXES = re.compile(
-    rf"(?:field|data|msg|unit|imu\d?|gps\d?|gnss\d?|fix|location|position|pos_lla|pos)_(?=...)|(?:gps|gnss)\d?_(?=v?[xyen]$)|calibrated_(?=acc|gyr)|{_SHORT}|{_CHIPS}"
+    rf"(?:field|data|msg|unit|imu\d?|gps\d?|gnss\d?|fix|location|position|pos_lla|pos)_(?=...)|(?:gps|gnss)\d?_(?=v?[xyzenu]$)|calibrated_(?=acc|gyr)|{_SHORT}|{_CHIPS}"
 )
 _FIXES = r"gps\d?|gnss\d?|fix|position|location"
 # Words of a shared prefix that do not change the meaning of a name; others may mark an estimate or another quantity

@@ -18,6 +18,7 @@ _OUTER = re.compile(r"\"(?=[\[({])|(?<=[\])}])\"")  # quotes around brackets
 _CELL = re.compile(rf"{_VALUE}|[\w.:+-]*\d[\w.:+-]*")
 _NO_NAMES, _NO_BRACKETS = r"s/[A-Za-z_][A-Za-z0-9_]* *[:=] *//g", r"s/[]\"(){}[]//g"
 _SEPARATED = "s/ *[,; ] */,/g"
+_POINTS = re.compile(r"\bPOINT *(?:Z|M|ZM)? *\(", re.IGNORECASE)
 _PRINTED = re.compile(r"[\d:.]+ -> ")
 PARTS = {2: "xy", 3: "xyz", 4: "xyzw"}
 MIN_NAMES = 3  # smallest number of names in a row that are reported
@@ -33,6 +34,8 @@ def packed_cells(lines: Sequence[str], shown_as: Path) -> str:
     if not rows:
         return ""
     last = rows[-1]
+    if _POINTS.search(last):  # see `points`
+        return ""
     if all(_PRINTED.match(row) for row in rows[-MAX_ROWS:]):
         command = f"sed -E 's/^[0-9:.]+ -> //' {quote(shown_as.name)} > new.csv"
         raise InputError(

@@ -1,13 +1,18 @@
 """Positions in well-known text, POINT (8.0 50.0), as PostGIS and GeoPandas write them to a column of a table."""
 
+import numpy as np
 import polars as pl
 
 from sigmaswarm.importing.names import read_name
 
 _NUMBER = r"([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?)"
-_POINT = rf"(?i)^\s*(?:SRID=\d+;)?\s*POINT\s*(?:Z|M|ZM)?\s*\(\s*{_NUMBER}\s+{_NUMBER}[^()]*\)\s*$"
-_PLACES = (("x", 1), ("y", 2))  # coordinates and their numbers in a point
+_BEGIN = r"(?i)^\s*(?:SRID=\d+;)?\s*POINT\s*(?:Z|M|ZM)?\s*"
+_POINT = rf"{_BEGIN}\(\s*{_NUMBER}\s+{_NUMBER}[^()]*\)\s*$"
+_NO_POINT = rf"{_BEGIN}(?:EMPTY|\(\s*nan\s+nan[^()]*\))\s*$|^\s*$"  # of a row without a fix
 _DEGREES = 180.0, 90.0  # largest longitude and latitude
+# Largest median step between points in degrees, and largest range of one coordinate relative to its size; coordinates
+# of a site in m have larger steps or begin near zero
+_STEP, _RANGE = 0.01, 0.1
 
 
 def with_points(rows: pl.LazyFrame) -> pl.LazyFrame:
@@ -18,22 +23,30 @@ def with_points(rows: pl.LazyFrame) -> pl.LazyFrame:
     """
     schema = rows.collect_schema()
     texts = [name for name, kind in schema.items() if kind == pl.String]
-    cells = rows.select(pl.col(texts).drop_nulls().first()).collect().row(0) if texts else ()
-    points = [name for name, cell in zip(texts, cells, strict=True) if cell and _numbers(cell)]
+    cells = [pl.col(text).filter(~pl.col(text).str.contains(_NO_POINT)).first() for text in texts]
+    first = rows.select(cells).collect().row(0) if texts else ()
+    points = [name for name, cell in zip(texts, first, strict=True) if cell and _is_point(cell)]
     for name in points:
-        number = {i: pl.col(name).str.extract(_POINT, k).cast(pl.Float64, strict=False) for i, k in _PLACES}
-        largest = rows.select(n.abs().max().alias(i) for i, n in number.items()).collect().row(0)
-        in_degrees = all((size or 0.0) <= most for size, most in zip(largest, _DEGREES, strict=True))
-        axes = ("lon", "lat") if in_degrees else ("x", "y")
+        numbers = [pl.col(name).str.extract(_POINT, k).cast(pl.Float64, strict=False) for k in (1, 2)]
+        places = rows.select(n.alias(axis) for n, axis in zip(numbers, "xy", strict=True)).collect()
+        axes = ("lon", "lat") if _in_degrees(places) else ("x", "y")
         names = [f"{name}_{axis}" for axis in axes]
         plain = len(points) == 1 and all(read_name(n).meaning is None for n in names)
         names = [*axes] if plain and schema.keys().isdisjoint(axes) else names
-        rows = rows.with_columns(n.alias(new) for n, new in zip(number.values(), names, strict=True)).drop(
-            name
-        )
+        new = [number.alias(n) for number, n in zip(numbers, names, strict=True)]
+        rows = rows.with_columns(new).drop(name)
     return rows
 
 
-def _numbers(cell: str) -> bool:
-    found = pl.Series([cell]).str.extract(_POINT, 2)
-    return found[0] is not None
+def _is_point(cell: str) -> bool:
+    return bool(pl.Series([cell]).str.contains(_POINT)[0])
+
+
+def _in_degrees(places: pl.DataFrame) -> bool:
+    values = places.drop_nulls().to_numpy()
+    size = np.max(np.abs(values), axis=0)
+    if (size > _DEGREES).any():
+        return False
+    steps = np.abs(np.diff(values, axis=0))
+    usual = [np.median(step[step > 0]) if step.any() else 0.0 for step in steps.T]
+    return max(usual) < _STEP and bool((np.ptp(values, axis=0) < _RANGE * size).any())
