@@ -155,3 +155,18 @@ def test_a_truth_shows_the_size_of_errors_that_last():
     for truth in (None, own, shifted(drive, 18.0).truth):
         assert "gps-noise" not in diagnose(replace(stating(drive, 0.1), truth=truth)).codes
     assert "gps-noise" not in diagnose(shifted(stating(smooth, 2.0), 0.0, move=3e4)).codes
+
+
+def test_a_truth_without_heading_is_compared_with_the_fixes_too():
+    drive = DRIVES["urban"]
+    truth, middle = drive.truth, np.mean(drive.imu.time)
+    fit = gather(drive).truth_fit
+    assert fit is not None
+    without = replace(truth, theta=np.full_like(truth.theta, np.nan))
+    assert gather(replace(drive, truth=without)).truth_fit == fit
+    # If the antenna is not at the IMU, its track is known only with a heading.
+    elsewhere = {"gps_lever_arm_m": (0.01, 0.0)}
+    assert gather(replace(drive, truth=without, metadata=elsewhere)).truth_fit is None
+    half = replace(truth, theta=np.where(truth.time < middle, truth.theta, np.nan))
+    part = gather(replace(drive, truth=half, metadata=elsewhere)).truth_fit
+    assert part is not None and part.error == pytest.approx(fit.error, rel=0.2)

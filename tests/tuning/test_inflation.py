@@ -258,3 +258,19 @@ def test_a_truth_shows_the_gyros_bias_not_its_scale():
     assert problem.true_gyro_biases() == pytest.approx([2e-3] * 3, abs=5e-5)
     problem = car_problem([biased] * 3, TuneConfig(model="tilted12", objective="innovation-t"))
     assert not len(problem.true_gyro_biases())  # truth only with objectives that use it
+
+
+@pytest.mark.parametrize(
+    "missing", [(0.0, 0.0), (15.0, 40.0)], ids=["whole truth", "gap with most of a turn"]
+)
+def test_a_gap_of_the_truth_with_a_turn_shows_no_gyro_bias(missing: tuple[float, float]):
+    drive = simulate("urban", seed=1, duration=60.0, imu="ideal")
+    assert drive.truth is not None
+    rate = 0.2 + 0.1 * np.sin(0.5 * (drive.imu.time - drive.imu.time[0]))
+    turned = np.append(0.0, np.cumsum(np.diff(drive.imu.time) * (rate[1:] + rate[:-1]) / 2))
+    theta = np.interp(drive.truth.time, drive.imu.time, turned)
+    since = drive.truth.time - drive.imu.time[0]
+    known = (since <= missing[0]) | (since >= missing[1])
+    truth = replace(drive.truth, theta=np.where(known, np.angle(np.exp(1j * theta)), np.nan))
+    turning = replace(drive, imu=replace(drive.imu, gz=rate + 2e-3), truth=truth)
+    assert true_gyro_bias(turning) == pytest.approx(2e-3, abs=1e-4)

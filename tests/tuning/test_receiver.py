@@ -10,6 +10,7 @@ from sigmaswarm import evaluate, split_time
 from sigmaswarm.doctor import evidence
 from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.sensors import true_std
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, baseline
 from sigmaswarm.simulation.scenarios import simulate
@@ -162,3 +163,19 @@ def test_the_baseline_uses_the_accuracy_that_the_truth_of_the_training_drives_sh
     assert baseline(stated, seen.parameters, 0.02).measurement_noise == (9.0, 9.0)
     blind = replace(test, truth=None)  # the truth of the tested drive has no effect
     assert baseline(blind, seen.parameters, 0.02) == baseline(test, seen.parameters, 0.02)
+
+
+def test_a_lever_arm_is_no_error_of_the_fixes():
+    rng, plain = np.random.default_rng(5), simulate("urban", duration=40.0, imu_rate=50.0)
+    time, truth = plain.gps.time, plain.truth
+    assert truth is not None
+    arm = complex(1.5, 0.3) * np.exp(1j * truth.theta)
+    x, y = (
+        np.interp(time, truth.time, v) + 0.02 * rng.standard_normal(len(time))
+        for v in (truth.x + arm.real, truth.y + arm.imag)
+    )
+    drive = replace(plain, gps=type(plain.gps)(time, x, y), metadata={"gps_lever_arm_m": (1.5, 0.3)})
+    assert true_std(drive) == pytest.approx(0.02, rel=0.3)
+    unknown = replace(truth, theta=np.full_like(truth.theta, np.nan))
+    assert np.isnan(true_std(replace(drive, truth=unknown)))
+    assert true_std(replace(plain, truth=unknown)) == true_std(plain)

@@ -10,7 +10,8 @@ from sigmaswarm.doctor.acceleration_fit import SMALL_SAMPLE
 from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.truth_clock import MIN_DELAY
 from sigmaswarm.doctor.windows import Complex, regress, windows_of
-from sigmaswarm.drives.drive import Drive, Gps, Truth
+from sigmaswarm.drives.drive import Drive, Gps
+from sigmaswarm.drives.sensors import antenna_track
 
 WINDOW = 20.0  # s, in which errors of the fixes that last are about constant
 MIN_WINDOWS = 3
@@ -38,20 +39,22 @@ def fit_truth(drive: Drive, course: Course) -> TruthFit | None:
 
     In each window, a constant stands for errors of the fixes that last.
     """
-    truth, time = drive.truth, course.time
-    if truth is None or len(truth.time) < 2:
+    if (truth := drive.truth) is None:
         return None
-    steps = np.diff(truth.time)
-    gap = np.clip(np.searchsorted(truth.time, time) - 1, 0, len(steps) - 1)
+    time, (true_time, antenna) = course.time, antenna_track(drive, truth)
+    if len(true_time) < 2:
+        return None
+    steps = np.diff(true_time)
+    gap = np.clip(np.searchsorted(true_time, time) - 1, 0, len(steps) - 1)
     known = steps[gap] < max(MAX_GAP, GAP_INTERVALS * float(np.median(steps)))
-    known &= (time > truth.time[0] + MIN_DELAY) & (time < truth.time[-1] - MIN_DELAY)
+    known &= (time > true_time[0] + MIN_DELAY) & (time < true_time[-1] - MIN_DELAY)
     rows = windows_of(time, known, WINDOW)
     if len(rows) < MIN_WINDOWS:
         return None
-    antenna, delay = _antenna(drive, truth), 0.0
+    delay = 0.0
 
     def at(times: Array) -> Complex:
-        return np.interp(times, truth.time, antenna.real) + 1j * np.interp(times, truth.time, antenna.imag)
+        return np.interp(times, true_time, antenna.real) + 1j * np.interp(times, true_time, antenna.imag)
 
     for _ in range(MAX_ROUNDS):
         off, when = course.position - at(time - delay), time - delay
@@ -79,14 +82,10 @@ def truth_as_fixes(drive: Drive, fit: TruthFit) -> Drive:
     """Replace the fixes by the truth on the clock of the fixes: fixes with far smaller errors."""
     truth = drive.truth
     assert truth is not None
-    every = max(round(STEP / float(np.median(np.diff(truth.time)))), 1)
-    antenna = _antenna(drive, truth)[::every]
-    x, y = (np.asarray(part, np.float64) for part in (antenna.real, antenna.imag))
-    return replace(drive, gps=Gps(truth.time[::every] + fit.delay, x, y))
-
-
-def _antenna(drive: Drive, truth: Truth) -> Complex:
-    return truth.x + 1j * truth.y + complex(*drive.lever_arm) * np.exp(1j * truth.theta)
+    time, antenna = antenna_track(drive, truth)
+    every = max(round(STEP / float(np.median(np.diff(time)))), 1)
+    x, y = (np.asarray(part[::every], np.float64) for part in (antenna.real, antenna.imag))
+    return replace(drive, gps=Gps(time[::every] + fit.delay, x, y))
 
 
 def _spread(off: Complex) -> float:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.arrays import Array
+from sigmaswarm.drives.drive import Drive, Truth
 from sigmaswarm.drives.mounting import NO_ROTATION, Angles, axes_of
 from sigmaswarm.geodesy import STANDARD_GRAVITY, rotation_of
 
@@ -166,13 +167,26 @@ def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
     return float(np.median(np.abs(parts)) / 0.6745 / np.sqrt(20.0)) if len(third) else 0.0
 
 
+def antenna_track(drive: Drive, truth: Truth) -> tuple[Array, NDArray[np.complex128]]:
+    """Return the times, s, and the positions of the antenna, x + iy in m, according to the truth.
+
+    If the antenna is not at the IMU, times at which the truth has no heading are omitted.
+    """
+    track = truth.x + 1j * truth.y
+    if drive.lever_arm.any():
+        track = track + complex(*drive.lever_arm) * np.exp(1j * truth.theta)
+    known = np.isfinite(track)
+    return truth.time[known], track[known]
+
+
 def true_std(drive: Drive) -> float:
     """Return a robust standard deviation of the fixes from the truth, m per axis; NaN without truth at their times."""
-    gps, truth = drive.gps, drive.truth
-    if truth is None:
+    gps = drive.gps
+    time, track = antenna_track(drive, drive.truth) if drive.truth else (np.zeros(0), np.zeros(0, complex))
+    if not len(time):
         return float("nan")
-    gps = gps.select((gps.time >= truth.time[0]) & (gps.time <= truth.time[-1]))
-    off = [getattr(gps, axis) - np.interp(gps.time, truth.time, getattr(truth, axis)) for axis in ("x", "y")]
+    gps = gps.select((gps.time >= time[0]) & (gps.time <= time[-1]))
+    off = [gps.x - np.interp(gps.time, time, track.real), gps.y - np.interp(gps.time, time, track.imag)]
     return float(np.median(np.abs(off)) / 0.6745) if len(gps) else float("nan")
 
 
@@ -185,11 +199,12 @@ def true_gyro_bias(drive: Drive) -> float:
     if truth is None:
         return float("nan")
     inside = (truth.time >= imu.time[0]) & (truth.time <= imu.time[-1]) & np.isfinite(truth.theta)
-    time, heading = truth.time[inside], np.unwrap(truth.theta[inside])
+    time = truth.time[inside]
     if len(time) < 3:
         return float("nan")
     steps = np.diff(imu.time) * (imu.gz[1:] + imu.gz[:-1]) / 2
     turned = np.interp(time, imu.time, np.append(0.0, np.cumsum(steps)))
+    heading = turned - np.unwrap(turned - truth.theta[inside])  # the vehicle may turn in gaps of the truth
     columns = np.column_stack([time - time[0], heading - heading[0], np.ones(len(time))])
     return float(np.linalg.lstsq(columns, turned - heading, rcond=None)[0][0])
 
