@@ -95,3 +95,18 @@ def test_a_log_may_begin_without_a_point(tmp_path: Path, empty: str):
     got = imported(tmp_path)
     np.testing.assert_allclose(got.drive.gps.lat, GPS.lat[2:], rtol=0, atol=1e-9)
     assert not [note for note in got.notes if "several numbers" in note]
+
+
+@pytest.mark.parametrize(
+    ("column", "read"), [("gt_geom", True), ("ground_truth_point", True), ("geom_gt", False)]
+)
+def test_points_of_a_truth_are_no_fixes(tmp_path: Path, column: str, read: bool):
+    imu_table(tmp_path)
+    points = [
+        f"POINT ({lon!r} {lat + 1e-4!r})" for lat, lon in zip(GPS.lat.tolist(), GPS.lon.tolist(), strict=True)
+    ]
+    fixes = {"gps_lat": GPS.lat, "gps_lon": GPS.lon}
+    pl.DataFrame({"t": GPS.time + EPOCH, **fixes, column: points}).write_csv(tmp_path / "gps.csv")
+    drive = imported(tmp_path).drive
+    assert_close(drive.gps, GPS, "lat lon", 1e-9)
+    assert (drive.truth is not None) == read

@@ -41,7 +41,7 @@ SAMPLE_ROWS = 2000
 # log. A block contains fixes even if only 1 of 200 rows has one.
 BLOCKS, BLOCK = 16, 500
 _WHEELS = re.compile(r"odo|wheel|(?:^|[^a-z])can(?:[^a-z]|$)", re.IGNORECASE)
-_TRUTH = re.compile(r"truth|ground|reference|(?:^|[^a-z])(?:gt|ref)(?:[^a-z]|$)", re.IGNORECASE)
+TRUTH = re.compile(r"truth|ground|reference|(?:^|[^a-z])(?:gt|ref)(?:[^a-z]|$)", re.IGNORECASE)
 # Words of a truth's columns that do not change the meaning of a name; x_ref and ref_x may be setpoints
 _OF_TRUTH = re.compile(
     r"^(?:(?:ground_?)?truth|true|gt|ref(?:erence)?)[\W_]|[\W_](?:(?:ground_?)?truth|true|gt)$",
@@ -216,7 +216,7 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
     """Assign to each quantity the first column with its name; in a table named after a sensor, x, y, z are axes."""
     columns = Columns(frame)
     for name in read_names(frame.columns):
-        if _TRUTH.search(table) and name.meaning is None:
+        if TRUTH.search(table) and name.meaning is None:
             name = replace(read_name(_OF_TRUTH.sub("", name.column)), column=name.column)
         if (what := name.meaning) is None or what == "t":
             continue
@@ -252,7 +252,7 @@ def _truths_of_columns(
     notes: list[str] = []
     for table, frame in samples.items():
         columns = Columns(frame)
-        for column in frame.columns if not _TRUTH.search(table) else ():
+        for column in frame.columns if not TRUTH.search(table) else ():
             name = replace(read_name(bare := _OF_TRUTH.sub("", column)), column=column)
             if bare == column or (what := name.meaning) not in _WANTED["truth"] or read_name(column).meaning:
                 continue
@@ -300,7 +300,7 @@ def _candidates(
     rates = {t for t, c in found.items() if "gz" in c}
     degrees = {t for t, c in found.items() if c.has("lat", "lon")}
     located = {t for t, c in found.items() if c.located}
-    truth = {t for t in found if t not in truths and (t == chosen_truth or _TRUTH.search(t))}
+    truth = {t for t in found if t not in truths and (t == chosen_truth or TRUTH.search(t))}
     loose = {t for t in forces if rates and not re.search("lin|gravity", t, re.IGNORECASE)}
     counted = {
         t

@@ -1,14 +1,18 @@
 """Positions in well-known text, POINT (8.0 50.0), as PostGIS and GeoPandas write them to a column of a table."""
 
+import re
+
 import numpy as np
 import polars as pl
 
+from sigmaswarm.importing.guess import TRUTH
 from sigmaswarm.importing.names import read_name
 
 _NUMBER = r"([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?)"
 _BEGIN = r"(?i)^\s*(?:SRID=\d+;)?\s*POINT\s*(?:Z|M|ZM)?\s*"
 _POINT = rf"{_BEGIN}\(\s*{_NUMBER}\s+{_NUMBER}[^()]*\)\s*$"
 _NO_POINT = rf"{_BEGIN}(?:EMPTY|\(\s*nan\s+nan[^()]*\))\s*$|^\s*$"  # of a row without a fix
+_WORDS = re.compile(r"_?(?:geom(?:etry)?|points?|wkt|position|location)$", re.IGNORECASE)
 _DEGREES = 180.0, 90.0  # largest longitude and latitude
 # Largest median step between points in degrees, and largest range of one coordinate relative to its size; coordinates
 # of a site in m have larger steps or begin near zero
@@ -18,8 +22,8 @@ _STEP, _RANGE = 0.01, 0.1
 def with_points(rows: pl.LazyFrame) -> pl.LazyFrame:
     """Replace each column of points by two columns of numbers: longitude and latitude, or x and y in m.
 
-    The names of the new columns begin with that of the column, unless this is the only column of points and these names
-    would have no meaning.
+    The names of the new columns are that of the column with the axis instead of a word for points: geom, gt_geom. If
+    such a name has no meaning, the names of a single column of points are the axes, unless it is a truth.
     """
     schema = rows.collect_schema()
     texts = [name for name, kind in schema.items() if kind == pl.String]
@@ -30,9 +34,13 @@ def with_points(rows: pl.LazyFrame) -> pl.LazyFrame:
         numbers = [pl.col(name).str.extract(_POINT, k).cast(pl.Float64, strict=False) for k in (1, 2)]
         places = rows.select(n.alias(axis) for n, axis in zip(numbers, "xy", strict=True)).collect()
         axes = ("lon", "lat") if _in_degrees(places) else ("x", "y")
-        names = [f"{name}_{axis}" for axis in axes]
-        plain = len(points) == 1 and all(read_name(n).meaning is None for n in names)
-        names = [*axes] if plain and schema.keys().isdisjoint(axes) else names
+        begin = _WORDS.sub("", name)
+        names = [f"{begin}_{axis}".lstrip("_") for axis in axes]
+        plain = (
+            len(points) == 1 and not TRUTH.search(name) and all(read_name(n).meaning is None for n in names)
+        )
+        names = [*axes] if plain else names
+        names = names if schema.keys().isdisjoint(names) else [f"{name}_{axis}" for axis in axes]
         new = [number.alias(n) for number, n in zip(numbers, names, strict=True)]
         rows = rows.with_columns(new).drop(name)
     return rows
