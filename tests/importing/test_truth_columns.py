@@ -154,3 +154,16 @@ def test_a_format_with_fixed_tables_does_not_ignore_a_chosen_table(tmp_path: Pat
     drive = imported(folder, choice=TableChoice({"truth": "Location.csv"})).drive
     assert drive.truth is not None
     np.testing.assert_allclose(drive.truth.x[: len(drive.gps)], drive.gps.x, atol=1e-6)
+
+
+@pytest.mark.parametrize("in_degrees", [False, True])
+def test_a_magnetometer_whose_table_has_no_name_is_no_position(tmp_path: Path, in_degrees: bool):
+    pl.DataFrame({"t": IMU.time, **AXES}).write_csv(tmp_path / "imu.csv")
+    heading = np.interp(IMU.time, TRUTH.time, np.unwrap(TRUTH.theta))
+    field = {"x": 22 * np.cos(heading), "y": -22 * np.sin(heading), "z": np.full(len(IMU), -42.0)}
+    pl.DataFrame({"t": IMU.time, **field}).write_csv(tmp_path / "m.csv")
+    fixes = {"lat": GPS.lat, "lon": GPS.lon} if in_degrees else {"x": GPS.x, "y": GPS.y}
+    pl.DataFrame({"t": GPS.time, **fixes}).write_csv(tmp_path / "p.csv")
+    got = imported(tmp_path)
+    assert np.ptp(got.drive.gps.x) == pytest.approx(np.ptp(GPS.x), rel=1e-3)
+    assert not [note for note in got.notes if "m.csv" in note]

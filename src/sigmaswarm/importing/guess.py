@@ -90,6 +90,9 @@ _DIMENSIONS = ".*(?:type|mode)"
 # Largest fraction of the likely fixes that a flag may exclude, unless the positions jump there; smallest ratio of a
 # jump to the 90% quantile of the other steps
 MAX_DROPPED, MIN_JUMP_RATIO = 0.2, 5.0
+# Largest ratio of the 90% to the 10% quantile of the magnitude of x, y, z of a magnetometer; largest median of its
+# vertical part, relative to the magnitude: a position may be small compared with its altitude
+MAX_SIZE_RATIO, MAX_VERTICAL_SHARE = 1.3, 0.99
 _WANTED: dict[Role, tuple[str, ...]] = {
     "imu": ("ax", "ay", "az", "gx", "gy", "gz"),
     "gps": (
@@ -125,7 +128,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
             continue
         best = chosen.get(role) or _best_table(role, tables, found)
         used = {best, *chosen.values(), *(part.table for parts in roles.values() for part in parts)}
-        located = [t for t, c in found.items() if c.located]
+        located = [t for t, c in found.items() if c.located and not _has_constant_size(c)]
         ask = role == "gps" and role not in chosen
         others = [t for t in (located if role == "gps" else tables) if t not in used]
         notes += _other_tables(role, best, others, samples, ask=ask)
@@ -188,7 +191,7 @@ def _best_table(role: Role, tables: Sequence[str], found: Mapping[str, Columns])
     """Return the first table with a fitting name, else the first.
 
     Tables that may contain estimates come last. Among fixes, positions from wheels come after all measured positions,
-    and a reference comes after other measurements.
+    and a reference comes after other measurements. x, y, z of constant size may be a magnetometer.
     """
     return max(
         tables,
@@ -196,10 +199,19 @@ def _best_table(role: Role, tables: Sequence[str], found: Mapping[str, Columns])
             not _ESTIMATE.search(t),
             role != "gps" or not _WHEELS.search(t),
             bool(re.search(_HINTS[role], t, re.IGNORECASE)),
+            role != "gps" or not _has_constant_size(found[t]),
             role != "gps" or not _REFERENCE.search(t),
             role == "gps" and "ax" not in found[t],
         ),
     )
+
+
+def _has_constant_size(columns: Columns) -> bool:
+    """Return True if x, y, z change, but not their magnitude, as for a magnetometer that turns."""
+    if not columns.has("x", "y", "z") or from_ecef(columns):
+        return False
+    low, high = (float(columns.norms(["x", "y", "z"]).quantile(q) or 0.0) for q in (0.1, 0.9))
+    return high < MAX_SIZE_RATIO * low and median_of(columns.numbers("z").abs()) < MAX_VERTICAL_SHARE * high
 
 
 def spread_rows(rows: pl.LazyFrame) -> pl.DataFrame:
