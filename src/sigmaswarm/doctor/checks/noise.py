@@ -165,7 +165,7 @@ def _wrongly_stated(evidence: Evidence, stated: float, wrong: _WrongStd) -> Find
         f"the stated standard deviation of the fixes ({stated:.2g} m) is {'larger' if larger else 'smaller'} than "
         f"their {compared} ({size:.2g} m per axis) by a factor of {max(stated / size, size / stated):.0f}"
     )
-    file, columns = where.split(", ", 1)
+    file, columns = _place(evidence).split(", ", 1)
     remedy = f"state {size:.2g} m as {columns} in {file}"
     repair, severity = Repair("state-noise", (size,)), "warning"
     if not by_truth:
