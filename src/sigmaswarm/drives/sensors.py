@@ -182,7 +182,9 @@ def antenna_track(drive: Drive, truth: Truth) -> tuple[Array, NDArray[np.complex
 def true_std(drive: Drive) -> float:
     """Return a robust standard deviation of the fixes from the truth, m per axis; NaN without truth at their times."""
     gps = drive.gps
-    time, track = antenna_track(drive, drive.truth) if drive.truth else (np.zeros(0), np.zeros(0, complex))
+    if (truth := drive.truth) is None:
+        return float("nan")
+    time, track = antenna_track(drive, truth)
     if not len(time):
         return float("nan")
     gps = gps.select((gps.time >= time[0]) & (gps.time <= time[-1]))
