@@ -25,7 +25,9 @@ def test_compare_writes_and_prints_its_table(sigmaswarm, drives: Path, here: Pat
 
 
 def test_tune_tells_what_racing_saved(sigmaswarm, drives: Path, here: Path):
-    ended = sigmaswarm("tune", drives, "--out", "t", "--racing", "--particles", 8, "--generations", 2)
+    ended = sigmaswarm(
+        "tune", drives, "--out", "t", "--racing", "--particles", 8, "--generations", 2, "--verbose"
+    )
     assert ended.code == 0, ended.err
     assert "racing: " in ended.out
     result = tomllib.loads((here / "t/tuning.toml").read_text())["result"]
