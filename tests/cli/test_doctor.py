@@ -64,7 +64,7 @@ def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
         what == "  SERIOUS  [gyro-sign] The yaw rate has the wrong sign: it must be positive in a left turn."
     )
     assert consequence == ["           A filter turns left where the car turns right."]
-    assert remedy == "           -> change the sign of gz (sigmaswarm doctor --fix does this)"
+    assert remedy == "           -> change the sign of gz (sigmaswarm doctor --fix tests and applies this)"
     assert "the integral of gz" not in ended.out
     assert f"\nnext: sigmaswarm doctor {sick} --fix mended\n" in ended.out
     verbose = " ".join(sigmaswarm("doctor", sick, "--verbose").out.split())
@@ -113,7 +113,7 @@ def test_a_part_is_repaired_only_with_the_whole_drive(sigmaswarm, sick: Path):
         "if the whole drive urban-clear-00 has this fault, repair that drive and split it again (change"
         in " ".join(said.split())
     )
-    assert "--fix does this" not in said and f"parts/{part} --fix" not in said
+    assert "--fix tests" not in said and f"parts/{part} --fix" not in said
     refused = sigmaswarm("doctor", "parts", "--fix", "alone")
     assert (refused.code, refused.err.count("\n"), Path("alone").exists()) == (2, 1, False)
     assert refused.err.endswith(

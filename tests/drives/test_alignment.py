@@ -273,7 +273,7 @@ def test_a_start_takes_20_m_within_6_s_or_a_longer_window(speed: float, earliest
     start = find_start(drive)
     assert isinstance(start, InitialState) and earliest <= start.time <= latest
     assert (
-        f"follows {MIN_TRAVEL:g} m of forward driving in {MIN_DURATION:g} to {MAX_DURATION:g} s" in START_RULE
+        f"after {MIN_TRAVEL:g} m of forward driving in {MIN_DURATION:g} to {MAX_DURATION:g} s" in START_RULE
     )
 
 

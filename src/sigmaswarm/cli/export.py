@@ -136,7 +136,7 @@ def _notes(target: Target, record: "TuningRecord", *, replay: bool) -> Iterator[
     if record.mounting and target == "c99":
         angles = ", ".join(f"{angle:.4g}" for angle in record.mounting)
         yield (
-            "pass each IMU sample, in the axes of the training log (README.md), to ins_gps_turn_imu(), "
+            "pass each IMU sample in the axes that the README.md of the export lists to ins_gps_turn_imu(), "
             f"which applies the mounting of the training drives (roll, pitch, yaw: {angles} deg)"
             f"{'. The samples in replay.csv are rotated already' if replay else ''}"
         )

@@ -12,8 +12,8 @@ from sigmaswarm.drives.mounting import AXES_KEY, KEY, axes_of
 
 # Rule by which `alignment` finds the start of a filter, for messages and pages
 START_RULE = (
-    "the first fix that has a heading, or follows 20 m of forward driving in 4 to 6 s. On a slower drive, 10 m in up "
-    "to 90 s is enough"
+    "the first fix with a heading, or the first fix after 20 m of forward driving in 4 to 6 s (slow vehicle: after "
+    "10 m in at most 90 s)"
 )
 
 

@@ -166,21 +166,21 @@ def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
     """Return sentences that estimate a filter's position error on a drive without truth: two, and the evidence.
 
     The estimate is the RMS of the filter's position standard deviations. If the innovations are far smaller than
-    expected, or smaller and correlated, the error may be as large as the error of a fix. Innovations do not show errors
-    that consecutive fixes have in common. ``lasting`` is the RMS of these errors (m per axis), which the covariance
-    does not include.
+    expected, or smaller and correlated, the error may be as large as an innovation that the filter expects.
+    Innovations do not show errors that consecutive fixes have in common. ``lasting`` is the RMS of these errors (m per
+    axis), which the covariance does not include.
     """
     own, missed = consistency.own_sigma or 0.0, consistency.missed or 0.0
     expected = consistency.expected or 0.0
     (low, high), nis = consistency.nis_band, f"mean NIS {consistency.mean_nis:.2g}, should be 2"
     alike = consistency.autocorrelation[0] > MAX_CORRELATION
     if consistency.mean_nis < low and (alike or consistency.mean_nis < MIN_INFORMATIVE_NIS):
-        guess = ""
-        if expected > own:
-            fixes = (expected**2 - own**2) ** 0.5
-            guess = (
-                f". It may be as large as the error of a fix, for which the filter assumes {fixes:.2g} m RMS"
-            )
+        guess = (
+            f". It may be as large as the {expected:.2g} m RMS by which the filter expects its predictions and the "
+            "fixes to differ"
+            if expected > own
+            else ""
+        )
         return (
             f"unknown, since there is no truth{guess}. The filter's covariance gives {own:.2g} m RMS, but it is not "
             f"reliable: the innovations are smaller than expected ({nis}). The receiver smooths its fixes, or their "
