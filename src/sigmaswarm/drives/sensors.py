@@ -193,7 +193,7 @@ def true_std(drive: Drive) -> float:
 
 
 def true_gyro_bias(drive: Drive) -> float:
-    """Return the mean bias of gz relative to the heading of the truth, rad/s; NaN without such truth.
+    """Return the mean bias of gz relative to the heading of the truth, rad/s; NaN if one of them is unknown.
 
     The scale error of the gyro is fitted too: otherwise, it would appear as a bias if a drive turns mostly to one side.
     """
@@ -202,7 +202,7 @@ def true_gyro_bias(drive: Drive) -> float:
         return float("nan")
     inside = (truth.time >= imu.time[0]) & (truth.time <= imu.time[-1]) & np.isfinite(truth.theta)
     time = truth.time[inside]
-    if len(time) < 3:
+    if len(time) < 3 or not np.isfinite(imu.gz).all():
         return float("nan")
     steps = np.diff(imu.time) * (imu.gz[1:] + imu.gz[:-1]) / 2
     turned = np.interp(time, imu.time, np.append(0.0, np.cumsum(steps)))
