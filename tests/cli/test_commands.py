@@ -537,7 +537,7 @@ def test_run_says_why_the_beginning_is_missing_and_writes_its_fixes(sigmaswarm, 
     said = sigmaswarm("run", tuned, "stood", "--out", "e.csv", "--before", "f.csv", "--overwrite").out
     earlier = pl.read_csv("e.csv")["t"][0] + 8.0
     assert (
-        f"the first {earlier:.1f} s have no estimate, since a filter starts at the first fix that has a heading, or"
+        f"the first {earlier:.1f} s have no estimate, since a filter starts at the first fix with a heading, or"
         in said
     )
     assert f"wrote f.csv: {len(pl.read_csv('f.csv'))} fixes before the start" in said

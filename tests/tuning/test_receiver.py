@@ -93,9 +93,7 @@ def test_errors_that_are_only_assumed_to_be_correlated_are_reported():
     """Where the receiver states nothing, no log shows whether it smooths or is precise."""
     p = FilterParameters(1.0, 2.0, 0.0, (1e-3,) * 5, (1.0, 1.0), kind="ekf", fix_error=0.5)
     (said,) = noise_warnings(p, [FixNoise(np.nan, 0.1)], confirming)
-    assert said.startswith(
-        "TO DO: write the line `gps_std_m = 0.1` (the scatter of the fixes, m per axis) at the top of drive.toml"
-    )
+    assert said.startswith("TO DO: write the line `gps_std_m = 0.1` at the top of drive.toml")
     assert "correlated errors with a standard deviation of 2.1 m per axis" in said
     assert "the baseline drifts 1 m instead of 2 m in outages of 5 s. It is a lower limit" in said
     (said,) = noise_warnings(p, [FixNoise(np.nan, 0.1)], lambda std: None)

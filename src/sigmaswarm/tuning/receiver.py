@@ -53,7 +53,7 @@ class StdCheck:
     @property
     def remedy(self) -> str:
         return (
-            f"write the line `gps_std_m = {self.std:.2g}` (the scatter of the fixes, m per axis) {AT_THE_TOP}; then "
+            f"write the line `gps_std_m = {self.std:.2g}` {AT_THE_TOP}, the scatter of the fixes in m per axis; then "
             f"{TUNE_AGAIN}"
         )
 
