@@ -1,5 +1,6 @@
 """Process noise is inflated as far as the cost allows, and no farther."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
@@ -192,6 +193,23 @@ def seen(*bias: float) -> SimpleNamespace:
     return SimpleNamespace(gyro=GyroBiasEvidence(np.array(bias), np.full(3, 0.03**2), 0.0, np.zeros(5)))
 
 
+def inflated_gyro_bias_std(starts: Sequence, true_biases: Sequence[float]) -> float:
+    """The standard deviation of the gyro's initial bias after inflation, on which the cost does not depend."""
+    space = search_space("tilted12", "log10", 0.01, kind="ekf", use=("lateral",))
+    problem = SimpleNamespace(
+        space=space,
+        data=[{"duration_s": 100.0}] * 3,
+        config=TuneConfig(model="tilted12", objective="truth-pose"),
+        costs=lambda points, executor=None: np.zeros(len(points)),
+        costs_without_prior=lambda points, executor=None: np.zeros(len(points)),
+        relative_increase=lambda costs, cost: costs - cost,
+        starts=lambda: starts,
+        true_gyro_biases=lambda: true_biases,
+    )
+    (found,) = space.decode(inflate(problem, space.low, 0.02, None)[0][np.newaxis])
+    return found.bias_std[1]
+
+
 @pytest.mark.parametrize(
     ("starts", "shown"),
     [
@@ -204,20 +222,7 @@ def seen(*bias: float) -> SimpleNamespace:
 )
 def test_biases_that_starts_show_are_the_least_deviation_of_the_gyros_bias(starts: list, shown: float):
     assert shown_bias(starts) == pytest.approx(shown, rel=1e-2)
-    space = search_space("tilted12", "log10", 0.01, kind="ekf", use=("lateral",))
-    problem = SimpleNamespace(
-        space=space,
-        data=[{"duration_s": 100.0}] * 3,
-        config=TuneConfig(model="tilted12", objective="truth-pose"),
-        costs=lambda points, executor=None: np.zeros(len(points)),
-        costs_without_prior=lambda points, executor=None: np.zeros(len(points)),
-        relative_increase=lambda costs, cost: costs - cost,
-        starts=lambda: starts,
-        true_gyro_biases=lambda: (),
-    )
-    point = inflate(problem, space.low, 0.02, None)[0]
-    (found,) = space.decode(point[np.newaxis])
-    assert found.bias_std[1] == pytest.approx(min(max(shown, 1e-5), 0.1), rel=1e-2)
+    assert inflated_gyro_bias_std(starts, ()) == pytest.approx(min(max(shown, 1e-5), 0.1), rel=1e-2)
 
 
 @pytest.mark.parametrize(
@@ -232,19 +237,7 @@ def test_biases_that_starts_show_are_the_least_deviation_of_the_gyros_bias(start
 )
 def test_true_biases_predict_the_deviation_on_other_drives(biases: list[float], predicted: float):
     assert predicted_bias(biases) == pytest.approx(predicted)
-    space = search_space("tilted12", "log10", 0.01, kind="ekf", use=("lateral",))
-    problem = SimpleNamespace(
-        space=space,
-        data=[{"duration_s": 100.0}] * 3,
-        config=TuneConfig(model="tilted12", objective="truth-pose"),
-        costs=lambda points, executor=None: np.zeros(len(points)),
-        costs_without_prior=lambda points, executor=None: np.zeros(len(points)),
-        relative_increase=lambda costs, cost: costs - cost,
-        starts=lambda: (),
-        true_gyro_biases=lambda: biases,
-    )
-    (found,) = space.decode(inflate(problem, space.low, 0.02, None)[0][np.newaxis])
-    assert found.bias_std[1] == pytest.approx(max(predicted, 1e-5), rel=1e-6)
+    assert inflated_gyro_bias_std((), biases) == pytest.approx(max(predicted, 1e-5), rel=1e-6)
 
 
 def test_a_truth_shows_the_gyros_bias_not_its_scale():

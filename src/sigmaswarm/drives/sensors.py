@@ -57,8 +57,7 @@ class LogProperties:
     driven : time between the last fix and the first fix that is more than 20 m from the start, s; 0 if there is none
     fixes : number of fixes within the IMU's time span
     noise, true_std : white noise of the fixes, and their standard deviation from the truth (NaN without truth), m per
-        axis
-    true_gyro_bias : result of `true_gyro_bias`; like ``true_std``, it is used only with objectives that use truth
+        axis; ``true_std`` is used only with objectives that use truth
     mounting : mounting of the IMU, deg; None if the drive states none
     """
 
@@ -80,7 +79,6 @@ class LogProperties:
     fix_interval: float = np.nan
     noise: float = np.nan
     true_std: float = np.nan
-    true_gyro_bias: float = np.nan
     mounting: Angles | None = None
 
 
@@ -108,7 +106,6 @@ def log_properties(drive: Drive | LogProperties) -> LogProperties:
         fix_interval=float(np.median(np.diff(gps.time))) if len(gps) > 1 else np.nan,
         noise=white_noise(gps.x + 1j * gps.y),
         true_std=true_std(drive),
-        true_gyro_bias=true_gyro_bias(drive),
         # An imported drive states its axes, but not a rotation of zero.
         mounting=drive.mounting or (NO_ROTATION if axes_of(drive.metadata) else None),
     )

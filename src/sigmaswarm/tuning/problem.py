@@ -17,7 +17,7 @@ from sigmaswarm.drives.alignment_fit import InitialState
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import drive_record, rounded
 from sigmaswarm.drives.overlap import Landmarks, landmarks
-from sigmaswarm.drives.sensors import LogProperties, enough_for_fix_error, log_properties
+from sigmaswarm.drives.sensors import LogProperties, enough_for_fix_error, log_properties, true_gyro_bias
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.run import run_kernel
 from sigmaswarm.filters.fixes_alone import MotionNoise, fitted_noise
@@ -154,14 +154,12 @@ class CarProblem(Problem[FilterParameters]):
 
     @property
     def described(self) -> list[dict[str, Any]]:
-        shown = [
-            {} if self.shown_std is None else {"shown_std_m": rounded(one.true_std)} for one in self.sensors
-        ]
-        stds = self._receiver_std.max(axis=1).tolist()
-        return [
-            {**entry, "receiver_std_m": rounded(std), **also}
-            for entry, std, also in zip(self.data, stds, shown, strict=True)
-        ]
+        pairs = zip(self.data, self.sensors, strict=True)
+        described = [{**entry, "receiver_std_m": rounded(max(one.receiver_std))} for entry, one in pairs]
+        if self.shown_std is not None:
+            for entry, one in zip(described, self.sensors, strict=True):
+                entry["shown_std_m"] = rounded(one.true_std)
+        return described
 
     @property
     def shown_std(self) -> float | None:
@@ -228,7 +226,7 @@ class CarProblem(Problem[FilterParameters]):
         return self.scorer.map_prepared(attrgetter("initial"))
 
     def true_gyro_biases(self) -> Sequence[float]:
-        return [one.true_gyro_bias for one in self.sensors] if self.objective.needs_truth else ()
+        return self.scorer.dataset.map(true_gyro_bias) if self.objective.needs_truth else ()
 
     def forecasts(self, point: Array, noise: MotionNoise) -> list[DriftComparison]:
         return [*forecasts_of(self.parameters(point), noise, self.scorer, self.shown_std)]
