@@ -1,8 +1,8 @@
-"""Execute notebooks in fresh kernels and keep in them what they show: `make notebook`.
+"""Execute notebooks in fresh kernels and store their outputs: `make notebook`.
 
     python examples/execute.py examples/paper.ipynb
 
-Nothing that changes from one run to the next is kept: no time, no path, no version of Python.
+The stored outputs contain nothing that changes from run to run: no times, paths or version of Python.
 """
 
 import os
@@ -21,7 +21,7 @@ def execute(path: Path) -> None:
     for cell in notebook.cells:
         if cell.cell_type == "code":
             cell.outputs, cell.execution_count, cell.metadata = [], None, {}
-    # Over sockets in the file system, which no other user of the machine can listen to.
+    # Sockets in the file system, to which no other user of the machine can listen.
     config = Config({} if os.name == "nt" else {"KernelManager": {"transport": "ipc"}})
     options = {"record_timing": False, "coalesce_streams": True, "timeout": 3600, "kernel_name": "python3"}
     NotebookClient(notebook, config=config, **options).execute()
@@ -34,7 +34,7 @@ def execute(path: Path) -> None:
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as scratch:
-        # The kernel's history and connection files, and nobody's own settings.
+        # The kernel writes its history and connection files here, and reads no settings of the user.
         os.environ |= {
             f"{name}_DIR": scratch for name in ("JUPYTER_CONFIG", "JUPYTER_RUNTIME", "JUPYTER_DATA")
         }
