@@ -78,7 +78,7 @@ class Sensors:
             actor.listen(self._queues[sensor].put)
 
     def start(self, tick: Callable[[], int]) -> int:
-        """Tick until both sensors send data, skip their first samples, and return the frame."""
+        """Tick until both sensors send data, skip their first samples, and return the number of the last frame."""
         end, wait = time.monotonic() + self._timeout, 0.05
         while True:
             frame = tick()

@@ -166,7 +166,7 @@ SWEEP_FRICTIONS = (3.5, 2.0, 1.0, 0.5, 0.25)
 
 
 def sweep_brakes(session: Session, say: Callable[[str], None]) -> list[list[float]]:
-    """Brake hard with each tire_friction; return pairs of tire_friction and measured friction."""
+    """Brake hard with each value of tire_friction; return pairs of this value and the measured friction."""
     found: list[list[float]] = []
     guess = 0.4
     for tire_friction in SWEEP_FRICTIONS:

@@ -21,8 +21,9 @@ Conventions
 - Filters never use truth. The error is estimate - truth. Costs are minimized; the cost of a failed filter is ``inf``.
 
 Symbols: x, P state mean and covariance; Q, R process and measurement noise covariance; alpha, beta, kappa sigma-point
-scaling (Merwe); z, nu, S, K measurement, innovation, innovation covariance, gain; w, c1, c2 inertia, cognitive and
-social acceleration of a particle swarm.
+scaling (Merwe); z, nu, S, K measurement, innovation, innovation covariance, gain; C = Cov(x, z); F, H Jacobians of
+process and measurement; n number of states; w, c1, c2 inertia, cognitive and social acceleration of a particle swarm. A
+minus or plus after a symbol (P-, P+): before and after the update.
 """
 
 import ast

@@ -21,7 +21,7 @@ LEVEL = 0.95
 
 
 class Draws:
-    """Random weights of drives and trials in bootstrap resamples, cached by the arguments of `weights`."""
+    """Random weights of drives and trials in bootstrap resamples; results of `weights` are cached by its arguments."""
 
     def __init__(self, seed: int | np.random.Generator) -> None:
         self._seed = seed
@@ -123,7 +123,7 @@ def crossed_bootstrap(values: Array, strata: Sequence[str], draws: Draws) -> Int
 
 
 def levels(values: Array) -> tuple[Array, Array]:
-    """Return the levels of drives (n,) and of trials (m,) whose sums fit the known scores (m, n) by least squares."""
+    """Return levels of drives (n,) and of trials (m,) whose sums fit the known scores (m, n) by least squares."""
     known = ~np.isnan(values)
     counted, filled = known.astype(np.float64), np.where(known, values, 0.0)
     share = counted / counted.sum(axis=0)  # weight of each trial in the levels of its drives

@@ -222,7 +222,7 @@ def _numbers(p: FilterParameters, interval: float) -> dict[str, str]:
 
 
 def _states(model: CarModel) -> list[dict[str, str]]:
-    """Return the names of the states in the C header and source, their units and initial standard deviations."""
+    """Return, for each state, its names in the C header and source, its unit and its initial standard deviation."""
     names = {"theta": "HEADING", "gyro_bias_z": "GYRO_BIAS"}
     return [
         {

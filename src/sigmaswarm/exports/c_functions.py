@@ -10,7 +10,7 @@ from typing import Any
 from sigmaswarm.exports.c_emitter import Elements, Emitter, parameter_name
 from sigmaswarm.exports.c_expressions import SIGNS, Expressions
 from sigmaswarm.exports.c_names import PARAMETERS
-from sigmaswarm.exports.c_text import in_c, is_truth, name_of, number_of, uses, wrapped
+from sigmaswarm.exports.c_text import in_c, is_boolean, name_of, number_of, uses, wrapped
 
 
 class Function(Expressions):
@@ -174,7 +174,7 @@ class Function(Expressions):
         declared = ""
         if isinstance(target, ast.Name) and place not in self.declared:
             declared = "" if target.id in self.changing else "const "
-            declared += "bool " if is_truth(value) else "real "
+            declared += "bool " if is_boolean(value) else "real "
             self.declared.add(place)
         if place != self.print(value):
             self.put(f"{declared}{place} = {mirror and mirror + ' = '}{self.print(value)};", depth)

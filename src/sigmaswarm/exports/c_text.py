@@ -35,7 +35,7 @@ def number_of(node: ast.expr) -> float | None:
     return float(match[1] or match[0]) if match else None
 
 
-def is_truth(node: ast.expr) -> bool:
+def is_boolean(node: ast.expr) -> bool:
     binary = isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitAnd | ast.BitOr)
     return binary or isinstance(node, ast.Compare | ast.BoolOp)
 

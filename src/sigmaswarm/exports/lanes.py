@@ -28,11 +28,11 @@ class Lanes:
 
     def filters(self, tuning: FilterParameters) -> list[FilterParameters]:
         """Return the parameters of each filter of the bank; filter 0 has the tuned parameters."""
-        spread = OffsetPrior(tuning)
-        return [tuning, *(spread.parameters(offsets) for offsets in self._offsets(spread)[1:])]
+        prior = OffsetPrior(tuning)
+        return [tuning, *(prior.parameters(offsets) for offsets in self._offsets(prior)[1:])]
 
-    def _offsets(self, spread: OffsetPrior) -> np.ndarray:
-        return spread.first(np.random.default_rng([self.seed, 0]))[: self.n]
+    def _offsets(self, prior: OffsetPrior) -> np.ndarray:
+        return prior.first(np.random.default_rng([self.seed, 0]))[: self.n]
 
     def context(self, tuning: FilterParameters) -> dict[str, Any]:
         """Return the variables of a bank for the templates."""
@@ -40,14 +40,14 @@ class Lanes:
         one = {"lanes": self.n, "filters": filters, "q": "process_noise", "r": "measurement_noise"}
         if self.n == 1:
             return one
-        spread = OffsetPrior(tuning)
+        prior = OffsetPrior(tuning)
         return one | {
             "q": f"lanes[b->lane].{one['q']}",
             "r": f"lanes[b->lane].{one['r']}",
             "description": f"{tuning.model}, {tuning.kind}: bank of {self.n} filters with different parameters",
             "lane_fields": {name: NUMBERS[name.upper()] for name in _numbers(tuning)},
             "lane_rows": zip(
-                filters, spread.penalty(self._offsets(spread)), map(_numbers, filters), strict=True
+                filters, prior.penalty(self._offsets(prior)), map(_numbers, filters), strict=True
             ),
         }
 

@@ -28,12 +28,12 @@ from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA, planar5
 from sigmaswarm.filters.starts import starts_of
 from sigmaswarm.geodesy import wrap_angle
 
-DIVERGED_AFTER = 10.0  # s; bad fixes in a city, and recoveries of robust filters, contradict for less time
+DIVERGED_AFTER = 10.0  # s; bad fixes in a city, or a robust filter that recovers, contradict for less time
 MIN_CHECKS = 5  # smallest number of consecutive checks with a contradiction before a reset
-MANY_SIGMAS = 5.0  # smallest difference, in combined standard deviations of filter and fix or alignment
-HEADING_OFF = np.radians(20.0)  # rad, smallest difference of the heading from the alignment
-POSITION_OFF = 20.0  # m, smallest difference of a fix from its prediction
-SUSPECT_HEADING = np.radians(10.0)  # rad, difference from the rough heading that requires an alignment
+MANY_SIGMAS = 5.0  # smallest contradicting difference, in standard deviations of filter and fix or alignment
+HEADING_OFF = np.radians(20.0)  # rad, smallest contradicting difference of the heading from the alignment
+POSITION_OFF = 20.0  # m, smallest contradicting difference of a fix from its prediction
+SUSPECT_HEADING = np.radians(10.0)  # rad, difference from the rough heading that triggers an alignment
 SPEED_STD = 10.0  # m/s per axis, standard deviation of the velocity after a reset to the last fix
 CHECKS, SINCE, LAST = range(3)
 """Columns of the record of a contradiction between filter and fixes: number of checks, first and last time (s)."""
@@ -88,7 +88,7 @@ class StateCheck:
 
     @property
     def heading_contradicts(self) -> bool | None:
-        """True if the filter's heading is far from that of the alignment; None if there is no alignment."""
+        """True if the filter's heading is far from that of the alignment; None without a rough heading or alignment."""
         theta, heading = float(self.mean[THETA]), self.heading()
         if not math.isfinite(heading):
             return None
@@ -278,7 +278,7 @@ def align_stream(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -
 
 @call_once
 def compile_resets() -> None:
-    """Compile or load the functions of a reset in advance; during a run, this would delay a live filter by seconds."""
+    """Compile or load the functions of a reset in advance; otherwise, this would delay a live filter by seconds."""
     samples, fixes = np.zeros((100, 6)), np.zeros((100, 3))
     samples[:, 0] = fixes[:, 0] = 0.1 * np.arange(100)
     fixes[:, 1] = 10.0 * fixes[:, 0]  # 10 m/s to the east

@@ -32,7 +32,7 @@ class EstimateChunk:
     mean: Array  # (r, n), as in `Estimate`
     covariance: Array  # (r, n, n)
     sound: Mask  # (r,), False after a failure
-    lost: Mask  # (r,), True if diverged and not yet aligned; the position is then the last fix
+    lost: Mask  # (r,), True if diverged and not yet reset, for lack of an alignment; the position is then the last fix
 
 
 def join_chunks(pieces: Iterable[EstimateChunk]) -> EstimateChunk:

@@ -7,9 +7,9 @@ position of the antenna, b the correlated error and v white noise. Between two f
     b <- phi b,    P_bb <- phi^2 P_bb + g s^2 (1 - phi^2),    phi = exp(-dt / tau)
 
 where g and tau are the parameters ``fix_error`` and ``fix_error_time``, and s is the stated standard deviation of the
-later fix or, if none is stated, ``fix_std``. A filter starts at a fix with an estimate of 0 for b. Therefore the error
-of the position contains b, and the error of the estimate of b is -b: P_bb = g s^2, P_pp += g s^2, P_pb = -g s^2.
-Returned estimates omit b.
+later fix or, if none is stated, ``fix_std``. A filter starts at a fix with an estimate of 0 for b. Therefore the
+initial error of the position contains b, and that of the estimate of b is -b: P_bb = g s^2, P_pb = -g s^2, and g s^2 is
+added to P_pp. Returned estimates omit b.
 """
 
 from collections.abc import Callable

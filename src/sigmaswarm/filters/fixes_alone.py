@@ -27,7 +27,7 @@ FIRST_GUESS = (0.0, 0.0)  # log10 of the two noise parameters at the start of th
 @dataclass(frozen=True)
 class MotionNoise:
     acceleration: float  # m2/s3, spectral density on each axis
-    fix: float  # factor on the stated variance of a fix, or on 2.1^2 m2 if none is stated
+    fix: float  # factor of the fixes' stated variances, or of 2.1^2 m2 if some are not stated
 
     @classmethod
     def typical(cls, noises: Iterable["MotionNoise"]) -> "MotionNoise":
@@ -68,9 +68,9 @@ def _variances(line: Timeline) -> Array:
     return stated if line.states_accuracy else np.full(len(stated), UNSTATED_GPS_STD**2)
 
 
-def fit_noise(replay: FilterPass) -> MotionNoise:
+def fit_noise(drive_pass: FilterPass) -> MotionNoise:
     """Estimate the noise parameters of a drive by maximum likelihood; for fewer than 3 fixes, both are 1."""
-    line = replay.timeline
+    line = drive_pass.timeline
     fixes, variance = np.ascontiguousarray(line.fixes[:, FIX_X : FIX_X + 2]), _variances(line)
     if len(fixes) < 3:
         return MotionNoise(1.0, 1.0)
@@ -96,9 +96,9 @@ class FixesAlone:
     failure: str | None = None
     restarts: Sequence[float] = ()
 
-    def __init__(self, replay: FilterPass, noise: MotionNoise) -> None:
-        self._line, self._noise = replay.timeline, noise
-        self.initial: InitialState = replay.initial
+    def __init__(self, drive_pass: FilterPass, noise: MotionNoise) -> None:
+        self._line, self._noise = drive_pass.timeline, noise
+        self.initial: InitialState = drive_pass.initial
 
     def __iter__(self) -> Iterator[EstimateChunk]:
         line, noise = self._line, self._noise

@@ -4,7 +4,8 @@ The ratio d of the actual to the theoretical innovation covariance is NIS / 2, o
 rules use two moving averages of d over the fixes, quick and slow; the time constant of the slow average is `SLOWER`
 times that of the quick average. The averages give two inputs in (-1, 1), ``ratio = (quick - 1) / (quick + 1)`` and
 ``trend = (quick - slow) / (quick + slow)``. Piecewise linear functions of ratio and trend, with the widths
-``fuzzy_widths``, give the memberships "small", "right", "large" and "rises" between 0 and 1:
+``fuzzy_widths``, give the memberships "small", "right", "large" and "rises" between 0 and 1. The rules, with the gains
+g_R and g_Q (``fuzzy_gains``), are
 
     ratio is small                       R / g_R    Q / g_Q     the covariance is too large
     ratio is right                       R          Q

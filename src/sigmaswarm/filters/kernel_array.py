@@ -48,13 +48,13 @@ MAX_CACHED_STARTS = 1_000  # largest number of cached starts with one column
 
 @dataclass(frozen=True, eq=False)
 class KernelSums:
-    """Sums over each replay for each parameter set; ``sums["NIS"]`` has shape (n_replays, n_sets).
+    """Sums over each pass for each parameter set; ``sums["NIS"]`` has shape (n_passes, n_sets).
 
     Attributes
     ----------
-    numbers : (n_sums, n_replays, n_sets)
+    numbers : (n_sums, n_passes, n_sets)
         In the order of `layout.SUMS`; NaN if a set failed.
-    failed : bool (n_replays, n_sets)
+    failed : bool (n_passes, n_sets)
         True if P was not positive definite, a state or sum is not finite, or the set is not `KernelArray.plausible`.
     """
 
@@ -62,16 +62,16 @@ class KernelSums:
     failed: Mask
 
     @classmethod
-    def empty(cls, n_replays: int, n_sets: int) -> "KernelSums":
-        shape = n_replays, n_sets
+    def empty(cls, n_passes: int, n_sets: int) -> "KernelSums":
+        shape = n_passes, n_sets
         return cls(np.empty((RESULT_SUMS.stop - RESULT_SUMS.start, *shape)), np.empty(shape, dtype=np.bool_))
 
     def __getitem__(self, name: str) -> Array:
         return self.numbers[SUMS.index(name)]
 
-    def put(self, replays: slice, sets: Indices, part: "KernelSums") -> None:
-        self.numbers[:, replays, sets] = part.numbers
-        self.failed[replays, sets] = part.failed
+    def put(self, passes: slice, sets: Indices, part: "KernelSums") -> None:
+        self.numbers[:, passes, sets] = part.numbers
+        self.failed[passes, sets] = part.failed
 
 
 class KernelArray:
@@ -157,7 +157,7 @@ class KernelArray:
         return _starts_of(initial, self.kernel, std)
 
     def sums(self, rows: Array) -> KernelSums:
-        """Return the sums of the sets from the final rows of m replays that began with the rows of `start`."""
+        """Return the sums of the sets from the final rows of m passes that began with the rows of `start`."""
         is_sound, sums = sound_columns(rows, self.kernel), rows[:, RESULT_SUMS].swapaxes(0, 1)
         if self.blocks > 1:
             is_sound, sums = _side_by_side(is_sound, self.blocks), _side_by_side(sums, self.blocks)

@@ -45,7 +45,7 @@ MONITORED_RATE_RATIO = (
 MAX_HISTORY = 100_000  # largest history and lag in IMU intervals: 100 s at 1 kHz, 0.2 GB
 MAX_WAITING_FIXES = 1000  # approximate number of fixes that can wait during a gap of the IMU
 _NO_NUMBERS = (TypeError, LookupError, OverflowError)
-"""Exceptions due to invalid input: texts, None, too few numbers, integers of 400 digits."""
+"""Exceptions due to invalid input, for example a text, None, too few numbers, or an integer of 400 digits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +85,9 @@ class LiveFilter:
     s later, both samples are used, as after a gap; otherwise the first sample is dropped and counted in ``time_jumps``.
     The same rule applies to fixes; IMU samples near the time of a fix also confirm it.
 
-    The divergence monitor compares the filter at most once a second with the latest fixes and resets it if it has
-    diverged (`divergence`). If fixes are delayed, the reset is later than in `run_filter`. Fixes from before a reset
-    count as too late.
+    At most once a second, the divergence monitor compares the filter with the latest fixes and resets a diverged filter
+    (`divergence`). If fixes are delayed, the reset is later than in `run_filter`. Fixes from before a reset count as
+    too late.
 
     The memory has a fixed size. The first filter of a process loads or compiles the code (`compiled.live`,
     `divergence.compile_resets`).
@@ -209,12 +209,21 @@ class LiveFilter:
         std: Sequence[float] | None = None,
         heading: Sequence[float] | None = None,
     ) -> bool:
-        """Process a fix: x, y (m).
+        """Process a fix.
 
-        ``velocity``: m/s east and north, for a filter with ``velocity_noise``. ``std``: standard deviations that the
-        receiver states, m east and north. A filter with ``accuracy_scale`` needs ``std``; a filter with ``fix_error``
-        uses ``std`` if it is given. ``heading``: heading and its stated standard deviation, rad (0 if none is stated),
-        for a filter with ``heading_noise``.
+        Parameters
+        ----------
+        t : float
+            Time stamp, s.
+        fix : sequence of float
+            Position of the antenna, x and y, m.
+        velocity : sequence of float, optional
+            Velocity, m/s east and north, for a filter with ``velocity_noise``.
+        std : sequence of float, optional
+            Standard deviations that the receiver states, m east and north. A filter with ``accuracy_scale`` needs them;
+            a filter with ``fix_error`` uses them if they are given.
+        heading : sequence of float, optional
+            Heading and its stated standard deviation, rad (0 if none is stated), for a filter with ``heading_noise``.
 
         Returns
         -------
@@ -240,7 +249,7 @@ class LiveFilter:
             raise InputError(f"the fix contains values that are not numbers, or too few: {error}") from None
 
     def update_odometer(self, t: float, speed: float) -> bool:
-        """Process an odometer reading, m/s, positive forward.
+        """Process an odometer reading: time stamp, s, and speed, m/s, positive forward.
 
         The reading waits for the next IMU sample. A late reading is processed like a late fix.
 

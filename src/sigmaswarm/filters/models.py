@@ -1,4 +1,4 @@
-"""Vehicle models: their description, process f(state, dt, imu) and measurements h(state) in textbook form.
+"""Vehicle models: states, process f(state, dt, imu) and measurements h(state) in textbook form.
 
 planar8 begins with the states of planar5, and tilted12 with those of planar8. Arrays: state (n,); imu (3,) = ax, ay
 (m/s2), yaw rate (rad/s), body frame. `tilted` defines the model with roll and pitch.
@@ -65,11 +65,11 @@ def robot_localization(state: Array, dt: float, imu: Array) -> Array:
     A = vx d + ax d^2 / 2 and B = vy d + ay d^2 / 2, a step of d seconds computes
 
         x += cos(yaw) A - sin(yaw) B        y += sin(yaw) A + cos(yaw) B        yaw += d yaw rate
-        vx += d ax                          vy += d ay                          P = J P J' + d Q
+        vx += d ax                          vy += d ay                          P = J P J^T + d Q
 
     The velocity does not rotate with the body, so in a turn a fused ay becomes lateral speed. The measurements are
     states plus noise: the IMU measures the yaw rate, ax and ay; the wheels measure vx; a twist measures vy = 0; a fix
-    measures x and y; two antennas measure yaw. A fix, gz or ax with nu' S^-1 nu >= threshold^2 is rejected. Source:
+    measures x and y; two antennas measure yaw. A fix, gz or ax with nu^T S^-1 nu >= threshold^2 is rejected. Source:
     https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel.
     """
     x, y, vx, vy, theta, ax, ay, yaw_rate = state

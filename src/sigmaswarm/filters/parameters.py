@@ -344,8 +344,8 @@ _ACTIVATES = {s.option: n for n, s in SEARCHED.items() if getattr(FilterParamete
 """Options of ``tune --use``, and for each the field that is None unless the option is used."""
 _SCALED = tuple(described("scaled"))
 NOISES = ("process_noise", "measurement_noise", "imu_noise", *_SCALED)
-"""Fields that are noise variances or factors of variances; one factor on all of them scales the covariance."""
-RULES_SINCE = (0, 3)  # first version with the present treatment of stale fixes, gaps and standstills
+"""Fields that are noise variances or factors of variances; a common factor of all of them scales the covariance."""
+RULES_SINCE = (0, 3)  # first version with the current rules for stale fixes, gaps and standstills
 
 
 def incompatibility(kind: str, use: Collection[str]) -> str | None:

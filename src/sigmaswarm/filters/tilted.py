@@ -90,7 +90,7 @@ def angles_of(quaternion: Array) -> Array:
 
 
 def _sinc(x: float) -> float:
-    """Replace `np.sinc`, which is slow for one number."""
+    """Return sin(pi x) / (pi x); `np.sinc` is slow for a single number."""
     return float(np.sin(np.pi * x) / (np.pi * x)) if x else 1.0
 
 

@@ -1,13 +1,14 @@
-"""Update a filter with a displacement between the times 0 and 1.
+"""Update a filter with a displacement of the vehicle between two times, 0 and 1.
 
 The measurement
 
     z = R(theta_0)^T (p_1 - p_0) + noise
 
-also depends on the state at time 0, as in stochastic cloning (S. Roumeliotis and J. Burdick, ICRA 2002). If p_0 were
-assumed to be known, each update would add the error of p_0 again. The cross-covariance of the state errors e is
-Cov(e_1, e_0) = A P_0, since e_1 = A e_0 + an independent part. The columns of A are finite differences between runs of
-the filter, all in one call of the compiled kernel.
+where p is the position and R(theta) the rotation from body to local frame, also depends on the state at time 0, as in
+stochastic cloning (S. Roumeliotis and J. Burdick, ICRA 2002). If p_0 were assumed to be known, each update would add
+the error of p_0 again. The cross-covariance of the state errors e is Cov(e_1, e_0) = A P_0, since e_1 is A e_0 plus a
+part that is independent of e_0. The columns of A are finite differences between runs of the filter, all in one call of
+the compiled kernel.
 """
 
 from typing import Any, NamedTuple
@@ -35,6 +36,8 @@ class DisplacementStart(NamedTuple):
 
 
 class Displacements:
+    """Updates of one filter with displacements."""
+
     def __init__(self, drive_pass: FilterPass, parameters: FilterParameters) -> None:
         self._pass = drive_pass
         self._model = parameters.kernel

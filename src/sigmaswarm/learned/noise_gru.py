@@ -1,8 +1,8 @@
 """noise-gru: a filter with a network that scales Q and R according to the latest innovations.
 
 The network runs one step after each fix. The factors apply from the next IMU sample to the sample after the next fix,
-so they do not depend on the fix whose R they scale. The inputs are functions of the innovation in
-the body frame divided by its RMS standard deviation, of the NIS, and of the time since the previous fix.
+so they do not depend on the fix whose R they scale. The inputs are functions of the innovation (in the body frame,
+divided by its RMS standard deviation), of the NIS, and of the time since the previous fix.
 """
 
 from collections.abc import Mapping

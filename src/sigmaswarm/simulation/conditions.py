@@ -47,7 +47,7 @@ def simulate_many(
         Function of a drive, called in the thread of the simulation, for example to write the drive. Its result is
         yielded instead of the drive.
     ahead : int
-        Maximum number of drives simulated in advance. If it is less than the number of workers, some workers are idle.
+        Largest number of drives that are simulated in advance. If it is less than ``workers``, some threads are idle.
     leave_out : container of str
         Names of drives to skip, for example after an interruption.
     **options

@@ -198,7 +198,7 @@ def with_outliers(
     ----------
     drive : Drive
     rng : numpy.random.Generator
-        Draws first fix, length and direction of each burst uniformly.
+        Generator that draws the first fix, the length and the direction of each burst from uniform distributions.
     share : float
         Smallest fraction of outliers among the fixes, in [0, 0.5]; the last burst may increase it.
     offset : float

@@ -22,7 +22,7 @@ _G = STANDARD_GRAVITY
 
 @dataclass(frozen=True)
 class Triad:
-    """Errors of three accelerometers (m/s2) or three gyros (rad/s).
+    """Errors of three accelerometers (unit m/s2) or three gyros (unit rad/s).
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Triad:
     bias_std : float
         Standard deviation of the first-order Gauss-Markov bias.
     turn_on : float
-        Limit of the bias that is constant during a drive, uniformly distributed within +- this value.
+        Limit of an additional bias that is constant during a drive and uniformly distributed within +- this value.
     scale, misalignment : float
         Limits of the relative scale errors and of the relative cross-axis errors, which are uniformly distributed.
     reach : float

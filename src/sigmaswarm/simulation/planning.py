@@ -79,7 +79,10 @@ def build_path(legs: Sequence[Leg], heading: float, sway: Sway) -> Array:
 
 @cached(nogil=True, error_model="numpy")
 def _reachable(squared: Array, gain: Array, fading: Array, loss: Array) -> None:
-    """Reduce squared speeds (n,) in place until acceleration and braking can follow them."""
+    """Reduce squared speeds (n,), m2/s2, in place until acceleration and braking can follow them.
+
+    ``gain`` and ``loss`` (n,): largest increase and decrease between neighboring points, m2/s2. ``fading``: see `Leg`.
+    """
     for i in range(1, len(squared)):
         rest = max(1.0 - fading[i - 1] * np.sqrt(squared[i - 1]), 0.1)
         squared[i] = min(squared[i], squared[i - 1] + gain[i - 1] * rest)

@@ -1,1 +1,1 @@
-"""sigmaswarm.tuning."""
+"""Search for the filter parameters with the lowest cost: objectives, search space, optimizers and diagnostics."""

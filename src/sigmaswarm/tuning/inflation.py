@@ -16,9 +16,9 @@ Multiplication hardly changes a noise near zero. In a filter with roll and pitch
 walks of the gyro's x and y biases, and the standard deviations of the initial biases therefore have minima
 (`space.INFLATION_MINIMA`). With these minima, a filter that was tuned on one drive has a position RMSE of 0.8 m instead
 of 1.7 m on another car's drive. On drives of the same car, the minima change the RMSE by -5 to +2%. Three or more
-drives with truth determine the standard deviations of the initial biases, so these minima do not apply: they would
-increase the heading error by 10%. The standard deviation of the gyro's bias then is at least the one that the biases on
-these drives predict for another drive.
+drives with truth determine the standard deviations of the initial biases. The minima for these parameters then do not
+apply, since they would increase the heading error by 10%. Instead, the standard deviation of the gyro's bias is at
+least the value that the biases on these drives predict for another drive.
 
 The standard deviation of the gyro's initial bias has another minimum if the starts of the training drives show biases.
 At its start, a filter subtracts a bias of many standard deviations (`GyroBiasEvidence.update`), so the cost hardly

@@ -4,9 +4,9 @@ This is successive halving (K. Jamieson and A. Talwalkar, AISTATS 2016) with dri
 worse half of the candidates. In F-race (M. Birattari et al., GECCO 2002), a statistical test decides how many
 candidates are dropped.
 
-A single filter takes as long as eight filters in one vector, so the last candidate of a race is expensive. With many
-drives, candidates must therefore also be better than the best candidate so far, the leader. The leader's costs are a
-control variate for the costs of dropped candidates. A race that starts with 1/32 instead of 1/12 of the drives is
+One filter takes as long as eight filters that run in one vector, so the last candidate of a race is expensive. With
+many drives, a candidate must therefore also be better than the leader, the best candidate so far. The leader's costs
+are a control variate for the costs of dropped candidates. A race that starts with 1/32 instead of 1/12 of the drives is
 faster, but its costs mislead the search.
 """
 

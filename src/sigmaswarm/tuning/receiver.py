@@ -40,7 +40,7 @@ NO_STD = (
 
 @dataclass(frozen=True)
 class StdCheck:
-    """A standard deviation of the fixes, m per axis, with which the baseline drifts no more than with the assumed one.
+    """A standard deviation of the fixes, m per axis, with which the baseline drifts less than with the assumed one.
 
     ``stated_m``, ``assumed_m``: RMS drifts (m) of the baseline in outages of ``length_s`` on the training drives.
     """
@@ -193,7 +193,7 @@ def prior_warnings(
             return [f"on {name}, {compromise} the stated {std:.2g} m{addition}"]
         if std == UNSTATED_GPS_STD:
             why = (
-                f"the drive {name} does not state the accuracy of its fixes. Tune assumed {std:.2g} m per axis, as of "
+                f"the drive {name} does not state the accuracy of its fixes. Tune assumed {std:.2g} m per axis, as for "
                 "a typical receiver, so the filter may follow the fixes too closely or too loosely. "
                 f"{compromise} this value. If the receiver smooths its fixes, NIS will be low"
             )

@@ -75,6 +75,7 @@ class Tuning(Generic[P]):
     trial_costs : tuple of float
         Lowest cost of each trial, before inflation.
     best_trial : int
+        Index of the trial with the lowest cost.
     config : TuneConfig, or ModelTuneConfig for a custom model
     trials : tuple of Trial
         Empty if the folders of the trials are missing.

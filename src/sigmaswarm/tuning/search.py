@@ -54,6 +54,7 @@ class Trial:
     Attributes
     ----------
     cost : float
+        Lowest cost.
     point : ndarray, shape (d,)
         The best point, in search coordinates.
     best : ndarray, shape (generations,)

@@ -1,7 +1,8 @@
 """A bank of sixteen filters with the interface of a `LiveFilter`.
 
-The result of a search replaces filters in an earlier state of the bank that no late fix can change. The bank then
-processes the later samples again. Therefore, estimates do not depend on the time that the search takes.
+A search starts from an earlier state of the bank that no late fix can change. Its result replaces filters in such a
+state, and the bank processes the later samples again. Therefore, estimates do not depend on the time that the search
+takes.
 """
 
 from collections.abc import Sequence
@@ -193,7 +194,7 @@ class LiveFilterBank(LiveFilter):
         if pending is not None:
             result = pending.result()
             if result is not None:
-                self._replace(result, pending.logged, pending.led)
+                self._replace(result, pending.logged, pending.leader)
         elif self._searches:
             self._pending = self._begin()
         self._due = now + (SEARCH_DELAY if self._pending else SEARCH_INTERVAL - SEARCH_DELAY)
@@ -248,10 +249,10 @@ class LiveFilterBank(LiveFilter):
         step_log = self._numbers[STEP_LOG:].reshape(length, N_LOG_ROW)
         return step_log[np.arange(first, last) % length]
 
-    def _replace(self, result: SearchResult, replayed: int, led: int) -> None:
+    def _replace(self, result: SearchResult, replayed: int, leader: int) -> None:
         """Replace the worst filters by the result of a search and by changed copies; process the later samples again.
 
-        ``replayed`` and ``led`` are the fields ``logged`` and ``led`` of the `PendingSearch`.
+        ``replayed`` and ``leader`` are the fields ``logged`` and ``leader`` of the `PendingSearch`.
         """
         checkpoint = self._settled_checkpoint()
         if checkpoint is None:
@@ -283,7 +284,7 @@ class LiveFilterBank(LiveFilter):
             self.offsets[lane], rows[:, lane], evidence[lane] = replacement
         for snapshot in self._snapshots:
             ancestors = snapshot.ancestors.copy()
-            snapshot.ancestors[worst] = ancestors[[led, *parents]]
+            snapshot.ancestors[worst] = ancestors[[leader, *parents]]
             snapshot.ancestors[failed] = ancestors[leads]
         new = [*worst, *failed]  # the other filters may have adapted their constants
         rows[CONSTANT_ROWS, new] = self.prior.constants(self._own_constants, self.offsets[new])

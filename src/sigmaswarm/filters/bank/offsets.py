@@ -72,7 +72,7 @@ class OffsetPrior:
 
     @cached_property
     def lasting(self) -> Array:
-        """1 for offsets with an effect after the start, otherwise 0, (d,)."""
+        """Mask (d,): 1 for offsets with an effect after the start, otherwise 0."""
         return np.array([0.0 if name == START else 1.0 for name in self.names])
 
     def first(self, rng: np.random.Generator) -> Array:
@@ -106,7 +106,7 @@ class OffsetPrior:
 
     @cached_property
     def _decades(self) -> Array:
-        """Change of each constant (decades) per change of each offset (decades), (N_CONSTANTS, d)."""
+        """Derivative of each constant (decades) with respect to each offset (decades), (N_CONSTANTS, d)."""
         decades = np.zeros((len(CONSTANTS), len(self.names)))
 
         def grows(constant: str, name: str) -> None:

@@ -56,7 +56,7 @@ class FilterEvidence:
     at: float
 
     def then(self, time: Array, losses: Array) -> "FilterEvidence":
-        """Return the evidence after fixes at ``time``, s: each fix subtracts its loss, and past evidence decays."""
+        """Return the evidence after fixes at ``time``, s: older evidence decays, and each fix subtracts its loss."""
         if not len(time):
             return self
         decay = np.exp((np.append(self.at, time) - time[-1]) / EVIDENCE_LASTS)
@@ -214,7 +214,7 @@ def search(
 
 
 def _trials(offsets: Array, prior: OffsetPrior, rng: np.random.Generator) -> Array:
-    """Return a trial for each member: its crossover with a + F (b - c), where a, b and c are other members."""
+    """Return a trial point for each member: its crossover with a + F (b - c), where a, b, c are three other members."""
     n, d = offsets.shape
     others = np.array([rng.permutation(np.delete(np.arange(n), i))[:3] for i in range(n)])
     a, b, c = (offsets[others[:, k]] for k in range(3))
@@ -239,23 +239,23 @@ if hasattr(os, "register_at_fork"):
 class PendingSearch:
     """A search over the logged steps before step number ``logged``.
 
-    ``led`` is the filter with the largest weight. The search starts from an earlier state of this filter or, if it is a
-    copy, of its original. A forked copy of this object searches in the calling thread, and an unpickled copy starts the
-    search again.
+    ``leader`` is the index of the filter with the largest weight. The search starts from an earlier state of this
+    filter or, if it is a copy, of its original. A forked copy of this object searches in the calling thread, and an
+    unpickled copy starts the search again.
     """
 
     logged: int
-    led: int
+    leader: int
     arguments: tuple[Any, ...]
     process: int
     found: Future[SearchResult | None]
 
     @classmethod
-    def begun(cls, logged: int, led: int, *arguments: Any) -> "PendingSearch":
-        return cls(logged, led, arguments, os.getpid(), _searcher().submit(search, *arguments))
+    def begun(cls, logged: int, leader: int, *arguments: Any) -> "PendingSearch":
+        return cls(logged, leader, arguments, os.getpid(), _searcher().submit(search, *arguments))
 
     def result(self) -> SearchResult | None:
         return self.found.result() if self.process == os.getpid() else search(*self.arguments)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return PendingSearch.begun, (self.logged, self.led, *self.arguments)
+        return PendingSearch.begun, (self.logged, self.leader, *self.arguments)

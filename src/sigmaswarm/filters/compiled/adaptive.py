@@ -16,7 +16,8 @@ def strong_tracking(w, *, n):
     FADING < 0: off. Source: D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996 (single fading factor, computed
     from traces), with two changes. The previous mean and the new nu^T nu have the weights rho = FADING and 1 - rho.
     With the paper's weights, rho / (1 + rho) and 1 / (1 + rho), the mean forgets too fast. Only the part of P that the
-    fix observes is inflated, P + (factor - 1) C (H P H^T)^-1 C^T, since the unobserved part would grow without limit.
+    fix observes is inflated, P + (factor - 1) C (H P H^T)^-1 C^T with C = Cov(state, z), since the unobserved part
+    would grow without limit.
     """
     for l in range(LANES):
         rho = w.FADING
@@ -84,7 +85,7 @@ def inflate_observed(w, l, s11, s12, s22, factor, *, n):
 
 
 def student_t_weight(w, since):
-    """Compute the weight of a fix by Student's t, and divide R of the fix by this weight.
+    """Compute the weight of a fix by Student's t, and divide the R of the fix by this weight.
 
     DOF = 0: off. See `textbook.adaptive.StudentT`, also for the inflation of P after consecutive outliers. Let V = R /
     weight, S = H P H^T + V and e = S^-1 nu. After the update, the residual is r = V e, and H P+ H^T is A = V - V S^-1

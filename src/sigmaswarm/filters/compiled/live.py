@@ -201,7 +201,7 @@ def _process_sample(m, k):
 
 @_plain
 def _until(rows: np.ndarray, n: int, now: float) -> int:
-    """Return how many of the first n rows have a time (column 0) of at most ``now``; rows are sorted by time."""
+    """Return the number of the first n rows, sorted by time, whose time (column 0) is at most ``now``."""
     while n > 0 and rows[n - 1, 0] > now:
         n -= 1
     return n

@@ -143,8 +143,8 @@ def _run(
 ):
     """Run the filters ``w`` from step ``cursor[NEXT_STEP]`` up to ``stop``, and update ``w`` and ``cursor``.
 
-    ``state``: the recorded rows; ``heading``: the row of the scored heading. The kernel ``step`` gets the numbers of a
-    step and of a fix as tuples, since Numba would count the references to array slices at each step.
+    ``state``: the recorded rows; ``heading``: the row of the scored heading. The numbers of a step and of a fix are
+    passed to the kernel ``step`` as tuples, since Numba would count the references to array slices at each step.
     """
     steps, sample, driving, flags, fixes, speeds, lever, targets, target_end = drive
     z, arm = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), tuple(lever[k] for k in range(3))

@@ -43,7 +43,7 @@ class DifferentialEvolution(AskTell):
         return self._redrawn(np.where(crossed, mutants, x))
 
     def _others(self) -> list[NDArray[np.intp]]:
-        """Return the indices of three other members for each member, distinct if there are four or more members."""
+        """Return, for each member, the indices of three other members, distinct if there are four or more members."""
         n = len(self.members)
         order = self.rng.random((n, n))
         np.fill_diagonal(order, 2.0)  # the member itself comes last

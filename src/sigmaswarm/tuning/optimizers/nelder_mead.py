@@ -1,4 +1,4 @@
-"""Local search with a simplex (Nelder-Mead), several vertices of which can be moved at a time.
+"""Local search with a simplex (Nelder-Mead) that can move several vertices at a time.
 
 J. A. Nelder and R. Mead, Computer Journal 7, 308-313, 1965. Several vertices: D. Lee and M. Wiswall, Computational
 Economics 30, 171-187, 2007. Coefficients: F. Gao and L. Han, Comput. Optim. Appl. 51, 259-277, 2012.
@@ -26,7 +26,7 @@ class NelderMead(AskTell):
     size: float = 0.05
     """Edge length of the first simplex, in widths of the bounds."""
     parallel: int = 1
-    """Number of worst vertices that are moved at a time; at most half of all vertices."""
+    """Number of vertices, those with the highest costs, that are moved at a time; at most half of all vertices."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
