@@ -1,4 +1,4 @@
-"""Functions that `fleet.py` calls on workers, in a module that they import; those of a script travel as code."""
+"""Functions that `fleet.py` calls on workers. They are in a module, since those of a script are sent as code."""
 
 import time
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ from sigmaswarm.scoring import remote
 
 
 def forget(drives: Sequence[Any], _: Any) -> int:
-    """Drop all that was prepared."""
+    """Drop all prepared drives."""
     for drive in drives:
         drive.results.clear()
     return len(drives)
@@ -19,7 +19,7 @@ def nothing(drives: Sequence[Any], _: Any) -> int:
 
 
 def timed(drives: Sequence[Any], pool: Any, *arguments: Any) -> tuple[Any, float]:
-    """A worker's scores, and the seconds that they took there."""
+    """Return a worker's result, and the time that the worker needed for it, s."""
     began = time.perf_counter()
     answer = remote._taken(drives, pool, *arguments)
     return answer, time.perf_counter() - began

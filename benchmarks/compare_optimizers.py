@@ -2,13 +2,13 @@
 
     python benchmarks/compare_optimizers.py OUT [--drives ../shared/drives] [--seeds 20] [--only "KITTI, truth-rmse"]
 
-Every comparison is kept in a folder of OUT, with all measures, and resumed if it is there. With all cases the tables
-are printed.
+Every comparison is saved in a folder of OUT, with all measures, and resumed if the folder exists. The tables are
+printed if all cases are run.
 
     python benchmarks/compare_optimizers.py OUT --budgets
 
-writes the table of training costs at three budgets. Every run is a line of OUT/budgets.jsonl; runs in it are not
-repeated. It takes about half an hour of one core.
+writes the table of training costs at three budgets. Every run is a line of OUT/budgets.jsonl; runs in this file are not
+repeated. The command takes about half an hour on one core.
 """
 
 import argparse
@@ -57,7 +57,7 @@ HELD_OUT = {
 
 
 def simulated() -> tuple[list[Drive], list[Drive]]:
-    """Six drives of a minute in a town, and three more that are held out."""
+    """Return six town drives of a minute for training, and three held-out drives."""
     drives = [simulate("urban", run=run, duration=60, gps="white-1m") for run in range(9)]
     return drives[:6], drives[6:]
 
@@ -68,7 +68,7 @@ def kitti(folder: Path) -> tuple[list[Drive], list[Drive]]:
 
 
 def kitti_turned(folder: Path) -> tuple[list[Drive], list[Drive]]:
-    """Another split: two drives of one day are held out."""
+    """Return another split, in which two drives of one day are held out."""
     drives = [read_drive(folder / name) for name in KITTI]
     return drives[2:], drives[:2]
 
@@ -79,7 +79,7 @@ def colorado(folder: Path) -> tuple[list[Drive], list[Drive]]:
 
 
 def cases(folder: Path) -> dict:
-    """Where the drives come from, the objective, who takes part, at which scales."""
+    """Return, by case: function that returns the drives, objective, optimizers, and scales."""
     rmse, nll = "truth-rmse", "innovation-nll"
     real = folder.is_dir()
     return {
@@ -119,11 +119,11 @@ def comparisons(case: str, setting, out: Path, seeds: int) -> Iterator[tuple[str
 BUDGETS = (300, 1500, 6000)
 AT_BUDGETS = ("pso", "de", "de-qpso", "cma-es")
 NEAR = 1.02
-"""A run counts as good if its cost is below this factor times the lowest of all runs on its task."""
+"""A run is good if its cost is below this factor times the lowest cost of all runs on its task."""
 
 
 def tasks(folder: Path) -> dict[str, list[Drive]]:
-    """Parts of real drives and a simulated one, short to save time; blind ones without truth."""
+    """Return parts of real drives and a simulated drive, which are short to save time; "blind" drives have no truth."""
 
     def first(name: str, seconds: float) -> Drive:
         drive = read_drive(folder / name)
@@ -139,7 +139,7 @@ def tasks(folder: Path) -> dict[str, list[Drive]]:
 
 
 def default_problem(drives: Sequence[Drive]) -> CarProblem:
-    """Set up the filter and the objective that `tune` takes by default."""
+    """Set up the default filter and objective of `tune`."""
     sensors = [log_properties(drive) for drive in drives]
     options, _ = default_filter_options({}, sensors)
     return car_problem(drives, complete_config(validated_config(TuneConfig, options), sensors))
@@ -155,7 +155,7 @@ def lowest_cost(problem: CarProblem, name: str, budget: int, seed: int) -> float
 
 
 def run_budgets(folder: Path, file: Path, seeds: int) -> dict[tuple[str, str, int, int], float]:
-    """Run what is not in the file yet; return the costs by task, optimizer, budget and seed."""
+    """Run all searches that the file does not contain; return the costs by task, optimizer, budget and seed."""
     file.parent.mkdir(exist_ok=True)
     lines = file.read_text().splitlines() if file.exists() else []
     costs = {tuple(key): cost for *key, cost in map(json.loads, lines)}
@@ -171,7 +171,7 @@ def run_budgets(folder: Path, file: Path, seeds: int) -> dict[tuple[str, str, in
 
 
 def budget_table(costs: Mapping[tuple[str, str, int, int], float], seeds: int) -> str:
-    """Tabulate the share of good runs and the mean over the tasks of the median relative cost, with intervals."""
+    """Tabulate the fraction of good runs, and the mean over the tasks of the median relative cost, with intervals."""
     names = sorted({task for task, *_ in costs})
     best = {task: min(cost for key, cost in costs.items() if key[0] == task) for task in names}
     draws = np.random.default_rng(0).integers(seeds, size=(2000, len(names), seeds))
@@ -198,7 +198,7 @@ Found = dict[str, dict[str, Comparison]]
 
 
 def held_out(found: Found, scale: str) -> str:
-    """Tabulate the RMSE on held-out drives, m, by optimizer at one scale; stars compare with pso and log10."""
+    """Tabulate the RMSE on held-out drives, m, by optimizer for one scale; stars: different from pso with log10."""
     columns = {
         f"{case.removesuffix(', truth-rmse').removesuffix(', scales')}, {model}": {
             row["optimizer"]: cell(row, "held_out_rmse")
@@ -215,7 +215,7 @@ def held_out(found: Found, scale: str) -> str:
 
 
 def ways(found: dict[str, Comparison]) -> str:
-    """Tabulate ways to spend a budget: cost in training and RMSE on held-out drives, for each model."""
+    """Tabulate the training cost and the held-out RMSE of each way to use a budget, for each model."""
     measures = ("cost", "held_out_rmse")
     titles = ["optimizer", *(f"{model}: {MEASURES[m]}" for model in found for m in measures)]
     rows = zip(*(comparison.frame.to_dicts() for comparison in found.values()), strict=True)
@@ -232,14 +232,14 @@ def markdown(titles: list[str], rows: Iterable[list[str]]) -> str:
 
 
 def cell(row: dict, measure: str) -> str:
-    """Median; worst run; a star where it differs from the first row's (p < 0.05 after Holm)."""
+    """Format median and worst run; a star marks a significant difference from the first row (p < 0.05 after Holm)."""
     p = row[f"{measure}_p"]
     star = " \\*" if p is not None and p < 0.05 else ""
     return f"{row[f'{measure}_median']:.3f}; {row[f'{measure}_worst']:.3f}{star}"
 
 
 def raced(found: Found) -> str:
-    """Tabulate what racing costs and saves, against the same optimizer without it."""
+    """Tabulate the effects of racing on time and RMSE, relative to the same optimizer without racing."""
     rows = []
     for case, model in ((case, model) for case, comparisons in found.items() for model in comparisons):
         by_name = {

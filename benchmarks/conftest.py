@@ -1,4 +1,4 @@
-"""What all benchmarks share: one core, one drive, and turns that put the rivals side by side."""
+"""Fixtures of all benchmarks: one core, one drive, and turns in which all benchmarks run one after the other."""
 
 import os
 import sys
@@ -19,7 +19,7 @@ TURNS = 7
 
 @pytest.fixture(scope="session", autouse=True)
 def one_core():
-    """Stay on one core, where the system lets a process choose."""
+    """Run on one core, if the operating system has processor affinity."""
     if not hasattr(os, "sched_setaffinity"):
         yield
         return
@@ -31,19 +31,19 @@ def one_core():
 
 @pytest.fixture(scope="session", params=range(TURNS), ids=lambda turn: f"turn{turn}")
 def turn(request):
-    """Every benchmark once, then every one again: a busy moment of the machine then hits all rivals alike."""
+    """Run every benchmark once, then all again, so that a busy period of the machine affects all programs equally."""
     return request.param
 
 
 @pytest.fixture(scope="session")
 def drive():
-    """Ten minutes through a town, IMU at 100 Hz, GPS at 5 Hz."""
+    """Simulate ten minutes in a town, with an IMU at 100 Hz and GPS at 5 Hz."""
     return simulate("urban", duration=600.0, imu_rate=100.0, gps_rate=5.0, seed=1)
 
 
 @pytest.fixture(scope="session")
 def parameter_sets(drive):
-    """32 sets: what a careful engineer writes, and 31 random ones of the paper's box."""
+    """Return 32 parameter sets: a careful manual choice, and 31 random sets within the paper's bounds."""
     space = search_space("planar5", "log10", drive.nominal_interval)
     points = np.random.default_rng(0).uniform(space.low, space.high, (31, len(space.names)))
     return [baseline(drive), *space.decode(points)]
@@ -51,7 +51,7 @@ def parameter_sets(drive):
 
 @pytest.fixture
 def measure(benchmark):
-    """Time a function: ``work`` parameter sets times samples (or calls); ``times`` scales it to the whole job."""
+    """Time a function. ``work``: parameter sets times samples, or calls; ``times``: ratio of the whole job to it."""
 
     def run(function, *, work, rounds, times=1):
         benchmark.pedantic(function, rounds=rounds, warmup_rounds=1)

@@ -1,16 +1,17 @@
-"""What `tune` takes where nothing is asked for, against what could be asked for: the evidence for the defaults.
+"""Compare the defaults of `tune` with other filters and objectives: the evidence for the defaults.
 
     python benchmarks/defaults.py ../shared/drives --out defaults.jsonl
     python benchmarks/defaults.py ../shared/drives --out defaults.jsonl --with-truth "truth-pose" --filters default
     python benchmarks/defaults.py ../shared/drives --out defaults.jsonl --table
 
-Each of KITTI's drives is held out once and the filter tuned on the others; colorado-1 and kingston-1 are tuned on the
-first 70% of their time, comma2k19 on its first half; colorado-1 also with bursts of outliers in 6% of its fixes;
-simulated drives of 100 s for each grade of sensors, tuned on four, tested on three others. "A > B" is tuned on A, and
-tested on B, whose receiver and IMU it never saw. Every tuning is done with truth and without, and is one line of the
-file as soon as it is done: what the file has is not done again. Prints Markdown: each tuning's scores, medians over the
-seeds ("auto": what suits logs without truth); then the geometric mean, over the cases that all filters have, of each
-score over the lowest of the case. Drift is the RMS over the windows of seeds 0 to 3 (5 s) and 0 to 5 (30 s).
+Cases: each KITTI drive is held out once, and the filter is tuned on the other drives. colorado-1 and kingston-1 are
+split at 70% of their time, comma2k19 in the middle; the filter is tuned on the first part and tested on the second.
+colorado-1 is also used with bursts of outliers in 6% of its fixes. For each grade of sensors, the filter is tuned on
+four simulated drives of 100 s and tested on three others. "A > B": tuned on A and tested on B, which has another
+receiver and IMU. Each case is tuned with and without truth. Each tuning is a line of the file and is not repeated.
+Prints Markdown: the scores of each tuning, medians over the seeds ("auto": the default for logs without truth); then,
+for each score, the geometric mean of its ratio to the lowest score of the case, over the cases that all filters have.
+Drift is the RMS over the windows of seeds 0 to 3 (5 s) and 0 to 5 (30 s).
 """
 
 import argparse
@@ -49,13 +50,13 @@ FILTERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "tilted12 odometer": ("tilted12", (*CAR, "odometer")),
     "tilted12 robust odometer": ("tilted12", (*CAR, "robust", "odometer")),
 }
-"""Model and what it uses; lateral and standstill go without saying but for planar5."""
+"""Model and options; except for planar5, all filters also use lateral and standstill."""
 GROUPS = {
     "any log": ("planar5", "planar8", "planar8 robust"),
     "six axes": ("planar8", "planar8 robust", "tilted12", "tilted12 robust"),
     "odometer": ("planar8 robust", "planar8 odometer", "planar8 robust odometer"),
 }
-"""Filters that the same logs allow, side by side."""
+"""Filters that are compared, since the same logs support all of them."""
 GRADES = {
     "mpu-6050, ublox-m8": {"imu": "mpu-6050", "gps": "ublox-m8"},
     "icm-20602, white-1m": {"imu": "icm-20602", "gps": "white-1m"},
@@ -65,7 +66,7 @@ GRADES = {
 }
 COLUMNS = ("RMSE, m", "50%, m", "95%, m", "heading, deg", "5 s, m", "30 s, m", "NIS", "NEES")
 RATIOS = {"RMSE": 0, "heading": 3, "5 s drift": 4, "30 s drift": 5}
-"""Those of the columns of which less is better."""
+"""Compared scores, for which less is better, and their columns."""
 Parts = tuple[Sequence[Drive], Sequence[Drive]]
 
 
@@ -74,13 +75,13 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("drives", type=Path)
-    parser.add_argument("--out", type=Path, required=True, help="one line of JSON a tuning")
+    parser.add_argument("--out", type=Path, required=True, help="file with one line of JSON per tuning")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--with-truth", nargs="*", default=[WITH_TRUTH], help="objectives")
     parser.add_argument("--without-truth", nargs="*", default=["auto"], help="objectives")
     parser.add_argument("--filters", nargs="+", default=list(FILTERS), choices=(*FILTERS, "default"))
     parser.add_argument("--only", nargs="+", help="parts of cases' names")
-    parser.add_argument("--table", action="store_true", help="only print what the file has")
+    parser.add_argument("--table", action="store_true", help="only print the results in the file")
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
     done = known(options.out)
@@ -97,7 +98,7 @@ def main() -> None:
 
 
 def cases(folder: Path) -> dict[str, Callable[[], Parts]]:
-    """Name, and what gives training and test drives, which are read or made only when they are needed."""
+    """Return, by name, functions that return training and test drives, which are read or simulated only when needed."""
 
     @cache
     def real(name: str) -> Drive:
@@ -156,7 +157,7 @@ def run(
     seed: int,
     pool: Executor,
 ) -> None:
-    """One tuning and its scores, unless the file has them; the default's, too, under the name of its filter."""
+    """Tune and score, unless the file contains the result; save a default also under the name of its filter."""
     if (name, label, objective, seed) in done:
         return None
     training, test = cached(name, parts)
@@ -187,7 +188,7 @@ def cached(name: str, parts: Callable[[], Parts]) -> Parts:
 
 
 def lacking(model: str, use: Sequence[str], drives: Sequence[Drive]) -> bool:
-    """Whether a log lacks what a filter needs."""
+    """Return True if a log lacks data that a filter needs."""
     return any(
         (model == "tilted12" and drive.imu.gx is None)
         or ("accuracy" in use and drive.gps.std_x is None)
@@ -197,7 +198,7 @@ def lacking(model: str, use: Sequence[str], drives: Sequence[Drive]) -> bool:
 
 
 def figures(test: Sequence[Drive], parameters: FilterParameters) -> list[float]:
-    """What `COLUMNS` says, over all test drives together; NIS and NEES are means over drives."""
+    """Return the values of `COLUMNS` over all test drives together; NIS and NEES are means over drives."""
     scores = BatchScorer.prepare(test).scores([parameters])
     nis, nees = float(scores.mean_nis.mean()), float(scores.mean_nees.mean())
     return [*measured([PreparedDrive(drive) for drive in test], parameters), nis, nees]
@@ -215,7 +216,7 @@ def noted(
 
 
 def known(out: Path) -> dict[tuple[str, str, str, int], list[float]]:
-    """What the file has: scores by case, filter, objective and seed."""
+    """Return the scores in the file by case, filter, objective and seed."""
     if not out.exists():
         return {}
     lines = map(json.loads, out.read_text(encoding="utf-8").splitlines())
@@ -223,7 +224,7 @@ def known(out: Path) -> dict[tuple[str, str, str, int], list[float]]:
 
 
 def tables(done: dict[tuple[str, str, str, int], list[float]]) -> None:
-    """Every tuning, and the filters side by side."""
+    """Print the table of all tunings, and the comparisons of filters."""
     median: dict[tuple[str, str, str], np.ndarray] = {}
     for name, label, objective, _ in done:
         every = [row for key, row in done.items() if key[:3] == (name, label, objective)]
@@ -240,14 +241,14 @@ def tables(done: dict[tuple[str, str, str, int], list[float]]) -> None:
 
 
 def lowest(rows: np.ndarray) -> np.ndarray:
-    """Of each column; NaN where nothing has one."""
+    """Return the lowest value of each column; NaN for a column without values."""
     return np.where(
         np.isfinite(rows).any(axis=0), np.nanmin(np.where(np.isfinite(rows), rows, np.inf), axis=0), np.nan
     )
 
 
 def beside_the_best(median: dict[tuple[str, str, str], np.ndarray]) -> Iterator[str]:
-    """The default over the lowest of all filters of each case, and over the raw fixes: mean and worst."""
+    """Yield ratios of the default's scores to the lowest of each case and to the raw fixes' RMSE: mean and worst."""
     yield (
         "| the default over the best of each case | cases | "
         + " | ".join(RATIOS)
@@ -275,7 +276,7 @@ def beside_the_best(median: dict[tuple[str, str, str], np.ndarray]) -> Iterator[
 def summaries(
     median: dict[tuple[str, str, str], np.ndarray],
 ) -> Iterator[tuple[str, list[tuple[str, list[float]]]]]:
-    """Filters, and objectives of the default filter, over the lowest of each case, where all of them were tried."""
+    """Yield ratios to the lowest score of each case, for filters and for objectives of the default filter."""
     tried = dict.fromkeys(objective for _, label, objective in median if label == "default")
     for truth in (True, False):
         objectives = [objective for objective in tried if ("truth" in objective) == truth]
@@ -307,7 +308,7 @@ def summaries(
 
 
 def stranger(name: str) -> bool:
-    """Whether the tuning saw nothing of the case's receiver, or its fixes have outliers."""
+    """Return True if the training drives have another receiver, or if the test fixes have outliers."""
     return " > " in name or "outliers" in name
 
 

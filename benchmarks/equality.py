@@ -4,12 +4,13 @@
     python benchmarks/equality.py OLD/.venv NEW/.venv --drives FOLDER --keep results
     python benchmarks/equality.py OLD/.venv NEW/.venv --only tune evaluate
 
-The commands and options are those of version 0.3.0. Two drives are simulated, and two real ones are cut out of FOLDER
-(kitti-09-26-0101 and colorado-1) where it is given. Each side runs in its own folder, both at once.
+The commands and options are those of version 0.3.0. Two drives are simulated; with --drives, two real drives
+(kitti-09-26-0101 and colorado-1) are clipped from FOLDER. Both environments run at the same time, each in its own
+folder.
 
-A file is compared by its keys or columns. Where these differ (renamed, or in another order) and the numbers
-are the same, the command counts as equal and is marked as *layout*. `ALLOWED` names what may differ. Exit code 0 if
-all commands are equal.
+A file is compared by its keys or columns. If these differ (other names or order) but the numbers are the same, the
+command counts as equal and is marked as *layout*. `ALLOWED` lists the keys that may differ. Exit code 0 if all commands
+are equal.
 """
 
 import argparse
@@ -49,12 +50,12 @@ ALLOWED = {
 """Keys of the file and key of a number that are not compared, and why."""
 
 WORLD_TOLERANCE = 1e-8
-"""m: positions of drives in latitude and longitude, where geodesy is another library's."""
+"""Tolerance (m) of positions from latitude and longitude, since the versions use different libraries for geodesy."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """A command, and what of its results is compared."""
+    """A command, and the tolerance with which its results are compared."""
 
     name: str
     words: str
@@ -63,12 +64,12 @@ class Step:
 
 
 def tuned(name: str, drives: str, options: str = "", budget: str = TINY) -> Step:
-    """Return a tuning, of a tiny budget by default."""
+    """Return a step that tunes, by default with a tiny budget."""
     return Step(f"tune {name}", f"tune {drives} --out tuned/{name} {budget} {options}")
 
 
 def logs() -> tuple[str, str, str]:
-    """Return made-up logs: an IMU, fixes in degrees, and an NMEA receiver's sentences."""
+    """Return synthetic logs: IMU samples, fixes in degrees, and the NMEA sentences of a receiver."""
     rng = np.random.default_rng(3)
     t = np.arange(4000) / 100
     imu = ["stamp,forward,right,yaw"]
@@ -96,7 +97,7 @@ def logs() -> tuple[str, str, str]:
 
 
 def steps(real: Sequence[str]) -> list[Step]:
-    """Return the commands, in an order in which each finds what it needs."""
+    """Return the commands in an order in which the inputs of each exist."""
     a, b = SIMULATED
     both = f"{a} {b}"
     imu, fixes, nmea = logs()
@@ -203,7 +204,7 @@ def flattened(value: Any, key: str = "") -> Iterator[tuple[str, float | str]]:
 
 
 def numbers_of(path: Path) -> Numbers:
-    """Return the numbers of a file by their keys; of unknown formats those in its text, or its bytes."""
+    """Return the numbers of a file by their keys; for an unknown format, the numbers in its text, or its bytes."""
     suffix = path.suffix.lower()
     content = path.read_bytes()
     if suffix == ".npz":
@@ -260,7 +261,7 @@ def _of_text(text: str) -> Numbers:
 
 
 def is_allowed(file: str, key: str) -> bool:
-    """Return whether a number may differ."""
+    """Return True if a number may differ."""
     return any(re.search(pattern, key) or re.search(pattern, file) for pattern in ALLOWED)
 
 
@@ -277,7 +278,7 @@ def same(a: float | str, b: float | str, tolerance: float) -> bool:
 
 @dataclass
 class Compared:
-    """What comparing two results found."""
+    """Result of a comparison."""
 
     numbers: int = 0
     layout: list[str] = field(default_factory=list[str])
@@ -329,7 +330,7 @@ def compare_folders(old: Path, new: Path, tolerance: float) -> Compared:
 
 
 def run_step(step: Step, environment: Path, folder: Path) -> tuple[int, str, float]:
-    """Run a command in its side's folder; its exit code, the end of its messages, and the seconds that it took."""
+    """Run a command in the folder of an environment; return exit code, end of its messages, and duration, s."""
     for name, text in step.logs.items():
         (folder / name).write_text(text)
     begun = time.perf_counter()
@@ -348,12 +349,12 @@ def run_step(step: Step, environment: Path, folder: Path) -> tuple[int, str, flo
 
 
 def snapshot(folder: Path) -> dict[str, float]:
-    """Return the files of a folder with their times."""
+    """Return the modification times of the files in a folder."""
     return {str(p.relative_to(folder)): p.stat().st_mtime_ns for p in folder.rglob("*") if p.is_file()}
 
 
 def moved(folder: Path, before: dict[str, float], to: Path) -> None:
-    """Link the files that a step wrote into a folder of their own."""
+    """Link the files that a step wrote into a separate folder."""
     for name, stamp in snapshot(folder).items():
         if before.get(name) != stamp:
             (to / name).parent.mkdir(parents=True, exist_ok=True)
@@ -365,8 +366,10 @@ def main() -> None:
     parser.add_argument("old", type=Path)
     parser.add_argument("new", type=Path)
     parser.add_argument("--drives", type=Path, help="folder of real drives")
-    parser.add_argument("--only", nargs="*", help="steps whose names begin so; they must not need others")
-    parser.add_argument("--keep", type=Path, help="folder for the results; a temporary one by default")
+    parser.add_argument(
+        "--only", nargs="*", help="beginnings of the names of steps, which must not need other steps"
+    )
+    parser.add_argument("--keep", type=Path, help="folder for the results; by default a temporary folder")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         top = (asked.keep or Path(temporary)).resolve()
@@ -383,7 +386,7 @@ def main() -> None:
 
 
 def _one(step: Step, number: int, sides: list[tuple[Path, Path]]) -> bool:
-    """Run a step on both sides, compare, and print a line of the table."""
+    """Run a step in both environments, compare, and print a line of the table."""
     before = [snapshot(folder / "work") for _, folder in sides]
     with ThreadPoolExecutor(2) as pool:
         ended = list(pool.map(lambda side: run_step(step, side[0], side[1] / "work"), sides))

@@ -1,10 +1,10 @@
-"""How close exported filters are to the library's, how fast and how large the C ones are.
+"""Compare exported filters with the library, and measure the time and size of the C filters.
 
     python benchmarks/exports.py ../shared/drives [--quick]
 
-Each filter runs over whole drives: the C library in double and float, and the FilterPy script, beside a twin: the
-library itself with the initial heading moved by 1e-13 rad. Differences are the largest of a run, of any state,
-relative to max(1, |x_i|). Prints Markdown tables. --quick leaves FilterPy out, which takes most of the time.
+The C library in double and float, and the FilterPy script, run over whole drives. For comparison, a twin also runs: the
+library with an initial heading that differs by 1e-13 rad. A difference is the largest in a run, over all states,
+relative to max(1, |x_i|). Prints Markdown tables. --quick omits FilterPy, which takes most of the time.
 """
 
 import argparse
@@ -75,7 +75,7 @@ def drives(folder: Path) -> list[Drive]:
 
 
 def parity(drive: Drive, p: FilterParameters, folder: Path, *, quick: bool) -> list[float]:
-    """Largest differences of the twin, C in double, C in float, and the script."""
+    """Return the largest differences from the library: twin, C in double, script, position of C in float (m)."""
     ours, of_twin = twin(drive, p)
     double = distance(replay(build(folder, p), drive, p.model).mean, ours)
     single = replay(build(folder, p, "-DINS_GPS_FLOAT"), drive, p.model).mean
@@ -85,7 +85,7 @@ def parity(drive: Drive, p: FilterParameters, folder: Path, *, quick: bool) -> l
 
 
 def cost(p: FilterParameters, folder: Path, *flags: str) -> list[int]:
-    """ns per predict and per update, bytes of state and of code."""
+    """Return the time per predict and per update, ns, and the sizes of state and code, bytes."""
     more = "(ins_gps_real)9.8, (ins_gps_real)0.01, (ins_gps_real)0.02, " if p.model == "tilted12" else ""
     main = TIMER.replace("@DT@", repr(p.nominal_interval)).replace("@MORE@", more)
     program = build(folder, p, *OPTIMIZED, *flags, main=main)

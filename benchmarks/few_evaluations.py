@@ -1,9 +1,9 @@
-"""Bayesian optimization beside the other optimizers: at equal evaluations, and at equal processor seconds.
+"""Compare Bayesian optimization with the other optimizers for equal evaluations and for equal processor time.
 
     python benchmarks/few_evaluations.py [--drives ../shared/drives] [--seeds 5]
 
-Needs the extra bo. Takes some minutes, nearly all of them Bayesian optimization's own. Seconds are the processor's, of
-one thread that runs the filters too; neither reading nor pictures count.
+Needs the extra bo. Takes some minutes, nearly all of them in Bayesian optimization itself. Times are processor times of
+one thread, including the filters but not the reading of drives.
 """
 
 import argparse
@@ -25,15 +25,15 @@ from sigmaswarm.tuning.problem import CarProblem, car_problem
 
 RIVALS = ("de", "cma-es", "pso", "sobol")
 FEW, BATCH = 100, 10
-"""Evaluations, and of a generation."""
+"""Number of evaluations, in total and per generation."""
 MOST, USUAL = 30_000, 30
-"""Where a rival is stopped that has not used up the seconds, and its usual generation."""
+"""Largest number of evaluations of the other optimizers in the given time, and their usual number per generation."""
 MARKS = (25, 50, FEW)
 
 
 @dataclass
 class Run:
-    """One search: evaluations, seconds and lowest cost after each batch; seconds in filters; where it ended."""
+    """One search: evaluations, time (s) and lowest cost after each batch, time in filters (s), and best point."""
 
     evaluations: list[int]
     seconds: list[float]
@@ -46,13 +46,13 @@ class Run:
 
 
 def simulated() -> tuple[list[Drive], list[Drive]]:
-    """A drive of a minute in a town, and three more that are held out."""
+    """Return a town drive of a minute for training, and three held-out drives."""
     drives = [simulate("urban", run=run, duration=60, gps="white-1m") for run in range(4)]
     return drives[:1], drives[1:]
 
 
 def search(problem: CarProblem, name: str, seed: int, population: int, budget: int, until: float) -> Run:
-    """Search until evaluations or seconds are spent."""
+    """Search until the budget of evaluations or of time is used."""
     start, inside = time.thread_time(), 0.0
     options: dict[str, Any] = {"population": population, "budget": budget}
     optimizer = create_optimizer(
@@ -74,7 +74,7 @@ def rows(train: list[Drive], test: list[Drive], seeds: int) -> Iterator[list[str
     asked = {"model": "planar8", "objective": "truth-rmse"}
     problem = car_problem(make_datasets(train, ())[0], validated_config(TuneConfig, asked))
     held_out = problem.on(make_datasets(test, ())[0])
-    search(problem, "sobol", 0, 16, 16, np.inf)  # machine code is there, and imports are done
+    search(problem, "sobol", 0, 16, 16, np.inf)  # loads machine code and imports
     search(problem, "bo", 0, 8, 9, np.inf)
 
     def kept(runs: list[Run]) -> str:
@@ -104,7 +104,7 @@ def rows(train: list[Drive], test: list[Drive], seeds: int) -> Iterator[list[str
 
 
 def spread(values: Any) -> str:
-    """Median; worst."""
+    """Format median and worst value."""
     return f"{np.median(values):.3f}; {np.max(values):.3f}"
 
 

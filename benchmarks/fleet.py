@@ -1,16 +1,16 @@
-"""Drives on a Dask cluster, measured: a scheduler and workers as processes of their own on 127.0.0.1.
+"""Measure drives on a Dask cluster: a scheduler and workers in separate processes on 127.0.0.1.
 
     python benchmarks/fleet.py PART... --folder FOLDER
 
     form       size and reading time of a drive in CSV and in Parquet (--drive)
     same       tune, evaluate, study and compare on four workers against threads: the bytes of all files
-    faults     five workers killed at random moments of a tuning and of a study, another comes each time; the scheduler
+    faults     five workers are killed at random times in a tuning and in a study, and replaced; the scheduler is killed
     scaling    two workers of one thread against one, on 16 drives of 30 minutes
-    overhead   what a generation costs beside the filters, by drives
-    memory     the client's peak with 16 and 160 drives; a worker's bytes an hour of drive
-    thousand   1000 drives of one minute, by the command line, with every line of the logs that warns
+    overhead   time of a generation in addition to that of the filters, by number of drives
+    memory     peak of the client with 16 and 160 drives; memory of a worker per hour of driving
+    thousand   1000 drives of one minute on the command line, and all warnings in the logs
 
-Drives are simulated into FOLDER and kept there. Other work on the machine makes figures worse: the load is printed.
+Simulated drives are saved in FOLDER. Since other jobs on the machine increase the times, the load is printed.
 """
 
 import argparse
@@ -44,15 +44,15 @@ os.environ["PYTHONPATH"] = str(Path(__file__).parent)  # for workers: `asked_of_
 PROGRAM = "from sigmaswarm.cli import main; main()"
 EVERY_OPTION = ("velocity", "lateral", "standstill", "odometer", "gate", "latency", "accuracy")
 NOT_THE_SAME = {"timings.json", "times.csv", "runtime.csv", "runtime.md", "runtime.tex"}
-"""They hold times."""
+"""Files that contain times."""
 
 
 DIFFERENT = 16
-"""Drives of a length that are simulated."""
+"""Number of simulated drives of each length."""
 
 
 def drives_of(folder: Path, count: int, seconds: float) -> list[Path]:
-    """So many simulated drives of a length, in Parquet; of more than 16 the same ones again."""
+    """Return ``count`` simulated drives of a length in Parquet; beyond the first `DIFFERENT`, drives are repeated."""
     place, made = folder / f"drives-{seconds:g}s", list[Path]()
     for run in range(count):
         target = place / f"urban-clear-{run:04d}"
@@ -70,7 +70,7 @@ def remote(client: Any, drives: Sequence[Path]) -> RemoteDataset:
 
 
 def command(*arguments: object) -> tuple[int, str, str, float]:
-    """Run the command line in a process of its own; its code, output, errors, and seconds."""
+    """Run the command line in a separate process; return exit code, output, errors, and duration, s."""
     began = time.perf_counter()
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM, *map(str, arguments)], capture_output=True, text=True
@@ -193,12 +193,12 @@ def scaling(folder: Path, repeats: int, minutes: float, generations: int) -> Non
         connected(two.address) as second,
     ):
         datasets = {1: remote(first, drives), 2: remote(second, drives)}
-        for n, dataset in datasets.items():  # compiles, and makes ready
+        for n, dataset in datasets.items():  # compiles, and prepares the drives
             tune(dataset, **config | {"particles": 4, "generations": 1})
             print(f"{n} worker(s): ready", flush=True)
         for _ in range(repeats):
             for n, dataset in datasets.items():
-                dataset.call(forget)  # what was made ready: it counts, too
+                dataset.call(forget)  # prepared drives, since their preparation is measured, too
                 running, load = (one, two)[n - 1], os.getloadavg()[0]
                 before = [running.processor(name) for name in running.workers]
                 began, own = time.perf_counter(), time.process_time()
@@ -238,14 +238,14 @@ def overhead(folder: Path, most: int) -> None:
 
 
 def _empty_call(dataset: RemoteDataset) -> float:
-    """Seconds of a call of all workers that does nothing."""
+    """Return the duration (s) of an empty call of all workers."""
     began = time.perf_counter()
     dataset.call(nothing)
     return time.perf_counter() - began
 
 
 def _overhead(replays: Any, sets: Sequence[Any]) -> float:
-    """Seconds of a generation in addition to those of the busiest worker."""
+    """Return the duration (s) of a generation minus the time of the busiest worker."""
     began = time.perf_counter()
     answers = replays.dataset.call(timed, replays.passes, replays.check, costs, tuple(sets))
     return time.perf_counter() - began - max(seconds for _, (_, seconds) in answers)
@@ -319,11 +319,11 @@ def main() -> None:
     parser.add_argument("parts", nargs="+", choices=PARTS)
     parser.add_argument("--folder", type=Path, required=True)
     parser.add_argument("--drive", type=Path, help="for form: a drive in CSV")
-    parser.add_argument("--minutes", type=float, default=30, help="for scaling: of each drive")
+    parser.add_argument("--minutes", type=float, default=30, help="for scaling: duration of each drive")
     parser.add_argument("--generations", type=int, default=50, help="for scaling")
-    parser.add_argument("--repeats", type=int, default=3, help="for scaling: runs of each, in turns")
+    parser.add_argument("--repeats", type=int, default=3, help="for scaling: number of alternating runs")
     parser.add_argument(
-        "--drives", type=int, help="for overhead: the most; for memory: so many, in this process"
+        "--drives", type=int, help="for overhead: largest number; for memory: number, in this process"
     )
     asked = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that the processes are ended, too

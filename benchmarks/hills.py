@@ -1,10 +1,11 @@
-"""What hills cost: models tuned and tested on simulated flat, rolling and hilly roads, for each grade of IMU.
+"""Measure the effect of hills: models tuned and tested on simulated flat, rolling and hilly roads, by grade of IMU.
 
     python benchmarks/hills.py --models planar8 tilted12 --seeds 3
 
-The same ten drives of 90 s through a town on each terrain (the way in the plane is the same), shaken as real cars
-are, fixes with 1 m of white noise; tuned on seven, tested on three, another split each seed. Prints a Markdown
-table of medians over the seeds. Drift is the RMS over the windows of seeds 0 to 3 (5 s) and 0 to 5 (30 s).
+On each terrain, the same ten town drives of 90 s (with the same horizontal path), with the vibration of real cars and
+fixes with 1 m of white noise. Each filter is tuned on seven drives and tested on three; each seed has another split.
+Prints a Markdown table of medians over the seeds. Drift is the RMS over the windows of seeds 0 to 3 (5 s) and 0 to 5
+(30 s).
 """
 
 import argparse

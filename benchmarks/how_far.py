@@ -40,7 +40,7 @@ def main() -> None:
 
 
 def words(training, test, seed: int):
-    """Yield for each test drive: estimated error, true error, their ratio, and True if the error is unknown."""
+    """Yield, for each test drive, estimated and true error (m), their ratio, and True if the error is unknown."""
     found = evaluate(test, tune(training, seed=seed).parameters)
     for name, consistency in found.record.consistency.items():
         true = found.value(name, "tuned", "position_rmse_m")

@@ -1,9 +1,9 @@
-"""Import a long MCAP with pictures in it, and say how long it took and how much memory.
+"""Measure time and memory of the import of a long MCAP file that contains pictures.
 
     python benchmarks/import_mcap.py [--hours 2] [--size 1.1] [--folder FOLDER]
 
-Writes a file of that many GB to a temporary folder: 100 Hz IMU, 5 Hz fixes, the rest pictures; imports it as the
-command line does, in a process of its own, and removes everything again.
+Writes a file of ``--size`` GB to a temporary folder: IMU samples at 100 Hz, fixes at 5 Hz, and pictures. Imports the
+file with the command line in a separate process, and then removes the folder.
 """
 
 import argparse
@@ -50,7 +50,7 @@ def fix(ns: int, t: float):
 
 
 def write(path: Path, hours: float, size: float) -> None:
-    """Pictures at 10 Hz fill the file; they do not compress, so the chunks are left as they are."""
+    """Fill the file with pictures at 10 Hz. The chunks are not compressed, since pictures are incompressible."""
     names = {
         "/imu": "sensor_msgs/msg/Imu",
         "/fix": "sensor_msgs/msg/NavSatFix",
@@ -86,7 +86,7 @@ def main() -> None:
     )
     parser.add_argument("--hours", type=float, default=2.0)
     parser.add_argument("--size", type=float, default=1.1, help="GB")
-    parser.add_argument("--folder", type=Path, help="where the temporary folder is made")
+    parser.add_argument("--folder", type=Path, help="parent of the temporary folder")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(dir=options.folder) as name:
         folder = Path(name)

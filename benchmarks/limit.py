@@ -1,9 +1,10 @@
-"""How far planar5's kernel is from what the processor can do: operations counted, peak measured, time measured.
+"""Compare the speed of planar5's kernel with the peak of the processor: counted operations, measured peak and time.
 
     python benchmarks/limit.py
 
-Operations are counted by running the kernel's own Python on numbers that count. The peak is that of vectors as wide as
-the kernel's lanes, from a few lines of LLVM's language: independent chains of multiply-add, of divisions, of roots.
+Operations are counted by running the Python code of the kernel with numbers that count operations. The peak is measured
+with vectors as wide as the kernel's lanes, in LLVM's assembly language: independent chains of multiply-adds, of
+divisions, and of square roots.
 """
 
 import ctypes
@@ -38,7 +39,7 @@ CHAINS, ROUNDS, TURNS = 8, 200_000, 7
 
 
 class Counting:
-    """A number that counts what is done with it."""
+    """A number that counts the operations on it."""
 
     done: ClassVar[Counter] = Counter()
 
@@ -48,7 +49,7 @@ class Counting:
     def __float__(self) -> float:
         return float(self.value)
 
-    def __neg__(self) -> "Counting":  # folded into its neighbor
+    def __neg__(self) -> "Counting":  # not counted: part of the next operation
         return Counting(-self.value)
 
     def __floor__(self) -> "Counting":
@@ -74,10 +75,10 @@ for function in (operator.lt, operator.le, operator.gt, operator.ge, operator.eq
 
 
 def count() -> None:
-    """Print operations per lane of a predict and of a fix; needs NUMBA_DISABLE_JIT=1."""
+    """Print the operations per lane of a prediction and of a fix; needs NUMBA_DISABLE_JIT=1."""
     absorb = measurements.measurement_kernels(MODELS["planar5"])["update_fix"]
     counting = SimpleNamespace(sqrt=lambda x: Counting._do("sqrt", math.sqrt, x), log=math.log, pi=math.pi)
-    # each has names of its own, put there when it was written out
+    # each generated function has its own names
     for names in (planar5.predict_planar5.written.names, absorb.written.names, vars(lanes)):
         names.update({name: counting for name, value in names.items() if value is math})
     rows = np.array(
@@ -100,7 +101,7 @@ def count() -> None:
 
 
 def kernel_call(fixes: bool = True):
-    """A call of `run_lanes` over ten minutes with one parameter set in all lanes, its steps, and the lanes."""
+    """Return a call of `run_lanes` over ten minutes with equal filters in all lanes, its steps, and its lanes."""
     drive = simulate("urban", duration=600.0, seed=1)
     drive_pass = tracking_pass(prepare_drive(drive))
     steps, sample, driving, flags, *others, ends = drive_pass.arrays(frozenset())
@@ -134,7 +135,7 @@ def fastest(function) -> float:
 
 
 def nanoseconds_per_vector(operation: str) -> float:
-    """Time of one operation on LANES numbers, when many of them wait for none."""
+    """Return the time of one operation on LANES numbers, ns, among many independent operations."""
     v = f"<{layout.LANES} x double>"
     line = {
         "fma": f"call {v} @llvm.fma.v{layout.LANES}f64({v} %x#, {v} %b, {v} %b)",

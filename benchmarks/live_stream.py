@@ -1,10 +1,11 @@
-"""A day through the live filter: 8.64 million IMU samples at 100 Hz, fixes at 5 Hz, every tenth of them late.
+"""Run the live filter for a day: 8.64 million IMU samples at 100 Hz, fixes at 5 Hz, every tenth fix late.
 
     python benchmarks/live_stream.py --hours 24
     python benchmarks/live_stream.py --hours 24 --swarm
 
-A car drives a circle, minute after minute: up to 10 m/s, on, down again, and 10 s at rest. planar8 with all that a car
-allows, which keeps the most. Prints the time it takes, the memory of the process along the way, and where it ends.
+In each minute, a car accelerates to 10 m/s on a circle, brakes, and stands for 10 s. The filter is planar8 with all
+options for cars, which needs the most memory. Prints the processor time, the memory of the process over time, and the
+position errors.
 """
 
 import argparse
@@ -28,7 +29,7 @@ PARAMETERS = FilterParameters(
 
 
 def minute() -> tuple[np.ndarray, np.ndarray]:
-    """One round: ax, ay, yaw rate (6000, 3), and the distance that was driven at each sample's end (6000,), m."""
+    """Return ax, ay and yaw rate of one minute (6000, 3), and the driven distance after each sample (6000,), m."""
     edges = np.arange(MINUTE + 1) / RATE
     speed = np.interp(edges, [0.0, 10.0, 40.0, 50.0, 60.0], [0.0, SPEED, SPEED, 0.0, 0.0])
     middle = (speed[1:] + speed[:-1]) / 2
@@ -37,7 +38,7 @@ def minute() -> tuple[np.ndarray, np.ndarray]:
 
 
 def resident() -> float:
-    """Memory of the process, MB: what it holds now, or has held at most where the system does not tell."""
+    """Return the memory of the process, MB: the current memory or, if the system does not report it, the peak."""
     statm = Path("/proc/self/statm")
     if statm.exists():
         return int(statm.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
@@ -45,7 +46,7 @@ def resident() -> float:
 
 
 def stream(filter: LiveFilter, minutes: int, rng: np.random.Generator):
-    """Feed the filter, and give the position error (m) and memory (MB) after each minute."""
+    """Feed the filter, and yield the position error (m) and memory (MB) after each minute."""
     imu, driven = minute()
     for m in range(minutes):
         angle = (m * driven[-1] + driven) / RADIUS

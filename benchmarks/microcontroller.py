@@ -1,10 +1,11 @@
-"""What the exported C library costs on a Cortex-M, and how close it stays there: on the boards that QEMU emulates.
+"""Measure cost and accuracy of the exported C library on Cortex-M boards, which QEMU emulates.
 
     python benchmarks/microcontroller.py ../shared/drives [--quick]
 
-Needs Debian's gcc-arm-none-eabi, libnewlib-arm-none-eabi and qemu-system-arm. Prints Markdown tables: whole drives in
-float and double beside `run_filter`; instructions, flash, RAM and stack of each filter. A predict is the mean over
-samples without a fix, a predict + update the mean over those with one. --quick takes the first minutes of each drive.
+Needs Debian's gcc-arm-none-eabi, libnewlib-arm-none-eabi and qemu-system-arm. Prints Markdown tables: differences from
+`run_filter` over whole drives, in float and double; instructions, flash, RAM and stack of each filter. "predict" is the
+mean over samples without a fix, "predict + update" the mean over samples with a fix. --quick uses the first minutes of
+each drive.
 """
 
 import argparse
@@ -65,7 +66,7 @@ def drives(folder: Path, *, quick: bool) -> list[Drive]:
 
 
 def off(board: OnBoard, ours: np.ndarray) -> tuple[float, float, float]:
-    """The largest differences: of any state relative to max(1, |x|); of the position, m; of the heading, degrees."""
+    """Return the largest differences: of a state, relative to max(1, |x|); of the position, m; of the heading, deg."""
     error = board.mean - ours
     error[:, 4] = (error[:, 4] + np.pi) % (2 * np.pi) - np.pi
     relative = np.max(np.abs(error) / np.maximum(1.0, np.abs(ours)))
@@ -77,7 +78,7 @@ def off(board: OnBoard, ours: np.ndarray) -> tuple[float, float, float]:
 
 
 def heading(*columns: str) -> None:
-    """Of a table; the first two columns are words."""
+    """Print the heading of a table whose first two columns contain text."""
     print(f"\n| {' | '.join(columns)} |\n|---|---|" + "---:|" * (len(columns) - 2))
 
 
@@ -98,20 +99,20 @@ def closeness(all_drives: list[Drive], folder: Path) -> None:
 
 
 def instructions(board: OnBoard) -> tuple[float, float, float]:
-    """Of a predict, of a predict with an update, and of a sample on average over the drive."""
+    """Return the instructions of a predict, of a predict with an update, and of a sample on average over the drive."""
     fixed, both = board.fixes > 0, board.predict + board.update
     return float(board.predict[~fixed].mean()), float(both[fixed].mean()), float(both.mean())
 
 
 def size(path: Path) -> tuple[int, int]:
-    """Bytes of code with constants, and of static data."""
+    """Return the sizes of code with constants, and of static data, bytes."""
     text, data, bss = run(["arm-none-eabi-size", path]).splitlines()[1].split()[:3]
     return int(text), int(data) + int(bss)
 
 
 @cache
 def _libraries(map_text: str) -> dict[str, int]:
-    """Bytes that a program takes of libm and of libgcc's soft double, from the linker's map."""
+    """Return the sizes (bytes) of libm and of libgcc's software double in a program, from the linker's map."""
     kept = map_text.split("Linker script and memory map")[1]
     sums = {"libm": 0, "libgcc": 0}
     for amount, file in re.findall(
@@ -132,7 +133,7 @@ def state_bytes(machine: Machine, folder: Path, *flags: str) -> int:
 
 
 def worst_stack(machine: Machine, folder: Path, *flags: str) -> int:
-    """The deepest sum of frames along the calls of the export's own functions; libm's are not known."""
+    """Return the largest sum of stack frames over the calls of the exported functions; frames of libm are unknown."""
     command = [COMPILER, *machine.flags, *flags, "-std=c99", "-O2", "-fcallgraph-info=su"]
     run([*command, "-c", folder / "ins_gps.c", "-o", folder / "su.o"])
     graph = (folder / "su.ci").read_text()
@@ -182,7 +183,7 @@ def costs(drive: Drive, folder: Path) -> None:
 
 
 def by_drive(all_drives: list[Drive], folder: Path) -> None:
-    """Instructions of planar8 and tilted12 in float on the M4F, with and without options, and calculated times."""
+    """Print instructions and calculated times of planar8 and tilted12 in float on the M4F, with and without options."""
     heading(
         *("drive, IMU", "filter", "predict: plain, every option", "ratio", "predict + update"),
         *("at 168 MHz (calculated)", "share of 10 ms"),
@@ -209,7 +210,7 @@ def by_drive(all_drives: list[Drive], folder: Path) -> None:
 
 
 def lanes(drive: Drive, folder: Path) -> None:
-    """What a swarm's lanes cost: planar8 and tilted12 in float on the M4F."""
+    """Print the cost of the filters of a bank: planar8 and tilted12 in float on the M4F."""
     heading(
         *(
             "filter",
@@ -244,7 +245,7 @@ def lanes(drive: Drive, folder: Path) -> None:
 
 
 def soft_double(drive: Drive, folder: Path) -> None:
-    """What double costs a board that has no unit for it: the same filter in double on the M4F."""
+    """Print the cost of double on a board without hardware for it: the same filter in double on the M4F."""
     p = given("planar8 ukf, every option", drive)
     heading("drive", "planar8 ukf, every option, M4F", "predict", "predict + update", "mean sample")
     for label, flags in (("float, times in double", (FLOAT,)), ("double", ())):

@@ -1,19 +1,19 @@
 """Measure the power of the tests: change the source in small ways, and count the changes that the tests find.
 
-    python benchmarks/mutants.py CHECKOUT --number 200 --out mutants.json           # draw and run, or go on
+    python benchmarks/mutants.py CHECKOUT --number 200 --out mutants.json           # draw and run, or continue
     python benchmarks/mutants.py OTHER --like mutants.json --out other.json         # the same mutants in other code
-    python benchmarks/mutants.py CHECKOUT --number 200 --out mutants.json --draw    # draw alone
+    python benchmarks/mutants.py CHECKOUT --number 200 --out mutants.json --draw    # only draw
 
-A mutant is named by its function's qualified name, the kind of change and its ordinal among the changes of this kind in
-that function. In other code a function is looked for by its module, then by its name alone where just one has it; in
-place of a mutant whose function is gone another one of the same package is drawn.
+A mutant is identified by the qualified name of its function, the kind of change, and its ordinal among the changes of
+this kind in the function. In other code, the function is found by its module, or by its name if this name is unique. If
+the function does not exist, another mutant of the same package is drawn.
 
-A test file is run for a mutant if it imports the mutated module or the function (distance 0), or imports a module that
-imports it or is in the folder of tests of the module's package (1), or is one import farther (2). Nearer
-and quicker files come first, until `BUDGET` seconds by an unchanged run are full.
+A test file is run for a mutant if it imports the mutated module or the function (distance 0), if it imports a module
+that imports the mutated module or is in the test folder of its package (1), or if it is one import farther (2). Files
+with a smaller distance and a shorter time come first, up to `BUDGET` seconds, as measured without mutants.
 
-Each mutant runs in a scratch copy of the checkout with the checkout's own Python. A timeout counts as killed, as a test
-would have been; it is recorded as such.
+Each mutant runs in a copy of the checkout with the Python of the checkout. A timeout counts as killed, and is recorded
+as a timeout.
 """
 
 import argparse
@@ -35,9 +35,9 @@ from typing import Any
 from structure import functions
 
 BUDGET = 60.0
-"""s of a processor for the test files of a mutant, as an unchanged run takes them."""
+"""Processor time (s) of the test files of a mutant, as measured without mutants."""
 TIMEOUT = 120.0
-"""s of a processor that a mutant may take; four times as much by the clock, as the machine may be busy."""
+"""Largest processor time (s) of a mutant; the wall time may be four times as long, since the machine may be busy."""
 LEFT_OUT = {".git", ".venv", "__pycache__", ".pytest_cache", ".ruff_cache", ".import_linter_cache", "_build"}
 FLIPPED: dict[type[ast.cmpop], type[ast.cmpop]] = {
     ast.Lt: ast.LtE,
@@ -64,7 +64,7 @@ SWAPPED: dict[type[ast.operator], type[ast.operator]] = {
 
 @dataclass(frozen=True)
 class Mutant:
-    """A change of the source."""
+    """A change of the source, by names that also exist in other versions of the code."""
 
     module: str
     function: str
@@ -74,7 +74,7 @@ class Mutant:
 
 @dataclass(frozen=True)
 class Site:
-    """Where a mutant is, and what stands there instead."""
+    """Place of a mutant in the source, and the new text."""
 
     mutant: Mutant
     path: Path
@@ -84,7 +84,7 @@ class Site:
 
 
 def changed(node: ast.AST) -> Iterator[tuple[str, ast.AST, ast.AST]]:
-    """Yield the kinds of changes of a node: what is replaced, and by what."""
+    """Yield the changes of a node: kind, replaced node, new node."""
     if isinstance(node, ast.Compare) and type(node.ops[0]) in FLIPPED:
         flipped = FLIPPED[type(node.ops[0])]()
         yield "comparison", node, ast.Compare(node.left, [flipped, *node.ops[1:]], node.comparators)
@@ -115,7 +115,7 @@ def _is_none(node: ast.AST) -> bool:
 
 
 def code_of(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield the nodes of a function in order: without annotations, decorators, f-strings and functions within."""
+    """Yield the nodes of a function in order, without annotations, decorators, f-strings and inner functions."""
     skipped = ("annotation", "returns", "decorator_list")
     for name, value in ast.iter_fields(node):
         for child in value if isinstance(value, list) else [value]:
@@ -154,13 +154,13 @@ def mutated(source: str, site: Site) -> str:
 
 
 def package_of(module: str) -> str:
-    """Return the package below sigmaswarm that a module belongs to."""
+    """Return the package of a module, below sigmaswarm."""
     parts = module.split(".")
     return parts[1] if len(parts) > 2 else parts[0]
 
 
 def drawn(sites: list[Site], number: int, seed: int) -> list[Site]:
-    """Draw mutants: from each package two, the rest from all alike; of a function at most two."""
+    """Draw mutants: two from each package, then from all packages uniformly; at most two per function."""
     rng = random.Random(seed)
     shuffled = list(sites)
     rng.shuffle(shuffled)
@@ -180,7 +180,7 @@ def drawn(sites: list[Site], number: int, seed: int) -> list[Site]:
 
 
 def found_again(wanted: list[Mutant], sites: list[Site], seed: int) -> list[Site]:
-    """Find mutants in other code; draw another one of the same package for each that is gone."""
+    """Find mutants in other code; replace each mutant that is not found by another one of the same package."""
     exact = {s.mutant: s for s in sites}
     by_name: dict[tuple[str, str, int], list[Site]] = defaultdict(list)
     for site in sites:
@@ -208,7 +208,7 @@ def found_again(wanted: list[Mutant], sites: list[Site], seed: int) -> list[Site
 
 
 class Tests:
-    """Which test files may find a mutant: by imports, names and the time that they take."""
+    """Selection of the test files for a mutant, by imports, names and duration."""
 
     def __init__(self, root: Path, scratch: "Scratch", known: dict[str, Any]) -> None:
         self.scratch = scratch
@@ -220,7 +220,7 @@ class Tests:
         self.used_by = _importers(root)
 
     def of(self, mutant: Mutant) -> list[str]:
-        """Return the test files for a mutant, those first that are near and quick."""
+        """Return the test files for a mutant: those with a small distance and a short time come first."""
         name = mutant.function.rpartition(".")[2]
         folder = f"tests/{package_of(mutant.module)}/"
         near, order = {mutant.module}, list[str]()
@@ -280,7 +280,7 @@ def _importers(root: Path) -> dict[str, set[str]]:
 
 
 class Scratch:
-    """A copy of a checkout whose source is changed, and its Python."""
+    """A copy of a checkout in which the source is changed, and the Python of the checkout."""
 
     def __init__(self, root: Path, folder: Path) -> None:
         self.python = root / ".venv/bin/python"
@@ -289,7 +289,7 @@ class Scratch:
         self.environment = os.environ | {"PYTHONPATH": str(self.root / "src"), "PYTHONDONTWRITEBYTECODE": "1"}
 
     def run(self, files: list[str], limit: float) -> tuple[str, float]:
-        """Run test files; killed, survived or timeout, and the processor's seconds, those of children too."""
+        """Run test files; return "killed", "survived" or "timeout", and the processor time (s) with child processes."""
         words = ["-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", *files]
         before = _children_seconds()
         process = subprocess.Popen(
@@ -311,7 +311,7 @@ class Scratch:
         return "timeout" if stopped else "killed" if code else "survived", _children_seconds() - before
 
     def try_out(self, site: Site, files: list[str]) -> tuple[str, float]:
-        """Change the source, run the tests, and put it back."""
+        """Change the source, run the tests, and restore the source."""
         path = self.root / site.path
         source = path.read_text()
         path.write_text(mutated(source, site))
@@ -327,7 +327,7 @@ def _children_seconds() -> float:
 
 
 def save(out: Path, state: dict[str, Any]) -> None:
-    """Write the results whole, or not at all."""
+    """Write the results completely or not at all."""
     part = out.with_suffix(".part")
     part.write_text(json.dumps(state, indent=1))
     part.replace(out)
@@ -336,11 +336,13 @@ def save(out: Path, state: dict[str, Any]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("checkout", type=Path)
-    parser.add_argument("--out", type=Path, required=True, help="results as JSON; goes on with what is there")
+    parser.add_argument(
+        "--out", type=Path, required=True, help="JSON file of results; continued if it exists"
+    )
     parser.add_argument("--number", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--like", type=Path, help="results whose mutants are looked for again")
-    parser.add_argument("--limit", type=int, help="run so many of them at most now")
+    parser.add_argument("--like", type=Path, help="results whose mutants are used again")
+    parser.add_argument("--limit", type=int, help="largest number of mutants to run now")
     parser.add_argument("--draw", action="store_true", help="draw the mutants and run none")
     asked = parser.parse_args()
     root = asked.checkout.resolve()
@@ -368,7 +370,7 @@ def main() -> None:
 def run_all(
     root: Path, sites: dict[Mutant, Site], state: dict[str, Any], out: Path, limit: int | None
 ) -> None:
-    """Run what has no verdict yet."""
+    """Run the mutants without a verdict."""
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         scratch = Scratch(root, Path(folder))
         tests = Tests(root, scratch, state["seconds"])
@@ -390,7 +392,7 @@ def run_all(
 
 
 def report(state: dict[str, Any]) -> None:
-    """Print the shares."""
+    """Print the fractions of killed mutants."""
     done = [entry for entry in state["mutants"] if "verdict" in entry]
     count = Counter(entry["verdict"] for entry in done)
     print(f"{len(state['mutants'])} mutants of {state['sites']} sites, {len(done)} run:", dict(count))

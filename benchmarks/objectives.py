@@ -1,14 +1,14 @@
-"""Tuning without truth against tuning on truth, on drives held out.
+"""Compare tuning without truth and tuning with truth on held-out drives.
 
     python benchmarks/objectives.py simulated [--model planar8] [--seeds 10]
     python benchmarks/objectives.py real ../shared/drives [--model planar8] [--use lateral] [--seeds 10]
     python benchmarks/objectives.py best [../shared/drives] [--model planar8] [--seeds 3]
 
-simulated: three grades of sensors, 30 town drives of 90 s each; each seed tunes on ten of them and tests on the other
-twenty. real: each KITTI drive held out in turn, tuned on the others; colorado-1 and kingston-1 split in time, 70 to 30.
-best: the tuned filter's error over the lowest that any parameters reach on the test drives themselves, searched with
-four times the budget; on simulated drives or, where a folder is named, on the real ones. Prints Markdown; medians over
-the seeds, lowest and highest in brackets.
+simulated: three grades of sensors, with 30 town drives of 90 s each; for each seed, the filter is tuned on ten of them
+and tested on the other twenty. real: each KITTI drive is held out once, and the filter is tuned on the others;
+colorado-1 and kingston-1 are split in time, 70 to 30. best: the error of the tuned filter divided by the lowest error
+that a search with four times the budget finds on the test drives themselves; on simulated drives or, if a folder is
+given, on real drives. Prints Markdown: medians over the seeds, with lowest and highest value in brackets.
 """
 
 import argparse
@@ -69,7 +69,7 @@ def main() -> None:
 
 
 def table(name: str, splits: Sequence[Split], objectives: Sequence[str], asked: dict, pool: Executor) -> None:
-    """A row per objective."""
+    """Print a table with a row for each objective."""
     print(f"\n{name}, {asked['model']}{' + ' if asked['use'] else ''}{' + '.join(asked['use'])}\n")
     print(
         "| tuned by | position RMSE, m | over truth-rmse's | heading, deg | 5 s drift, m | NIS | in gate | NEES |"
@@ -91,7 +91,7 @@ def table(name: str, splits: Sequence[Split], objectives: Sequence[str], asked: 
 
 
 def figures(drives: Sequence[Drive], parameters: FilterParameters, pool: Executor) -> list[float]:
-    """Position RMSE, heading error, drift, mean NIS, share of fixes inside the 95% gate, mean NEES."""
+    """Return position RMSE (m), heading error (deg), drift (m), mean NIS, fraction of fixes in the 95% gate, NEES."""
     scores = BatchScorer.prepare(drives, PassOptions(outages=True)).scores([parameters], pool)
     inside = [c.inside_gate for d in drives if (c := consistency(d, parameters))]
     return [
@@ -105,7 +105,7 @@ def figures(drives: Sequence[Drive], parameters: FilterParameters, pool: Executo
 
 
 def best(name: str, splits: Sequence[Split], asked: dict, pool: Executor) -> str:
-    """How far a tuned filter is from the best one on the test drives."""
+    """Return a row that compares the tuned filter with the best filter for the test drives."""
     ratios: dict[str, list[float]] = {"truth-rmse": [], "innovation-nll": []}
     for seed, (training, test) in enumerate(splits):
         replayer = BatchScorer.prepare(test)
@@ -121,13 +121,13 @@ def best(name: str, splits: Sequence[Split], asked: dict, pool: Executor) -> str
 
 
 def spread(values: np.ndarray, number: str) -> str:
-    """Median, and in brackets the lowest and the highest."""
+    """Format the median, with lowest and highest value in brackets."""
     middle, low, high = (number.format(v) for v in (np.median(values), values.min(), values.max()))
     return f"{middle} [{low}, {high}]"
 
 
 def simulated(seeds: int) -> Iterator[tuple[str, list[Split]]]:
-    """Three grades of sensors."""
+    """Yield the splits of simulated drives for three grades of sensors."""
     for name, (imu, gps) in GRADES.items():
         drives = [simulate("urban", run=k, duration=90, imu=imu, gps=gps, seed=3) for k in range(DRIVES)]
         orders = [np.random.default_rng(seed).permutation(DRIVES) for seed in range(seeds)]
@@ -135,7 +135,7 @@ def simulated(seeds: int) -> Iterator[tuple[str, list[Split]]]:
 
 
 def real(folder: Path, seeds: int) -> Iterator[tuple[str, list[Split]]]:
-    """KITTI by drive, others split in time."""
+    """Yield the splits of real drives: KITTI by drive, the others in time."""
     kitti = [read_drive(folder / f"kitti-{name}") for name in KITTI]
     for held_out in kitti:
         yield held_out.name, [([d for d in kitti if d is not held_out], [held_out])] * seeds

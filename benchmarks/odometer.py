@@ -1,15 +1,16 @@
-"""What the wheels' speed is worth: filters tuned and tested with and without it, and with one that lies.
+"""Measure the benefit of an odometer: filters tuned and tested with it, without it, and with a faulty odometer.
 
     python benchmarks/odometer.py grades --imus mpu-6050 icm-20602 adis16488
     python benchmarks/odometer.py faults --imus icm-20602 --objective "truth-pose + 0.2 nees"
     python benchmarks/odometer.py real drives/comma2k19
     python benchmarks/odometer.py speed
 
-grades: ten drives of 120 s through a simulated town for each grade of IMU, shaken as real cars are, fixes with 1 m of
-white noise, an odometer that counts pulses (1% of scale error, drawn for each drive); tuned on seven, tested on three,
-another split each seed. faults: the filters of one grade, tested on drives whose odometer lies. real: a drive, tuned
-on its first part and tested on the rest. speed: what a filter's step costs with the odometer used, there, and absent.
-Prints Markdown tables of medians over the seeds. Drift is the RMS over the windows of `switches.py`.
+grades: ten simulated town drives of 120 s for each grade of IMU, with the vibration of real cars, fixes with 1 m of
+white noise, and an odometer that counts pulses (scale error of 1%, drawn for each drive); filters are tuned on seven
+drives and tested on three, with another split for each seed. faults: the filters of one grade are tested on drives with
+a faulty odometer. real: a filter is tuned on the first part of a drive and tested on the rest. speed: time of a step if
+the odometer is used, present but not used, and absent. Prints Markdown tables of medians over the seeds. Drift is the
+RMS over the windows of `switches.py`.
 """
 
 import argparse
@@ -56,9 +57,11 @@ def main() -> None:
     parser.add_argument("--imus", nargs="+", default=GRADES)
     parser.add_argument("--odometer", default="pulses")
     parser.add_argument(
-        "--objective", default="truth-pose", help="for faults one that fixes the covariance's scale"
+        "--objective",
+        default="truth-pose",
+        help="for faults: an objective that determines the scale of the covariance",
     )
-    parser.add_argument("--only", nargs="+", default=[*FAULTS], help="of the faults")
+    parser.add_argument("--only", nargs="+", default=[*FAULTS], help="names of faults")
     parser.add_argument("--seeds", type=int, default=3)
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
@@ -114,7 +117,7 @@ def grade(imu: str, options: argparse.Namespace, pool: ThreadPoolExecutor) -> No
 
 
 def lying(change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Callable[[Drive], Drive]:
-    """A drive with other speeds, of the times and the speeds that its odometer tells."""
+    """Return a function that replaces the odometer's speeds of a drive by a function of times and speeds."""
 
     def plant(drive: Drive) -> Drive:
         wheels = drive.odometer
@@ -125,7 +128,7 @@ def lying(change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Callable[[D
 
 
 def slipping(t: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Wheels that spin up by half, or lock, for two seconds of each twelve."""
+    """Simulate wheels that spin 50% too fast for 2 s, and lock for 2 s, in every 24 s."""
     phase = t % 24.0
     return np.where(phase < 2.0, 1.5 * v, np.where((phase > 12.0) & (phase < 14.0), 0.0, v))
 
@@ -150,13 +153,13 @@ FAULTS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
 
 
 def exact(drive: Drive) -> Drive:
-    """The drive with the scale that was drawn for it taken off: more than a state for it could find."""
+    """Return the drive without the scale error of its odometer; an estimated scale could not be more accurate."""
     scale = drive.metadata["odometer"]["scale"]
     return lying(lambda t, v: v / scale)(drive)
 
 
 def faults(options: argparse.Namespace, pool: ThreadPoolExecutor) -> None:
-    """Filters that know no fault, on drives that have one; and what the doctor says of these."""
+    """Test filters that were tuned without faults on drives with a fault; print the doctor's findings on them."""
     for imu in options.imus:
         parts = splits(town(imu, options, pool), options.seeds)
         filters = {
@@ -176,7 +179,7 @@ def faults(options: argparse.Namespace, pool: ThreadPoolExecutor) -> None:
             for (_, test), parameters in zip(parts, filters[use], strict=True):
                 planted = [plant(drive) for drive in test]
                 rows.append(measured([PreparedDrive(drive) for drive in planted], parameters))
-                if not codes:  # of the first split
+                if not codes:  # only for the first split
                     codes += [
                         c for drive in planted for c in diagnose(drive).codes if c.startswith("odometer")
                     ]
@@ -188,7 +191,7 @@ def faults(options: argparse.Namespace, pool: ThreadPoolExecutor) -> None:
 
 
 def real(options: argparse.Namespace, pool: ThreadPoolExecutor) -> None:
-    """A drive in two parts."""
+    """Tune on the first part of a drive, and test on the rest."""
     training, test = split_time(read_drive(options.drive), 0.5)
     for use in (PLAIN, WHEELS):
         found = [tuned([training], use, seed, options, pool) for seed in range(options.seeds)]
@@ -201,7 +204,7 @@ def real(options: argparse.Namespace, pool: ThreadPoolExecutor) -> None:
 
 
 def speed() -> str:
-    """ns of processor time for a set and step, the best of many turns: no odometer, one that is not used, and used."""
+    """Return a table of processor times (ns per set and step, shortest of many): no odometer, not used, used."""
     drive = simulate("urban", seed=1, duration=120.0, odometer="can")
     lines = ["| filter | without odometer.csv, ns | with it, not used | used |", "|---|---|---|---|"]
     for model, kind in (("planar5", "ukf"), ("planar8", "ukf"), ("tilted12", "ekf")):

@@ -1,11 +1,12 @@
-"""Time two environments against each other, in processes that take turns: batch, tune, evaluate, run, live.
+"""Compare the times of two environments, in alternating processes: batch, tune, evaluate, run, live.
 
     python benchmarks/old_new.py OLD/.venv NEW/.venv
     python benchmarks/old_new.py OLD/.venv NEW/.venv --rounds 7 --only batch-planar5 tune-default --workers 1
 
-Each round starts one process of each side, which side first by turns. A process does each job once to compile, then
-`REPEATS` times, and keeps the least time. The table shows seconds (least and median over the rounds) and the ratios
-new / old: of the least times, and the median of the rounds' ratios. Two ten-minute drives are simulated once, by OLD.
+Each round starts one process of each environment, in alternating order. A process runs each job once to compile, then
+`REPEATS` times, and records the shortest time. The table shows times in s (minimum and median over the rounds) and two
+ratios new / old: that of the minima, and the median of the ratios of the rounds. OLD simulates two drives of ten
+minutes.
 """
 
 import argparse
@@ -104,7 +105,7 @@ print(json.dumps(found))
 
 
 def run(environment: Path, code: str, *words: str) -> str:
-    """Run code with an environment's Python; what it prints."""
+    """Run code with the Python of an environment; return its output."""
     done = subprocess.run(
         [str(environment / "bin/python"), "-c", code, *words], capture_output=True, text=True, check=False
     )
@@ -120,7 +121,9 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--only", nargs="*", choices=JOBS, default=JOBS)
     parser.add_argument("--workers", type=int, default=0, help="threads of tune; all cores by default")
-    parser.add_argument("--drives", type=Path, help="a folder with the two drives, made if missing")
+    parser.add_argument(
+        "--drives", type=Path, help="folder of the two drives, which are simulated if missing"
+    )
     asked = parser.parse_args()
     sides = [asked.old.resolve(), asked.new.resolve()]
     seconds: dict[str, list[list[float]]] = {job: [[], []] for job in asked.only}

@@ -2,7 +2,7 @@
 
     python benchmarks/optimizers.py [--seeds 20] [--budget 3000] [--only "each other"|rivals]
 
-Needs the dependency group test. Takes some minutes. What the optimizers are worth on filters: compare_optimizers.py.
+Needs the dependency group test. Takes some minutes. `compare_optimizers.py` compares the optimizers on filters.
 """
 
 import argparse
@@ -27,10 +27,10 @@ Cost = Callable[[np.ndarray], np.ndarray]
 
 
 def found(name: str, cost: Cost, low, high, budget: int, seeds: int, polish: int = 0) -> np.ndarray:
-    """The lowest cost of each seed."""
+    """Return the lowest cost of each seed, (seeds,)."""
     costs = []
     for seed in range(seeds):
-        rng = np.random.default_rng(1000 + seed)  # other chance than the rivals'
+        rng = np.random.default_rng(1000 + seed)  # other random numbers than those of the rivals
         optimizer = create_optimizer(
             name, low, high, population=POPULATION, budget=budget, rng=rng, polish=polish
         )

@@ -1,11 +1,12 @@
-"""Fixes that lie far off: what filters and objectives bear them, and what it costs where there are none.
+"""Measure the effect of outliers on filters and objectives, and the cost of robust filters without outliers.
 
     python benchmarks/outliers.py ../shared/drives --seeds 10
 
-colorado-1, tuned on the first 70% of the time, tested on the rest, as it is and with 6% of its fixes off by 20 m in
-bursts of 0.2 to 1 s (seeded); planar8 with lateral and standstill. Then the scale of Student's t: the mean NIS at which
-each objective is least when all noises of a filter are multiplied by one factor, on simulated drives with white fixes.
-Prints Markdown; medians over the seeds, lowest and highest in brackets.
+colorado-1: planar8 with lateral and standstill is tuned on the first 70% of the time and tested on the rest, without
+outliers and with errors of 20 m in 6% of the fixes, in bursts of 0.2 to 1 s (seeded). Scale of Student's t: the mean
+NIS at which each objective has its minimum if all noise variances of a filter are multiplied by one factor, on
+simulated drives with white fix errors. Prints Markdown: medians over the seeds, with lowest and highest value in
+brackets.
 """
 
 import argparse
@@ -65,7 +66,7 @@ def main() -> None:
 
 
 def table(title: str, training: Drive, test: Drive, options: argparse.Namespace, pool: Executor) -> None:
-    """A row per objective and option."""
+    """Print a table with a row for each objective and option."""
     replayer = BatchScorer.prepare([test], PassOptions(outages=True))
     raw = score_raw_gps(test, replayer.initial[0]).position_rmse
     print(f"\ncolorado-1, last 30%, {title} (raw {raw:.2f} m)\n")
@@ -86,7 +87,7 @@ def table(title: str, training: Drive, test: Drive, options: argparse.Namespace,
 
 
 def scales(pool: Executor) -> None:
-    """Which mean NIS each objective asks for."""
+    """Print the mean NIS at which each objective has its minimum."""
     drives = [
         simulate("urban", run=k, duration=90, imu="icm-20602", gps="white-1m", seed=3) for k in range(10)
     ]
@@ -97,7 +98,7 @@ def scales(pool: Executor) -> None:
 
 
 def least(drives: list[Drive], p: FilterParameters, scale: tuple[float, float] | None) -> float:
-    """The mean NIS of the filter whose noises, all times one factor, make an objective least."""
+    """Return the mean NIS at the common factor of all noise variances that minimizes an objective."""
     found = minimize_scalar(
         lambda log: cost(drives, scaled(p, np.exp(log)), scale)[0], bounds=(-1.5, 1.5), method="bounded"
     )
@@ -105,7 +106,7 @@ def least(drives: list[Drive], p: FilterParameters, scale: tuple[float, float] |
 
 
 def scaled(p: FilterParameters, factor: float) -> FilterParameters:
-    """All noises times a factor."""
+    """Multiply all noise variances by a factor."""
     assert p.lateral_noise is not None
     assert p.standstill_noise is not None
     return replace(
@@ -118,7 +119,7 @@ def scaled(p: FilterParameters, factor: float) -> FilterParameters:
 
 
 def cost(drives: list[Drive], p: FilterParameters, scale: tuple[float, float] | None) -> tuple[float, float]:
-    """The objective, v and c given, or else the Gaussian's; and the mean NIS."""
+    """Return the cost and the mean NIS. ``scale``: v and c of Student's t, or None for the Gaussian likelihood."""
     costs, nis = [], []
     for drive in drives:
         found = run_innovations(drive, p)

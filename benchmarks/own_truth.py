@@ -1,7 +1,8 @@
-"""Can a drive's own smoothed track stand in for truth? Tuned on it, against innovation-t, scored against real truth.
+"""Compare tuning with the smoothed track of a drive as truth and tuning with innovation-t, scored with the real truth.
 
-Each drive is tuned with innovation-t, smoothed with what came out, and tuned again on that track as if it were truth
-(with the smoother's own standard deviations). Held out as in docs/results.md.
+On each drive, a filter is tuned with innovation-t, and the drive is smoothed with this filter. Then a filter is tuned
+with the smoothed track as truth (with the smoother's standard deviations). Held-out drives are those of
+docs/results.md.
 
     python benchmarks/own_truth.py ../shared/drives --seeds 2
 """
@@ -22,10 +23,10 @@ HELD_OUT = ("kitti-09-30-0033", "colorado-1, last 30%", "kingston-1, last 30%")
 
 
 def with_own_truth(drive: Drive, parameters: FilterParameters) -> Drive:
-    """The drive with its smoothed estimate as truth."""
+    """Return the drive with its smoothed estimate as truth."""
     found = smooth(drive, parameters)
     std = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
-    kept = slice(None, None, 5)  # 20 Hz tell as much
+    kept = slice(None, None, 5)  # 20 Hz, which suffices
     columns = [*found.mean[:, :5].T, std[:, 0], std[:, 1], std[:, 4]]
     return replace(drive, truth=Truth(found.time[kept], *(column[kept] for column in columns)))
 

@@ -1,11 +1,11 @@
-"""How far the filters are from each other, over a whole drive: the figures behind tests/filters/test_parity.py.
+"""Measure the differences between the filters over a whole drive: the figures for tests/filters/test_parity.py.
 
     python benchmarks/parity.py                         # a simulated minute in town, with a gap and standstills
     python benchmarks/parity.py --drive DIR --sets 64
 
-Errors are those of single steps, both sides started from the same state: the mean's relative to max(1, |x_i|),
-the covariance's to sqrt(P_ii P_jj). Free runs stand beside a twin's, whose initial heading is moved by 1e-13 rad.
-Takes some two minutes per 60 s of driving, most of it FilterPy's.
+Errors are those of single steps from the same state: of the mean, relative to max(1, |x_i|); of the covariance,
+relative to sqrt(P_ii P_jj). Free runs are compared with a twin, whose initial heading differs by 1e-13 rad. Takes about
+two minutes per 60 s of driving, mostly for FilterPy.
 """
 
 import argparse
@@ -56,9 +56,15 @@ QUANTILES = (0.5, 0.9, 0.99, 0.999, 1.0)
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--drive", type=Path, help="a drive folder; a simulated drive if left out")
-    parser.add_argument("--sets", type=int, default=64, help="planar5 UKFs of the paper's box (64)")
-    parser.add_argument("--car-sets", type=int, default=16, help="sets of each kind and model (16)")
-    parser.add_argument("--slow-sets", type=int, default=5, help="how many of them FilterPy runs with (5)")
+    parser.add_argument(
+        "--sets", type=int, default=64, help="number of planar5 UKFs within the paper's bounds (64)"
+    )
+    parser.add_argument(
+        "--car-sets", type=int, default=16, help="number of sets of each filter type and model (16)"
+    )
+    parser.add_argument(
+        "--slow-sets", type=int, default=5, help="number of these sets with which FilterPy runs (5)"
+    )
     arguments = parser.parse_args()
     if arguments.sets % LANES or arguments.car_sets % LANES:
         parser.error(f"--sets and --car-sets must be multiples of {LANES}")
@@ -84,12 +90,12 @@ def main() -> None:
 
 def _read(folder: Path) -> Drive:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about gaps, which are welcome here
+        warnings.simplefilter("ignore")  # about gaps, which are part of the test
         return read_drive(folder)
 
 
 def with_alpha(table: np.ndarray, alpha: float | None = None) -> Sets:
-    """The sets with one alpha for all, or by default with alpha >= 0.1."""
+    """Return the sets with the given alpha or, by default, with alpha >= 0.1."""
     chosen = table.copy()
     chosen[:, 0] = np.maximum(chosen[:, 0], 0.1) if alpha is None else alpha
     return as_parameters(chosen)
@@ -99,7 +105,7 @@ def with_alpha(table: np.ndarray, alpha: float | None = None) -> Sets:
 
 
 def every_filter(drive: Drive, n_sets: int) -> Table:
-    """Every kind and model with all measurements against the oracle, heading known to a radian, and lost."""
+    """Compare every filter type and model, with all measurements, with the oracle: heading known to 1 rad, and lost."""
     timeline, initial = on_time_line(drive)
     out = _table("Compiled - extended, all measurements", "heading", "steps x sets", "over limit")
     for model, kind in product(("planar5", "planar8"), KINDS):
@@ -125,7 +131,7 @@ def every_filter(drive: Drive, n_sets: int) -> Table:
 def step_by_step(
     timeline: Timeline, initial: InitialState, table: np.ndarray, slow: np.ndarray
 ) -> tuple[Table, list[str]]:
-    """Three rows per pair of filters: mean, covariance, sums; and what to say about the largest errors."""
+    """Return a table of the errors of each pair of filters, and sentences on the largest errors."""
     runs = {"compiled - extended": (compiled_against_extended(timeline, initial, as_parameters(table)), 1e-9)}
     for name, theta_first, redraw in (
         ("textbook - FilterPy, theta first", True, True),
@@ -151,7 +157,7 @@ def step_by_step(
 
 
 def filterpy_against_extended(timeline: Timeline, initial: InitialState, sets: Sets) -> Stepwise:
-    """FilterPy's own error, restarted from the oracle's trajectory, rounded to doubles."""
+    """Return FilterPy's errors; each step starts from the oracle's trajectory, rounded to double."""
     oracle, errors = ExtendedCar(timeline, sets), []
     oracle.mean = np.tile(initial.mean, (len(sets), 1))
     oracle.covariance = np.tile(initial.covariance, (len(sets), 1, 1))
@@ -178,7 +184,7 @@ def filterpy_against_extended(timeline: Timeline, initial: InitialState, sets: S
 def _step(ukf: FilterPyCar, i: int, happens: int, fix: np.ndarray | None) -> None:
     try:
         ukf.step(i, happens, fix)
-    except np.linalg.LinAlgError:  # its rounding made P indefinite
+    except np.linalg.LinAlgError:  # P is indefinite due to rounding
         ukf.restart(np.full(5, np.nan), np.full((5, 5), np.nan))
 
 
@@ -201,7 +207,7 @@ def _cells(values: np.ndarray) -> list[str]:
 
 
 def loss(name: str, errors: Stepwise, limit: float) -> str:
-    """A sentence on covariances beyond the limit: digits that a precise fix takes from a variance."""
+    """Return a sentence on covariances whose error exceeds the limit, since precise fixes cost digits."""
     over = errors.covariance > limit
     if not over.any():
         return f"{name}: no covariance beyond {limit:g}"
@@ -217,7 +223,7 @@ def loss(name: str, errors: Stepwise, limit: float) -> str:
 
 
 def free_running(timeline: Timeline, initial: InitialState, sets: Sets) -> Table:
-    """The mean's distance along whole runs."""
+    """Return a table of the distances between means along whole runs."""
     out = _table("Free running: distance of the mean from the compiled filter's", "samples", "sets")
     runs = [free_run(timeline, initial, p) for p in sets]
     sound = [run for run in runs if run.judged.all()]
@@ -235,7 +241,7 @@ def free_running(timeline: Timeline, initial: InitialState, sets: Sets) -> Table
 
 
 def roots(timeline: Timeline, initial: InitialState, sets: Sets) -> Table:
-    """How little it matters which square root of P the sigma points are drawn from."""
+    """Return a table of the effect of the square root of P from which sigma points are drawn."""
     out = _table("Free running: FilterPy with its plain root, from the compiled filter", "samples", "sets")
     rows = {
         "defaults": np.array([0.1, 2, 0, *[1.0] * 7]),
@@ -252,7 +258,7 @@ def roots(timeline: Timeline, initial: InitialState, sets: Sets) -> Table:
 
 
 def _root_distance(timeline: Timeline, initial: InitialState, p: FilterParameters) -> np.ndarray:
-    """Distance (m) of FilterPy with its own root from the compiled filter, at IMU samples."""
+    """Return the distances (m) between FilterPy with its own root and the compiled filter at the IMU samples."""
     theirs = filterpy_run(timeline, initial, p, theta_first=False)[0][:, :2]
     ours = compiled_run(timeline, initial, p)[0][:, :2]
     return np.hypot(*(theirs - ours).T)

@@ -1,16 +1,16 @@
-"""The default filter, causal and smoothed, next to GTSAM's iSAM2 and batch smoother, column by column.
+"""Compare the default filter, causal and smoothed, with GTSAM's iSAM2 and batch smoother.
 
     python benchmarks/peers.py ../shared/drives --out peers.jsonl
     python benchmarks/peers.py ../shared/drives --out peers.jsonl --table
 
-KITTI's drives: each is held out once; colorado-1: the first 70% of the time to tune on, the rest to test. Ours is tuned
-by default with truth (T) and without (B). GTSAM's noises are searched with truth on a minute of each of the two
-shortest training drives (or on two minutes of one), since its steps take longer as the graph grows: position RMSE + 0.1
-m/deg x heading error + 0.1 x drift over 5 s, by `de-qpso` from typical values, with which it also runs. All start at
-the same moment; drifts are RMS over all placements of the outages. Each result is a line of the file, and is not
-repeated. Prints Markdown: medians over the seeds, the mean over KITTI's drives, and the number of columns in which ours
-is lower than the best of both. The time is processor time per IMU sample of the causal filter. GTSAM is in the
-dependency group `bench-gtsam`.
+Each KITTI drive is held out once; for colorado-1, the first 70% of the time is for tuning, the rest for testing. Our
+filter is tuned by default, with truth (T) and without (B). GTSAM's noise parameters are searched with truth by
+`de-qpso`, from typical values; GTSAM also runs with the typical values. The cost is position RMSE + 0.1 m/deg x heading
+error + 0.1 x drift over 5 s. The search uses one minute of each of the two shortest training drives (or two minutes of
+a single drive), since GTSAM's steps take longer as the graph grows. All filters start at the same time; drifts are RMS
+over all placements of the outages. Each result is a line of the file and is not repeated. Prints Markdown: medians over
+the seeds, the mean over KITTI's drives, and the number of columns in which our filter is better than both of GTSAM's.
+The time is processor time per IMU sample of the causal filter. GTSAM is in the dependency group `bench-gtsam`.
 """
 
 import argparse
@@ -49,16 +49,16 @@ from slip_and_start import errors, lines, note, rms_deg
 from switches import quantities
 
 SEARCHED = 60.0
-"""s of each part on which GTSAM's noises are searched."""
+"""Length (s) of each part on which GTSAM's noise parameters are searched."""
 PIECES = 2
 """Number of these parts."""
 LENGTHS = (5.0, 30.0)
 RIVALS = ("GTSAM", "GTSAM, typical noises")
 COLUMNS = ("RMSE, m", "50%, m", "95%, m", "heading, deg", "5 s, m", "30 s, m")
 SCALED = ("accel", "gyro", "accel_walk", "gyro_walk", "slide")
-"""Noises that are searched within a factor of ten; that of the fixes within two, the place without slip up to 2 m."""
+"""Searched noise parameters, within a factor of ten; that of the fixes within a factor of two, ``behind`` up to 2 m."""
 TYPICAL = np.array([0.0] * (len(SCALED) + 1) + [0.5])
-"""The point of the search with `rival_gtsam.Noise`, and slip at a place 0.5 m behind the IMU."""
+"""Search point of the default `rival_gtsam.Noise`, with the point without slip 0.5 m behind the IMU."""
 
 
 def main() -> None:
@@ -67,8 +67,10 @@ def main() -> None:
     )
     parser.add_argument("drives", type=Path)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--seeds", type=int, default=3, help="of our tunings")
-    parser.add_argument("--evaluations", type=int, default=100, help="of GTSAM's noises")
+    parser.add_argument("--seeds", type=int, default=3, help="number of seeds of our tunings")
+    parser.add_argument(
+        "--evaluations", type=int, default=100, help="number of evaluations of GTSAM's noise parameters"
+    )
     parser.add_argument("--table", action="store_true")
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
@@ -89,7 +91,7 @@ def main() -> None:
 def ours(
     training: Sequence[Drive], test: Sequence[Drive], known: str, seed: int, pool: Executor
 ) -> dict[str, list[float]]:
-    """Columns of the causal and of the smoothed filter, and the time per sample, us."""
+    """Return the columns of the causal and of the smoothed filter, and the time per sample, us."""
     drives = training if known == "T" else [replace(drive, truth=None) for drive in training]
     tuned = tune(drives, seed=seed, executor=pool).parameters
     ready = [PreparedDrive(drive) for drive in test]
@@ -105,7 +107,7 @@ def ours(
 
 
 def our_drifts(ready: Sequence[PreparedDrive], tuned: FilterParameters, length: float) -> dict[str, float]:
-    """RMS over the drives and all placements, m."""
+    """Return the RMS drifts over the drives and all placements, m."""
     each = []
     for one in ready:
         outages = OutageDrifts(one, length=length, seed=0)
@@ -115,7 +117,7 @@ def our_drifts(ready: Sequence[PreparedDrive], tuned: FilterParameters, length: 
 
 
 def theirs(test: Sequence[Drive], noise: Any) -> dict[str, Any]:
-    """Columns of iSAM2 and of the batch smoother, the time per sample, us, and the noises."""
+    """Return the columns of iSAM2 and of the batch smoother, the time per sample (us), and the noise parameters."""
     import rival_gtsam as rival
 
     runs = [rival.run_batch(drive, initial_state(drive), noise) for drive in test]
@@ -143,13 +145,13 @@ def theirs(test: Sequence[Drive], noise: Any) -> dict[str, Any]:
 
 
 def figures(test: Sequence[Drive], runs: Sequence[Any], drifts: Sequence[float]) -> list[float]:
-    """Scores in the order of `COLUMNS`."""
+    """Return the scores in the order of `COLUMNS`."""
     off, turned = zip(*map(errors_of, test, runs), strict=True)
     return [*quantities(np.concatenate(off)), rms_deg(turned), *drifts]
 
 
 def errors_of(drive: Drive, run: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Position errors, m, and heading errors where they count, rad, of an estimate or of a run of GTSAM."""
+    """Return position errors (m) and scored heading errors (rad) of an estimate or of a run of GTSAM."""
     return errors(drive, run if hasattr(run, "mean") else Tabled(run))
 
 
@@ -162,17 +164,17 @@ class Tabled:
 
 
 def off_at(drive: Drive, run: Any, times: np.ndarray) -> np.ndarray:
-    """Distances from the truth, m."""
+    """Return the distances from the truth, m."""
     x, y = truth_at(drive.truth, times)
     return np.hypot(np.interp(times, run.time, run.x) - x, np.interp(times, run.time, run.y) - y)
 
 
 _FOUND: dict[tuple[str, ...], Any] = {}
-"""Noises by the drives that they were searched on: several cases share them."""
+"""Noise parameters by the drives of the search, which several cases share."""
 
 
 def searched(training: Sequence[Drive], evaluations: int) -> Any:
-    """GTSAM's noises with the lowest mean cost on `PIECES` minutes of the training drives."""
+    """Search GTSAM's noise parameters with the lowest mean cost on `PIECES` minutes of the training drives."""
     shortest = sorted(training, key=lambda drive: drive.duration)[:PIECES]
     key = tuple(drive.name for drive in shortest)
     if key not in _FOUND:
@@ -182,7 +184,7 @@ def searched(training: Sequence[Drive], evaluations: int) -> Any:
         optimizer = create_optimizer(
             "de-qpso", low, high, population=10, budget=evaluations, rng=np.random.default_rng(0)
         )
-        optimizer.begin_at(TYPICAL)
+        optimizer.begin_near(TYPICAL)
         while len(points := optimizer.ask()):
             costs = [np.mean([cost(piece, noise_at(point)) for piece in pieces]) for point in points]
             optimizer.tell(np.array(costs))
@@ -191,7 +193,7 @@ def searched(training: Sequence[Drive], evaluations: int) -> Any:
 
 
 def minutes_of(drive: Drive) -> list[Drive]:
-    """Parts of `SEARCHED` s, each from where a filter can start."""
+    """Return parts of `SEARCHED` s, each of which begins where a filter can start."""
     begin, end = initial_state(drive).time, float(drive.imu.time[-1])
     first = clip(drive, float(drive.imu.time[0]), min(begin + SEARCHED, end))
     begins = np.arange(begin + SEARCHED, end - SEARCHED, SEARCHED)
@@ -208,7 +210,7 @@ def noise_at(point: np.ndarray) -> Any:
 
 
 def cost(drive: Drive, noise: Any) -> float:
-    """Position RMSE outside of outages + 0.1 m/deg x heading error + 0.1 x drift, of one run with outages."""
+    """Return position RMSE outside of outages + 0.1 m/deg x heading error + 0.1 x drift of one run with outages."""
     import rival_gtsam as rival
 
     assert drive.truth is not None
@@ -216,7 +218,7 @@ def cost(drive: Drive, noise: Any) -> float:
     windows = outage_windows(drive, start, length=LENGTHS[0], seed=0)
     try:
         run = rival.run(drive, start, noise, hidden_fixes(drive.gps.time, windows))
-    except RuntimeError:  # GTSAM's own: a system that it can't solve
+    except RuntimeError:  # GTSAM can't solve the system
         return np.inf
     off, turned = errors_of(drive, run)
     times = drive.truth.time[(drive.truth.time >= run.time[0]) & (drive.truth.time <= run.time[-1])]
@@ -226,7 +228,7 @@ def cost(drive: Drive, noise: Any) -> float:
 
 
 def table(done: dict[tuple[Any, ...], Any]) -> None:
-    """Medians over the seeds, and the number of columns in which ours is lower than the best of both."""
+    """Print medians over the seeds, and the number of columns in which our filter is better than both of GTSAM's."""
     print("| tested on | estimate | filter | " + " | ".join(COLUMNS) + " | us a sample |")
     print("|---" * (len(COLUMNS) + 4) + "|")
     whole: dict[tuple[str, str, str], np.ndarray] = {}

@@ -1,18 +1,17 @@
-"""How reliable the doctor is: planted faults, false alarms, repairs of clocks on short windows, and the mounting.
+"""Measure the reliability of the doctor: planted faults, false alarms, repairs of clocks on short windows, mounting.
 
     python benchmarks/planted.py faults drives --simulated 20
     python benchmarks/planted.py mounting drives --simulated 40
     python benchmarks/planted.py windows drives --count 3000
     python benchmarks/planted.py windows drives --count 3000 --simulated 100 --clocks sound
 
-faults: every fault of `tests/doctor/faults.py` is planted in each recording below a folder and in simulated drives,
-after the repair of an offset that the clock of a recording has itself.
-windows: 60 s of a drive whose fixes keep a clock with an offset, a drift, jitter, all of these or none; where the
-diagnosis offers a repair, it is applied as `sigmaswarm.repair` does, and forecasts of the next fix and of fixes 3 to
-5 s ahead are compared before and after, by two untuned filters: planar5, and tilted12. (The preset ``datasheet`` is no
-judge: its forecasts of the next fix on these windows are off by 2 to 80 m before and after.)
-mounting: each log with six axes is imported with three wrong mountings, one of `WRONG` and two random ones; whole, and
-its windows of 60 s. Prints Markdown.
+faults: every fault of `tests/doctor/faults.py` is planted in each recording below a folder and in simulated drives. If
+the clock of a recording has an offset, it is repaired first. windows: 60 s of a drive whose fixes keep a clock with an
+offset, a drift, jitter, all of these or none; if the diagnosis offers a repair, it is applied like in
+`sigmaswarm.repair`. Forecasts of the next fix and of fixes 3 to 5 s ahead are compared before and after the repair,
+with two filters without tuning: planar5 and tilted12. (The preset ``datasheet`` is not suitable: on these windows, its
+forecasts of the next fix have errors of 2 to 80 m before and after.) mounting: each log with six axes is imported with
+three wrong mountings, one of `WRONG` and two random ones; whole, and its windows of 60 s. Prints Markdown.
 """
 
 import argparse
@@ -64,18 +63,18 @@ JUDGES = {
         },
     ),
 }
-"""Models and options of the untuned filters that judge repairs of clocks."""
+"""Models and options of the filters (without tuning) with which repairs of clocks are evaluated."""
 CLOCKS = ["sound", "offset", "drift", "jitter", "all"]
 LONGEST = 180.0
-"""s, of a recording: its middle."""
+"""Length (s) of the used part in the middle of a recording."""
 WRONG = [(180, 0, 0), (0, 180, 0), (0, 0, 180), (90, 0, 0), (0, 90, 0), (0, 0, 90), (60, 0, 0), (0, -60, 30)]
 """Roll, pitch and yaw, deg, of wrong mountings."""
 LENGTH = 60.0
-"""s, of a window."""
+"""Length of a window, s."""
 
 
 def sound_drives(folder: Path, simulated: int, first: int = 0, longest: float = LONGEST) -> Iterator[Drive]:
-    """Recordings below a folder, without those that are as recorded, and simulated drives of all IMU grades.
+    """Yield recordings below a folder, except "as recorded" drives with faults, and simulated drives of all IMU grades.
 
     ``first`` is the number of the first simulated drive; of a recording only the middle ``longest`` s are used.
     """
@@ -93,7 +92,7 @@ def sound_drives(folder: Path, simulated: int, first: int = 0, longest: float = 
 
 
 def faults(drives: Iterator[Drive]) -> None:
-    """Print a row per fault: drives on which it is named, on which it is said not to be seen, and the others."""
+    """Print a row for each fault: drives on which it is found, reported as not observable, or missed."""
     named = Counter[str]()
     told, missed = defaultdict[str, list[str]](list), defaultdict[str, list[str]](list)
     alarms, count = [], 0
@@ -108,7 +107,7 @@ def faults(drives: Iterator[Drive]) -> None:
         six = drive.imu.az is not None and drive.imu.gx is not None
         for fault, (plant, _) in {**FAULTS, **MORE, **(THIRD_AXES if six else {})}.items():
             found = diagnose(plant(drive))
-            each = {**THIRD_AXES, **FAULTS, **MORE}[fault][1]  # a rotation may be named by its single signs
+            each = {**THIRD_AXES, **FAULTS, **MORE}[fault][1]  # signs of single axes may describe a rotation
             if codes_of(fault, drive) <= found.codes or each <= found.codes:
                 named[fault] += 1
             elif hidden(fault, sound, found):
@@ -126,17 +125,17 @@ def faults(drives: Iterator[Drive]) -> None:
 
 
 def hidden(fault: str, sound: Diagnosis, sick: Diagnosis) -> bool:
-    """True where the doctor reports that such a fault would not be seen, or that the statement can't be checked."""
+    """Return True if the doctor reports that such a fault is not observable, or that the values can't be checked."""
     if "s late" in fault or "s early" in fault:
         visible = sound.visible_clock_offset
         return visible is None or visible > float(fault.split()[0])
     if "stated" in fault:
-        return "gps-correlated" in sick.codes  # errors that last: their size does not show
+        return "gps-correlated" in sick.codes  # the size of correlated errors is not observable
     return bool({c for c in sound.codes if c.startswith("unseen-") and c != "unseen-clock"})
 
 
 def windows(drives: list[Drive], count: int, clocks: list[str]) -> None:
-    """Print, by kind of clock, how many windows get a serious finding or a repair, and the forecasts after it."""
+    """Print, by kind of clock, numbers of windows with a serious finding or a repair, and the effect on forecasts."""
     rng, table = np.random.default_rng(0), defaultdict[str, Counter[str]](Counter)
     alarms = []
     for number in range(count):
@@ -180,7 +179,7 @@ def windows(drives: list[Drive], count: int, clocks: list[str]) -> None:
 
 
 def judge(sick: Drive, found: Diagnosis, offset: float, seen: Counter[str]) -> None:
-    """Apply the repair, and compare forecasts before and after it; counts go into ``seen``."""
+    """Apply the repair, compare forecasts before and after it, and update the counts in ``seen``."""
     seen["repairs offered"] += 1
     mended = repair(sick, found)
     moved = float(np.median(mended.gps.time - sick.gps.time)) if len(mended.gps) == len(sick.gps) else 0.0
@@ -197,7 +196,7 @@ def judge(sick: Drive, found: Diagnosis, offset: float, seen: Counter[str]) -> N
 
 
 def mountings(drives: Iterator[Drive]) -> None:
-    """Print, for whole drives and for windows, how far the mounting found is off the drive's own axes."""
+    """Print the errors of the mountings that the doctor finds, for whole drives and for windows."""
     errors: dict[tuple[str, str], list[float]] = defaultdict(list)
     apart: list[float] = []
     mounts: list[float] = []
@@ -237,7 +236,7 @@ def mountings(drives: Iterator[Drive]) -> None:
 
 
 def with_clock(drive: Drive, offset: float, drift: float, jitter: float, rng: np.random.Generator) -> Drive:
-    """The drive with fixes on another clock: s late, s per s, and a deviation of each time in s."""
+    """Return the drive with fixes on another clock: offset (s), drift (s/s) and standard deviation of each time (s)."""
     time = drive.gps.time
     wrong = time + offset + drift * (time - np.mean(time)) + jitter * rng.standard_normal(len(time))
     order = np.argsort(wrong, kind="stable")
@@ -247,7 +246,7 @@ def with_clock(drive: Drive, offset: float, drift: float, jitter: float, rng: np
 
 
 def forecasts(drive: Drive, parameters: FilterParameters) -> np.ndarray | None:
-    """RMS errors, m, of forecasts of the next fix and of fixes hidden for 3 to 5 s; None where no filter starts."""
+    """Return RMS errors (m) of forecasts of the next fix and of fixes hidden for 3 to 5 s; None without a start."""
     try:
         size = np.sort(np.hypot(*run_innovations(drive, parameters).innovation.T))
         hidden_fixes = (
@@ -268,7 +267,9 @@ def main() -> None:
     parser.add_argument("--simulated", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=3000)
-    parser.add_argument("--clocks", nargs="+", choices=CLOCKS, default=CLOCKS, help="of windows")
+    parser.add_argument(
+        "--clocks", nargs="+", choices=CLOCKS, default=CLOCKS, help="kinds of clocks of the windows"
+    )
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     longest = np.inf if options.what == "windows" else LONGEST

@@ -1,10 +1,10 @@
-"""What the prior on R is worth where truth has no say: tuned without truth, with the prior and without it.
+"""Measure the effect of the prior on R: filters tuned without truth, with the prior and without it.
 
     python benchmarks/prior.py ../shared/drives [--seeds 10] [--only kingston-1 ...]
 
-The filter is what `tune` takes by itself for the drives; each drive with truth is held out as in `defaults.py`. Prints
-Markdown, medians over the seeds, with R's standard deviation per axis (of the median fix) and the RMS error per axis
-of the test part's fixes, frozen ones included.
+The filter is the default filter of `tune`; each drive with truth is held out as in `defaults.py`. Prints Markdown:
+medians over the seeds, the standard deviation of R per axis (for the median fix), and the RMS error per axis of the
+test fixes, including stale fixes.
 """
 
 import argparse
@@ -55,13 +55,13 @@ def main() -> None:
 
 
 def deviation(parameters: FilterParameters, drives: Sequence[Drive]) -> float:
-    """R's standard deviation per axis, m, of the median fix."""
+    """Return the standard deviation of R per axis, m, for the median fix."""
     std = np.array([receiver_std(drive) for drive in drives])
     return float(np.sqrt(np.mean(typical_variance([parameters], std))))
 
 
 def errors(drives: Sequence[Drive]) -> float:
-    """RMS error of fixes per axis, m."""
+    """Return the RMS error of the fixes per axis, m."""
     off = list[float]()
     for drive in drives:
         assert drive.truth is not None

@@ -2,10 +2,10 @@
 
     python benchmarks/radius_coverage.py ../shared/drives --tunings DIR [--seeds 1 2]
 
-The default filter is tuned on the first 70% of each drive (comma2k19: the first half), with its truth and without, and
-tested on the rest of that drive and on every other drive that it can run on; on simulated town drives of 180 s of two
-grades of sensors likewise. Tunings are kept in the folder. Prints Markdown: the share of errors inside the 95% radius,
-its median, and a summary over the pairs that have one receiver.
+The default filter is tuned on the first 70% of each drive (comma2k19: the first half), with truth and without, and
+tested on the rest of this drive and on every other drive with the sensors that the filter needs. The same is done for
+simulated town drives of 180 s with two grades of sensors. Tunings are saved in DIR. Prints Markdown: the fraction of
+errors within the 95% radius, the median radius, and a summary over the pairs of drives with the same receiver.
 """
 
 import argparse
@@ -38,7 +38,7 @@ GRADES = {"ublox-m8": ("mpu-6050", "ublox-m8"), "white-1m": ("icm-20602", "white
 TESTS = range(20, 24)
 """Seeds of the simulated test drives."""
 Pair = tuple[str, str, RadiusRecord, RadiusRecord | None]
-"""Training and test drive, and the radii with all fixes and at the ends of outages."""
+"""Training drive, test drive, and the radii: with all fixes, and at the ends of outages."""
 
 
 def main() -> None:
@@ -89,7 +89,7 @@ def tuned(folder: Path, drive: Drive, seed: int, *, truth: bool) -> FilterParame
 
 
 def measured(name: str, p: FilterParameters, tests: Mapping[str, PreparedDrive]) -> Iterator[Pair]:
-    """The radii on each test drive that has the sensors of the filter."""
+    """Yield the radii on each test drive that has the sensors of the filter."""
     for test, ready in tests.items():
         tracker = Tracker(ready)
         try:
@@ -119,7 +119,7 @@ def matrix(found: list[Pair]) -> None:
 
 
 def summary(found: list[Pair]) -> None:
-    """Over the pairs of one receiver, medians over the seeds: means over pairs, and the worst."""
+    """Print mean and worst coverage over the pairs with the same receiver; medians over the seeds."""
     print("\n| one receiver | pairs | in 95% radius | lowest | outside 99.9% radius |\n" + "|---" * 5 + "|")
     of_one = [pair for pair in found if one_receiver(*pair[:2])]
     for what, k in (("all fixes", 2), ("end of outages of 5 s", 3)):
@@ -137,7 +137,7 @@ def summary(found: list[Pair]) -> None:
 
 
 def one_receiver(name: str, test: str) -> bool:
-    """True for the rest of the drive, and for KITTI's with white noise."""
+    """Return True if both drives have the same receiver: parts of one drive, and KITTI drives with white noise."""
     return test.split(" ")[0] == name or (name in WHITE and test in WHITE)
 
 

@@ -1,10 +1,11 @@
-"""What tuning is worth on real drives: tuned on some, evaluated on others, several seeds.
+"""Measure the benefit of tuning on real drives: tuned on some drives and evaluated on others, with several seeds.
 
     python benchmarks/real_drives.py ../shared/drives --seeds 10
 
-KITTI's five drives: each is held out once, tuned on the other four. colorado-1 and kingston-1: tuned on the
-first 70% of the time, evaluated on the rest, where the filter aligns anew. Prints a Markdown table; the tuned
-figures are the median over the seeds with lowest and highest in brackets, the others have no seed.
+Each of the five KITTI drives is held out once, and the filter is tuned on the other four. On colorado-1 and kingston-1,
+the filter is tuned on the first 70% of the time and evaluated on the rest, where it starts with a new alignment. Prints
+a Markdown table. Figures of tuned filters are medians over the seeds, with lowest and highest value in brackets; the
+other figures do not depend on a seed.
 """
 
 import argparse
@@ -22,7 +23,7 @@ KITTI = ("kitti-09-26-0022", "kitti-09-26-0101", "kitti-09-30-0018", "kitti-09-3
 
 
 def cases(folder: Path):
-    """Name of the held-out drive, training drives, test drives."""
+    """Yield the name of the held-out drive, the training drives and the test drives."""
     kitti = {name: read_drive(folder / name) for name in KITTI}
     for held_out in KITTI:
         yield held_out, [d for name, d in kitti.items() if name != held_out], [kitti[held_out]]

@@ -1,12 +1,13 @@
-"""What `tune` without options reaches on receivers with correlated fix errors and with white ones.
+"""Measure the accuracy of `tune` without options on receivers with correlated and with white fix errors.
 
     python benchmarks/receivers.py ../shared/drives --out receivers.jsonl [--seeds 1 2 3] [--without fix-error]
     python benchmarks/receivers.py ../shared/drives --out receivers.jsonl --only gm --truth yes
 
-Tuned on the first 70% of a drive (comma2k19: the first half) and tested on the rest, with truth and without; "M8" and
-"white": tuned on four simulated town drives of 180 s, tested on three others. "gm": the fixes of kitti-09-30-0033 and
--0034 are replaced by their truth with errors of other simulated receivers. Each tuning is one line of the file, and is
-not done again. Prints Markdown, medians over the seeds. "Inside": share of errors inside the stated 95% radius.
+The filter is tuned on the first 70% of a drive (comma2k19: the first half) and tested on the rest, with truth and
+without. "M8" and "white": tuned on four simulated town drives of 180 s and tested on three others. "gm": the fixes of
+kitti-09-30-0033 and -0034 are replaced by the truth plus errors of other simulated receivers. Each tuning is one line
+of the file and is not repeated. Prints Markdown: medians over the seeds. "inside": fraction of errors within the stated
+95% radius.
 """
 
 import argparse
@@ -35,7 +36,7 @@ RECEIVERS = (
     GpsGrade("0.2 m, 1 m over 200 s", 0.2, 1.0, 200.0),
     GpsGrade("0.5 m, 1.2 m over 20 s", 0.5, 1.2, 20.0),
 )
-"""White noise and Gauss-Markov error."""
+"""Receivers with white noise and a Gauss-Markov error."""
 REALIZATIONS = range(4)  # of the errors, for each receiver and drive
 COLUMNS = ("RMSE, m", "heading, deg", "5 s drift, m", "NEES", "inside", "radius, m", "innovation-t")
 
@@ -45,10 +46,10 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("drives", type=Path)
-    parser.add_argument("--out", type=Path, required=True, help="one line of JSON a tuning")
+    parser.add_argument("--out", type=Path, required=True, help="file with one line of JSON per tuning")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
     parser.add_argument("--truth", nargs="+", default=["no", "yes"], choices=("no", "yes"))
-    parser.add_argument("--only", nargs="+", help="beginnings of cases' names")
+    parser.add_argument("--only", nargs="+", help="beginnings of the names of cases")
     parser.add_argument("--without", nargs="+", default=[], help="options of the default filter to leave out")
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
@@ -75,7 +76,7 @@ def main() -> None:
 
 
 def cases(folder: Path) -> dict[str, Callable[[], Parts]]:
-    """Name, and what gives training and test drives."""
+    """Return, by name, functions that return training and test drives."""
 
     def parts(drive: Drive) -> Parts:
         first, rest = split_time(drive, 0.5 if drive.name == "comma2k19" else 0.7)
@@ -103,7 +104,7 @@ def cases(folder: Path) -> dict[str, Callable[[], Parts]]:
 
 
 def received(drive: Drive, grade: GpsGrade, seed: int) -> Drive:
-    """The drive with fixes of another receiver."""
+    """Return the drive with fixes of another receiver."""
     gps, truth, rng = drive.gps, drive.truth, np.random.default_rng(seed)
     interval = float(np.median(np.diff(gps.time)))
     lasting = grade.markov_std * gauss_markov(rng, len(gps), 2, interval / grade.markov_time)
@@ -113,7 +114,7 @@ def received(drive: Drive, grade: GpsGrade, seed: int) -> Drive:
 
 
 def figures(test: Sequence[Drive], parameters: FilterParameters) -> list[float]:
-    """`COLUMNS`: RMS over the test drives, means for NEES and the following."""
+    """Return the values of `COLUMNS`: RMS over the test drives; for NEES and the following columns, means."""
     scores = BatchScorer.prepare(test, PassOptions(outages=bool(test[0].truth))).scores([parameters])
     lengths = [scores.position_rmse, np.degrees(scores.heading_rmse), scores.outage_drift]
     radii = [
@@ -131,7 +132,7 @@ def figures(test: Sequence[Drive], parameters: FilterParameters) -> list[float]:
 
 
 def table(done: Sequence[Sequence]) -> None:
-    """Medians over the seeds, over all realizations of a receiver."""
+    """Print medians over the seeds and all realizations of the errors of a receiver."""
     print(
         "| tested on | truth | filter | " + " | ".join(COLUMNS) + " |\n" + "|---" * (len(COLUMNS) + 3) + "|"
     )

@@ -1,7 +1,8 @@
-"""Truth made of a good receiver's fixes: how wrong it is, whether its sigma covers that, what tuning on it is worth.
+"""Evaluate truth that is computed from the fixes of a good receiver: errors, coverage, and tuning with this truth.
 
-A simulated car carries an RTK receiver (f9p-rtk, with outages, and spells of float solutions whose errors last) beside
-a cheap one. `sigmaswarm.reference` makes truth of the RTK fixes; the simulator knows better.
+A simulated car has a cheap receiver and an RTK receiver (f9p-rtk, with outages, and periods of float solutions with
+correlated errors). `sigmaswarm.reference` computes truth from the RTK fixes, which is compared with the simulator's
+truth.
 
     python benchmarks/reference.py --seeds 5
 """
@@ -21,19 +22,20 @@ from sigmaswarm.simulation.gps import GPS_GRADES
 from sigmaswarm.simulation.imu import gauss_markov
 
 ARM = (0.9, -0.4, 1.2)
-"""m: of the RTK antenna."""
+"""Lever arm of the RTK antenna, m."""
 FLOAT, FLOAT_TIME = 0.4, 40.0
-"""m per axis and s: errors of float solutions, and how long they last."""
+"""Standard deviation (m per axis) and correlation time (s) of the errors of float solutions."""
 LASTING, LASTING_TIME = 0.015, 60.0
-"""The same of fixed ones, with --lasting: multipath."""
+"""The same for errors of fixed solutions (multipath), with --lasting."""
 
 
 def rtk(
     maneuver: str, seed: int, run: int, imu: str, duration: float, *, lasting: float, honest: bool
 ) -> Gps:
-    """Fixes at 5 Hz: outages of 5 to 60 s, and spells of float solutions, which state what they are wrong by.
+    """Simulate RTK fixes at 5 Hz, with outages of 5 to 60 s, and periods of float solutions that state their accuracy.
 
-    ``lasting``: m per axis of errors of fixed solutions that last, beside 0.01 m of white noise; stated if ``honest``.
+    ``lasting``: standard deviation (m per axis) of correlated errors of fixed solutions, in addition to 0.01 m of white
+    noise; it is stated if ``honest``.
     """
     grade = replace(GPS_GRADES["f9p-rtk"], lever_arm=ARM)
     gps = sigmaswarm.simulate(maneuver, seed=seed, run=run, imu=imu, gps=grade, duration=duration).gps
@@ -57,7 +59,7 @@ def rtk(
 
 
 def coverage(made: Drive, true: Drive) -> dict[str, float]:
-    """RMSE, and the share of moments within 2 stated sigma, of a drive's truth against the simulator's."""
+    """Compare a drive's truth with the simulator's: RMSE, and fraction of times within 2 stated sigma."""
     got, t = made.truth, made.truth.time
     at = np.searchsorted(true.truth.time, t)
     ex, ey = got.x - true.truth.x[at], got.y - true.truth.y[at]
@@ -82,12 +84,14 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--duration", type=float, default=600.0)
     parser.add_argument("--imu", default="icm-20602")
-    parser.add_argument("--lasting", type=float, default=0.0, help="m of unstated RTK errors that last")
-    parser.add_argument("--honest", action="store_true", help="the receiver states them")
+    parser.add_argument(
+        "--lasting", type=float, default=0.0, help="standard deviation of correlated RTK errors, m"
+    )
+    parser.add_argument("--honest", action="store_true", help="the receiver states the errors of --lasting")
     parser.add_argument("--gps", nargs="*", default=["ublox-m8", "white-1m"])
     parser.add_argument("--generations", type=int, default=50)
-    parser.add_argument("--model", default="planar8", help="of the cheap receiver's filter")
-    parser.add_argument("--train", type=int, default=3, help="drives to tune on")
+    parser.add_argument("--model", default="planar8", help="model of the filter for the cheap receiver")
+    parser.add_argument("--train", type=int, default=3, help="number of training drives")
     asked = parser.parse_args()
     warnings.simplefilter("ignore", sigmaswarm.SigmaswarmWarning)
     ratios: dict[tuple[str, str], list[float]] = {}

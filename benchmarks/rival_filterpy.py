@@ -1,7 +1,7 @@
-"""The rivals of the live filter: FilterPy's filters, one sample at a time, each doing the work of one of ours.
+"""FilterPy's filters for comparison with the live filter: one sample at a time, with the same work as our filters.
 
-Models in plain floats, since NumPy is slow on single numbers. What FilterPy does not have, whether the car stands, is
-asked of sigmaswarm's compiled functions; a script of one's own would take longer.
+The models use floats, since NumPy is slow for single numbers. FilterPy has no detection of standstills, so sigmaswarm's
+compiled functions detect them; Python code would take longer.
 """
 
 import math
@@ -25,12 +25,12 @@ from sigmaswarm.filters.starts import start_of
 
 
 def slot(time, start, interval):
-    """Which interval a moment lies in; a constraint is absorbed at most once in each."""
+    """Return the number of the interval that contains a time; a constraint is applied at most once per interval."""
     return math.floor((time - start) / interval + 1e-6)
 
 
 def process8(s, dt, u):
-    """planar8: `process` with the biases taken off."""
+    """Propagate planar8: `process` with the biases subtracted."""
     ax, ay, yaw_rate = u
     moved = process(s[:5], dt, (ax - s[5], ay - s[6], yaw_rate - s[7]))
     return np.array([*moved, s[5], s[6], s[7]])
@@ -45,7 +45,7 @@ def gyro_bias(s):
 
 
 class Ukf:
-    """FilterPy's unscented filter for a car, with the lateral constraint and standstills where they are asked for."""
+    """FilterPy's unscented filter for a car, with the lateral constraint and standstills if they are set."""
 
     def __init__(self, parameters, initial):
         p, n = parameters, parameters.n_states
@@ -74,7 +74,7 @@ class Ukf:
                 del self.fixes[0]
 
     def constrain(self, t, u):
-        """What a car on its wheels can't do; FilterPy draws sigma points in predict only, so draw them again."""
+        """Apply the constraints of a car; draw new sigma points first, since FilterPy draws them only in `predict`."""
         p = self.p
         if p.lateral_noise is not None and abs(u[1]) <= CORNERING:
             now = slot(t, self.start, INTERVAL)
@@ -126,7 +126,8 @@ class Ekf:
     def predict(self, t, dt, u):
         before = self.filter.x
         sin, cos = math.sin(before[4]), math.cos(before[4])
-        east, north = -sin * u[0] - cos * u[1], cos * u[0] - sin * u[1]  # how the acceleration turns
+        # derivative of the acceleration with respect to the heading
+        east, north = -sin * u[0] - cos * u[1], cos * u[0] - sin * u[1]
         f = np.eye(5)
         f[0, 2] = f[1, 3] = dt
         f[2, 4], f[3, 4] = dt * east, dt * north

@@ -1,10 +1,10 @@
-"""The rival that smooths: GTSAM's iSAM2 over preintegrated IMU factors, causal, from the same start as our filters.
+"""GTSAM's iSAM2 with preintegrated IMU factors, causal, from the same start as our filters.
 
-Forster, Carlone, Dellaert, Scaramuzza, "On-Manifold Preintegration for Real-Time Visual-Inertial Odometry" (TRO
-2017); Kaess et al., "iSAM2" (IJRR 2012). At every fix, and every fifth of a second where none comes, there is a
-node: pose, velocity and biases. `CombinedImuFactor` ties it to the one before, `GPSFactorArm` to the fix (east and
-north; the height is left free), and a factor of our own says that a car slides neither sideways nor off the road, l
-behind the IMU. What is scored between nodes is what was known there: the newest node moved on by the IMU's samples.
+Forster, Carlone, Dellaert, Scaramuzza, "On-Manifold Preintegration for Real-Time Visual-Inertial Odometry" (TRO 2017);
+Kaess et al., "iSAM2" (IJRR 2012). There is a node (pose, velocity, biases) at every fix, and every 0.2 s if there is no
+fix. `CombinedImuFactor` connects it to the previous node, `GPSFactorArm` to the fix (east and north; the height is
+free). A factor of our own states that the car has no lateral and no vertical velocity at a point ``behind`` the IMU.
+Between nodes, the causal estimate is scored: the latest node, propagated by the IMU samples.
 """
 
 import math
@@ -20,33 +20,33 @@ from sigmaswarm import Drive, InitialState
 from sigmaswarm.arrays import Array
 
 NODES = 0.2
-"""s between nodes, where no fix comes."""
+"""Time (s) between nodes without fixes."""
 SOON = 2e-3
-"""s: no two nodes are nearer."""
+"""Shortest time between two nodes, s."""
 FREE = 1e3
-"""m: deviation of the fixes' height, which drives here don't have."""
+"""Standard deviation (m) of the height of fixes, which the drives do not contain."""
 TILT = math.radians(3.0)
-"""rad: of roll and pitch at the start, as in our filters with attitude."""
+"""Standard deviation (rad) of roll and pitch at the start, as in our filters with attitude."""
 
 
 @dataclass(frozen=True)
 class Noise:
-    """What a user of GTSAM states: densities of the IMU, deviations of the rest.
+    """Noise parameters of GTSAM: densities for the IMU, standard deviations for the others.
 
     Attributes
     ----------
     accel, gyro : float
-        m/s2/sqrt(Hz), rad/s/sqrt(Hz): white noise.
+        White noise, m/s2/sqrt(Hz) and rad/s/sqrt(Hz).
     accel_walk, gyro_walk : float
-        m/s3/sqrt(Hz), rad/s2/sqrt(Hz): of the biases.
+        Random walks of the biases, m/s3/sqrt(Hz) and rad/s2/sqrt(Hz).
     accel_bias, gyro_bias : float
-        m/s2, rad/s: deviations of the biases at the start.
+        Standard deviations of the initial biases, m/s2 and rad/s.
     fix : float
-        m per axis.
+        Standard deviation of the fixes, m per axis.
     slide : float
-        m/s, sideways and up.
+        Standard deviation of the lateral and vertical velocity, m/s.
     behind : float
-        m, from the IMU back to where the car does not slide.
+        Distance from the IMU back to the point without lateral velocity, m.
     """
 
     accel: float = 0.05
@@ -62,7 +62,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class Run:
-    """Estimates at the IMU's samples after the start: time s; x, y m; heading rad, unwrapped."""
+    """Estimates at the IMU samples after the start: time, s; x, y, m; heading, rad, not wrapped."""
 
     time: Array
     x: Array
@@ -71,7 +71,7 @@ class Run:
 
 
 def _no_slide(pose: int, velocity: int, rate: Array, noise: Noise) -> gtsam.CustomFactor:
-    """The non-holonomic constraint at a node: the velocity behind the IMU is along the body."""
+    """Return the non-holonomic constraint of a node: the velocity behind the IMU is along the body's x axis."""
     # The velocity there is v + w x (-l, 0, 0), in the body's axes.
     turning = np.array([-noise.behind * rate[2], noise.behind * rate[1]])
 
@@ -99,13 +99,13 @@ def _parameters(noise: Noise) -> gtsam.PreintegrationCombinedParams:
 
 
 class Smoother:
-    """iSAM2 with its newest node."""
+    """iSAM2 with its latest node."""
 
     def __init__(self, start: InitialState, noise: Noise) -> None:
         self.noise, self.count = noise, 0
         options = gtsam.ISAM2Params()
         options.setRelinearizeThreshold(0.01)
-        options.setFactorization("QR")  # Cholesky's gives up on long outages
+        options.setFactorization("QR")  # the Cholesky factorization fails in long outages
         self.isam = gtsam.ISAM2(options)
         x, y, vx, vy, theta = start.mean
         self.pose = gtsam.Pose3(gtsam.Rot3.Ypr(theta, 0.0, 0.0), np.array([x, y, 0.0]))
@@ -128,17 +128,17 @@ class Smoother:
         self.sums.integrateMeasurement(force, rate, dt)
 
     def predicted(self) -> gtsam.NavState:
-        """The newest node, moved on by the samples since."""
+        """Return the latest node, propagated by the later samples."""
         return self.sums.predict(gtsam.NavState(self.pose, self.velocity), self.bias)
 
     def node(self, rate: Array, fix: Array | None, arm: Array) -> None:
-        """A new node here and now; ``fix`` (x, y) in m, if one has come."""
+        """Add a node at the present time; ``fix``: x, y (m), if there is a fix."""
         i, j = self.count, self.count + 1
         here = self.predicted()
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         if (
             self.sums.deltaTij() < SOON
-        ):  # a step as short would be all but certain: the fix goes to the node before
+        ):  # such a short step would have almost no noise: add the fix to the previous node
             j = i
         else:
             graph.add(gtsam.CombinedImuFactor(X(i), V(i), X(j), V(j), B(i), B(j), self.sums))
@@ -160,13 +160,13 @@ class Smoother:
 
 
 def run(drive: Drive, start: InitialState, noise: Noise, hidden: Array | None = None) -> Run:
-    """The drive from its start on; fixes that are ``hidden`` (m,) bool are left out."""
+    """Run over a drive from its start; ``hidden`` fixes, a mask (m,), are not used."""
     return _driven(drive, start, noise, hidden)[0]
 
 
 @dataclass(frozen=True)
 class Batch:
-    """The smoothed run, the causal one before it, and the processor time, s, of the optimizer alone."""
+    """The smoothed run, the causal run before it, and the processor time (s) of the optimizer alone."""
 
     run: Run
     causal: Run
@@ -174,9 +174,9 @@ class Batch:
 
 
 def run_batch(drive: Drive, start: InitialState, noise: Noise, hidden: Array | None = None) -> Batch:
-    """All factors of a drive at once, by Levenberg and Marquardt from iSAM2's last estimate, which is near.
+    """Optimize all factors of a drive together by the Levenberg-Marquardt method, starting from iSAM2's last estimate.
 
-    Between nodes the position is the cubic of their places and velocities, the heading linear.
+    Between nodes, the position is a cubic polynomial of their positions and velocities, and the heading is linear.
     """
     causal, smoother, times = _driven(drive, start, noise, hidden)
     graph, first = smoother.isam.getFactorsUnsafe(), smoother.isam.calculateBestEstimate()
@@ -196,7 +196,7 @@ def run_batch(drive: Drive, start: InitialState, noise: Noise, hidden: Array | N
 def _driven(
     drive: Drive, start: InitialState, noise: Noise, hidden: Array | None
 ) -> tuple[Run, "Smoother", list[float]]:
-    """Estimates, the smoother at the end, and the times of its nodes."""
+    """Return the causal estimates, the smoother at the end, and the times of its nodes."""
     imu, gps = drive.imu, drive.gps
     assert imu.az is not None and imu.gx is not None and imu.gy is not None
     force = np.column_stack([imu.ax, imu.ay, imu.az])
@@ -211,7 +211,7 @@ def _driven(
     first = int(np.searchsorted(imu.time, start.time, side="right"))
     rows = np.empty((len(imu.time) - first, 4))
     for k in range(first, len(imu.time)):
-        # Fixes come between samples: the sample is held from the one before.
+        # The sample is constant over its interval, also if a fix divides the interval.
         while waiting < len(fixes) and fixes[waiting, 0] <= imu.time[k]:
             if fixes[waiting, 0] > now:
                 smoother.integrate(force[k], rate[k], fixes[waiting, 0] - now)

@@ -1,8 +1,8 @@
-"""The rival on JAX: kalman-py's UnscentedKalmanFilter, the whole time loop compiled.
+"""kalman-py's UnscentedKalmanFilter on JAX, with the time loop compiled.
 
-Its `filter` knows no input and updates a measurement at every step. So the process looks its IMU sample up by the
-step's number, which stands in for ``dt``; and the drive must have a fix at every IMU sample. `check` holds it to
-sigmaswarm's filter on the same drive.
+Its `filter` has no input and needs a measurement at every step. Therefore, the process reads its IMU sample by the
+number of the step, which is passed as ``dt``, and the drive must have a fix at every IMU sample. `check` compares the
+results with sigmaswarm's filter on the same drive.
 """
 
 import jax
@@ -51,6 +51,6 @@ class Rival:
 
 
 def check(rival: Rival, drive: Drive, p: FilterParameters, initial: InitialState) -> None:
-    """Raise AssertionError unless both filters end with nearly the same positions: their sigma points differ."""
+    """Raise AssertionError unless the final positions of both filters are nearly equal; their sigma points differ."""
     ours = run_filter(drive, p, initial=initial).mean
     assert np.sqrt(np.mean((rival.means()[:, :2] - ours[: len(rival.steps), :2]) ** 2)) < 1e-3

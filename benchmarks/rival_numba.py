@@ -1,7 +1,7 @@
-"""The rival that one would write with Numba: the textbook's UKF in plain loops, one filter at a time.
+"""A textbook UKF as one would write it with Numba: plain loops, one filter at a time.
 
-Sigma points drawn by Cholesky in state order, pushed through the process, drawn again for the fix. It is what
-`run_textbook(..., heading_first=False)` does, and `check` holds the two together.
+Sigma points are drawn with the Cholesky factor in the order of the states, propagated by the process, and drawn again
+for the fix, as in `run_textbook(..., heading_first=False)`; `check` compares the results.
 """
 
 import math
@@ -33,7 +33,7 @@ def draw(mean, covariance, gamma, points):
 
 @njit(cache=True, error_model="numpy")
 def predict(mean, covariance, points, gamma, wm, wc, q, dt, ax, ay, gz):
-    """Push the points through Newton's equations; mean and covariance are written."""
+    """Propagate the points by Newton's equations; write mean and covariance."""
     n = len(mean)
     draw(mean, covariance, gamma, points)
     for p in range(len(points)):
@@ -56,7 +56,7 @@ def predict(mean, covariance, points, gamma, wm, wc, q, dt, ax, ay, gz):
 
 @njit(cache=True, error_model="numpy")
 def average(points, wm, mean):
-    """Weighted mean, seen from the centre point, since the weights are huge for a small alpha."""
+    """Compute the weighted mean relative to the center point, since the weights are very large for a small alpha."""
     for i in range(len(mean)):
         shift = 0.0
         for p in range(1, len(points)):
@@ -66,7 +66,7 @@ def average(points, wm, mean):
 
 @njit(cache=True, error_model="numpy")
 def update(mean, covariance, points, gamma, wm, wc, r, zx, zy):
-    """Absorb a fix; mean and covariance are written."""
+    """Update with a fix; write mean and covariance."""
     n = len(mean)
     draw(mean, covariance, gamma, points)
     z = np.zeros(2)
@@ -92,7 +92,7 @@ def update(mean, covariance, points, gamma, wm, wc, r, zx, zy):
 
 @njit(cache=True, error_model="numpy")
 def run(mean, covariance, gamma, wm, wc, q, r, dt, q_scale, imu, updates, sampled, fixes, track):
-    """The filter over a course; ``track`` (n_samples, 5) is written."""
+    """Run the filter over a course; write ``track``, (n_samples, 5)."""
     points = np.empty((2 * len(mean) + 1, len(mean)))
     n_fixes = n_samples = 0
     for k in range(len(dt)):
@@ -108,7 +108,7 @@ def run(mean, covariance, gamma, wm, wc, q, r, dt, q_scale, imu, updates, sample
 
 
 def means(course: Course, p: FilterParameters) -> np.ndarray:
-    """Means at the IMU samples of a course, (n_samples, 5)."""
+    """Return the means at the IMU samples of a course, (n_samples, 5)."""
     n = 5
     gamma2 = p.alpha**2 * (n + p.kappa)
     wm = np.full(2 * n + 1, 0.5 / gamma2)
@@ -124,7 +124,7 @@ def means(course: Course, p: FilterParameters) -> np.ndarray:
 
 
 def check(drive: Drive, course: Course, p: FilterParameters, seconds: float) -> None:
-    """Raise AssertionError unless it does what the textbook filter does."""
+    """Raise AssertionError unless the results equal those of the textbook filter."""
     short = clip(drive, drive.imu.time[0], course.initial.time + seconds)
     book = run_textbook(short, p, initial=course.initial, heading_first=False).mean
     ours = means(course, p)[: len(book)]

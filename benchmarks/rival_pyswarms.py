@@ -1,9 +1,9 @@
-"""The rival: tune a UKF with PySwarms and FilterPy, as a short script would.
+"""Tune a UKF with PySwarms and FilterPy, as in a short script.
 
     python benchmarks/rival_pyswarms.py --seconds 5 --generations 2
 
-What is tuned, the box, the swarm's coefficients and the cost are those of `sigmaswarm tune`; the drive, its time line
-and the initial state come from sigmaswarm, so that both have the same work to do.
+The parameters, their bounds, the coefficients of the swarm and the cost are those of `sigmaswarm tune`. The drive, its
+time line and the initial state come from sigmaswarm, so both programs have the same work.
 """
 
 import argparse
@@ -22,7 +22,7 @@ HIGHEST = np.array([1.0, 3.0, 5.0, *[1.0] * 7])
 
 
 def process(s, dt, u):
-    """Newton in the plane; plain floats, since NumPy is slow on single numbers."""
+    """Propagate by Newton's equations in the plane, with floats, since NumPy is slow for single numbers."""
     x, y, vx, vy, theta = s
     ax, ay, yaw_rate = u
     sin, cos = math.sin(theta), math.cos(theta)
@@ -53,7 +53,7 @@ def make_filter(point, initial):
 
 
 class Course:
-    """The first seconds of a drive, as plain arrays; ``n_samples`` IMU samples."""
+    """The first part of a drive as arrays, with ``n_samples`` IMU samples."""
 
     def __init__(self, drive, seconds=math.inf):
         self.initial = initial_state(drive)
@@ -70,7 +70,7 @@ class Course:
         )
 
     def rmse(self, point):
-        """Position RMSE of the filter of one point, m; inf if it breaks down."""
+        """Return the position RMSE (m) of the filter at a search point; inf if the filter fails."""
         ukf = make_filter(point, self.initial)
         q = np.diag(10.0 ** point[3:8])
         fixes, track = iter(self.fixes), []
@@ -90,7 +90,7 @@ class Course:
 
 
 def tune(course, *, particles=30, generations=50, seed=0):
-    """Lowest cost, and its point."""
+    """Return the lowest cost and its search point."""
     np.random.seed(seed)  # noqa: NPY002 (PySwarms draws from the global generator)
     swarm = GlobalBestPSO(
         n_particles=particles,
@@ -107,7 +107,12 @@ def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--seconds", type=float, default=math.inf, help="how much of the drive; default: all")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=math.inf,
+        help="length of the used part of the drive; by default the whole drive",
+    )
     parser.add_argument("--generations", type=int, default=50)
     options = parser.parse_args()
     course = Course(simulate("urban", duration=600.0, seed=1), options.seconds)

@@ -1,13 +1,14 @@
-"""Tuned filters of every kind, and networks beside one, on the same held-out drives.
+"""Compare tuned filters of every type, and networks that assist a filter, on the same held-out drives.
 
     python benchmarks/rivals.py DRIVES --out rivals.jsonl [--seeds 3] [--search 8] [--only kitti sim]
     python benchmarks/rivals.py DRIVES --out curve.jsonl --curve 2 5 10 20
 
-Cases: KITTI, each drive held out once; colorado-1 and kingston-1, their first 70% and the rest; simulated drives on
-rolling roads, six to learn from and four held out; and what was learned there on drives of another grade of sensors,
-or another car. All are planar8 with lateral, standstill and robust, tuned with truth. It goes on where it was
-stopped: a line of JSON a row. `sigmaswarm study --rivals` holds them against each other in the paper's setting, planar5
-and planar8 as recorded and tuned for the position; here the filters are those that people would take.
+Cases: KITTI, each drive held out once; colorado-1 and kingston-1, divided at 70% of the time; simulated drives on
+rolling roads, six for training and four held out; the filters of these six drives on drives with another grade of
+sensors, or another car. All filters are planar8 with lateral, standstill and robust, tuned with truth. Each row is a
+line of JSON; a repeated command continues. `sigmaswarm study --rivals` compares the methods in the paper's setting,
+with planar5 and planar8 without preprocessing and tuned for the position; the filters here have the recommended
+options.
 """
 
 import argparse
@@ -43,7 +44,7 @@ USE = ("lateral", "standstill", "robust")
 
 @dataclass(frozen=True)
 class Case:
-    """What is learned from, and what is tested: other drives of the same sensors, and of others."""
+    """Training drives, and test drives with the same sensors and with other sensors."""
 
     name: str
     train: Sequence[Drive]
@@ -132,7 +133,7 @@ def tuned(drives: Sequence[Drive], kind: FilterKind, seed: int) -> tuple[FilterP
 
 
 def rows(case: Case, seed: int, search: int, done: set[tuple], networks: Sequence[str]) -> Iterator[list]:
-    """Case, test, method, seed, labelled s, training s, numbers, and the measures, mean over the test drives."""
+    """Yield case, test, method, seed, labeled s, training s, number of parameters, and means over the test drives."""
     driven = sum(float(d.imu.time[-1] - d.imu.time[0]) for d in case.train)
     base: tuple[FilterParameters, float, int] | None = None
     for method in (*get_args(FilterKind), *networks):
@@ -171,7 +172,7 @@ def table(lines: Sequence[list]) -> None:
 
 
 def shortened(case: Case, minutes: float) -> Case:
-    """The same, with as much to learn from: whole drives, and the first part of the next one."""
+    """Return the case with ``minutes`` of training data: complete drives, and the beginning of one more."""
     left, kept = 60.0 * minutes, []
     for drive in case.train:
         length = float(drive.imu.time[-1] - drive.imu.time[0])
@@ -193,8 +194,8 @@ def main() -> None:
     parser.add_argument("--search", type=int, default=0)
     parser.add_argument("--only", nargs="+", default=[])
     parser.add_argument("--networks", nargs="+", default=list(get_args(NetworkName)))
-    parser.add_argument("--curve", nargs="+", type=float, default=[], help="minutes to learn from")
-    parser.add_argument("--table", action="store_true", help="only print what the file has")
+    parser.add_argument("--curve", nargs="+", type=float, default=[], help="minutes of training data")
+    parser.add_argument("--table", action="store_true", help="only print the results in the file")
     asked = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
     lines = [json.loads(line) for line in asked.out.read_text().splitlines()] if asked.out.exists() else []

@@ -1,14 +1,14 @@
-"""Every real drive as training, every other one as test: is a filter ever worse than the fixes that it is given?
+"""Tune on every real drive and test on all others, to find filters that are less accurate than the fixes.
 
     python benchmarks/road_matrix.py ../shared/drives --use lateral standstill robust accuracy
     python benchmarks/road_matrix.py ../shared/drives --model tilted12 --use lateral standstill robust --inflation 0
 
-Tuned without truth on one drive, tested on each drive that has truth; drives that lack an axis of the model are
-left out. `accuracy` is used where both state one. Prints Markdown tables for the position RMSE over that of the raw
-fixes, the heading error in degrees, and the drift over 5 s (RMS over the windows of seeds 0 to 3): rows are training
-drives, columns test drives, medians over the seeds. A cell that is worse than the fixes by more than 10%, or has lost
-the heading by more than 30 degrees, is bold. At the end geometric means: tested where it was tuned, on another drive of
-the same car, on another car.
+A filter is tuned without truth on one drive and tested on each drive with truth; drives that lack an axis of the model
+are omitted. `accuracy` is used if both drives state it. Prints Markdown tables of the ratio of the position RMSE to
+that of the raw fixes, of the heading error (deg), and of the drift over 5 s (RMS over the windows of seeds 0 to 3):
+rows are training drives, columns are test drives, values are medians over the seeds. A cell is bold if the filter is
+worse than the fixes by more than 10%, or if its heading error exceeds 30 degrees. The last table contains geometric
+means for tests on the training drive, on another drive of the same car, and on another car.
 """
 
 import argparse
@@ -26,7 +26,7 @@ from sigmaswarm.scoring.score import score_estimate, score_raw_gps
 from switches import drift
 
 RAW_SHARE, LOST = 1.1, 30.0
-LEFT_OUT = ("dresden-as-recorded",)  # its signs and units are wrong on purpose
+LEFT_OUT = ("dresden-as-recorded",)  # its signs and units are wrong intentionally
 
 
 def main() -> None:
@@ -35,10 +35,12 @@ def main() -> None:
     )
     parser.add_argument("drives", type=Path)
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--objective", default="auto", help="by default what tune takes")
+    parser.add_argument("--objective", default="auto", help="by default that of tune")
     parser.add_argument("--model", default="planar8")
     parser.add_argument("--use", nargs="*", default=[])
-    parser.add_argument("--prior", type=float, help="of R; 0: none; by default as tune has it")
+    parser.add_argument(
+        "--prior", type=float, help="weight of the prior on R; 0: none; by default that of tune"
+    )
     parser.add_argument("--inflation", type=float, help="likewise")
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
@@ -74,7 +76,7 @@ def main() -> None:
 
 
 def relation(training: Drive, test: Drive) -> str:
-    """Of what a filter was tuned on to what it is tested on."""
+    """Return the relation of the training drive to the test drive."""
     if training is test:
         return "the same drive"
     car, other = (drive.name.split("-")[0] for drive in (training, test))
@@ -84,7 +86,7 @@ def relation(training: Drive, test: Drive) -> str:
 def row(
     training: Drive, tests: list[Drive], options: argparse.Namespace, seed: int, pool: ThreadPoolExecutor
 ):
-    """Share of the raw fixes' RMSE, heading error in degrees, and drift in m, on each test drive."""
+    """Return, for each test drive, ratio of the RMSE to that of the raw fixes, heading error (deg), and drift (m)."""
     filters: dict[bool, FilterParameters] = {}
     found: list[tuple[float, float, float]] = []
     for test in tests:

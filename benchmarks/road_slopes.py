@@ -1,11 +1,12 @@
-"""How much real roads tilt: grade and bank along the way, where the simulator's terrains have their figures from.
+"""Measure grade and bank of real roads, from which the parameters of the simulator's terrains are taken.
 
     python benchmarks/road_slopes.py ../shared/drives
 
-Specific force less the true acceleration is gravity's share along each axis; less what the suspension adds (3 and 4
-deg/g, as in the simulator's car), it is the road's grade and bank. Both are averaged over 10 m of the way, where the
-car drives faster than 3 m/s, and shown without their means, which a tilted mounting would share. `correlation` is the
-way after which the autocorrelation falls below that of a second-order Gauss-Markov process at its length, 2/e.
+The specific force minus the true acceleration is the component of gravity along each axis. Minus the effect of the
+suspension (3 and 4 deg/g, as in the simulator's car), this gives grade and bank of the road. Both are averaged over 10
+m of the path, at speeds above 3 m/s. Their means are subtracted, since a tilted mounting has the same effect.
+`correlation` is the distance at which the autocorrelation falls below 2/e, the value of a second-order Gauss-Markov
+process at its correlation length.
 """
 
 import sys
@@ -42,7 +43,7 @@ def main() -> None:
 
 
 def slopes(drive: Drive) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Way (m, evenly), grade and bank there; NaN-free: stretches driven slowly are left out."""
+    """Return equidistant distances along the path (m), and grade and bank at these; slow parts are omitted."""
     imu, truth = drive.imu, drive.truth
     assert truth is not None
     time = imu.time[(imu.time > truth.time[0] + 1) & (imu.time < truth.time[-1] - 1)]
@@ -73,7 +74,7 @@ def slopes(drive: Drive) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def length(way: np.ndarray, values: np.ndarray) -> float:
-    """Way, m, after which the autocorrelation has fallen below `AT_LENGTH`."""
+    """Return the distance (m) at which the autocorrelation falls below `AT_LENGTH`."""
     of = np.correlate(values, values, "full")[len(values) - 1 :] / np.arange(len(values), 0, -1)
     return float(way[np.argmax(of < AT_LENGTH * of[0])])
 

@@ -1,9 +1,9 @@
-"""What tuning robot_localization is worth, and how fast a swarm of its filters runs.
+"""Measure the benefit of tuning robot_localization, and the speed of a batch of its filters.
 
     python benchmarks/robot_localization.py DRIVES
 
-Tunes on kitti-09-30-0033 with and without truth, and on the first half of colorado-1, with three seeds each; judges
-on drives, or the half, that the tuning never saw. Then 1500 filters run over ten minutes of driving at 100 Hz.
+Tunes on kitti-09-30-0033 with and without truth, and on the first half of colorado-1, with three seeds each; tests on
+held-out drives, or on the other half. Then runs 1500 filters over ten minutes of driving at 100 Hz.
 """
 
 import sys
@@ -51,7 +51,7 @@ def accuracy(drives: Path) -> None:
 
 
 def speed(drives: Path) -> None:
-    """Print the time of 30 x 50 filters, as if over ten minutes at 100 Hz."""
+    """Print the time of 30 x 50 filters, extrapolated to ten minutes at 100 Hz."""
     drive_pass = whole_pass(sigmaswarm.read_drive(drives / "kitti-09-30-0033"))
     space = search_space(MODEL, "log10", drive_pass.timeline.nominal_interval, kind="ekf", use=USE)
     points = space.low + (space.high - space.low) * 0.5

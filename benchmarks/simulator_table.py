@@ -1,8 +1,8 @@
-"""Simulate every condition, print what was wanted and achieved, and say how long it took.
+"""Simulate every condition; print target and achieved values, and the duration of the simulations.
 
     python benchmarks/simulator_table.py [--runs 20] [--out FOLDER] [--imu GRADE] [--gps GRADE]
 
-Without --out the folders are written to a temporary place and removed again.
+Without --out, the drives are written to a temporary folder, which is removed at the end.
 """
 
 import argparse
@@ -28,7 +28,7 @@ COLUMNS = (
 
 
 def summary(drive: Drive) -> dict[str, float]:
-    """A drive's figures; all that is kept of it once it is written."""
+    """Return the figures of a drive, which are kept after the drive is written."""
     achieved = dict(drive.metadata["achieved"])
     achieved["of_friction"] = achieved["peak_acceleration_g"] / drive.metadata["scenario"]["friction"]
     achieved["length_s"] = drive.duration
@@ -36,7 +36,7 @@ def summary(drive: Drive) -> dict[str, float]:
 
 
 def table(figures: dict[tuple[str, str], list[dict[str, float]]]) -> str:
-    """Markdown: medians over the runs for what was wanted, the largest value for each peak."""
+    """Return a Markdown table: medians over the runs of target and achieved values, and largest peaks."""
     head = ["maneuver", "environment", "s", "wanted -> achieved (median)", *(title for title, _ in COLUMNS)]
     lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
     for (maneuver, environment), runs in figures.items():

@@ -1,16 +1,17 @@
-"""Tire slip and the evidence of the start about tilts: what each is worth, alone and together.
+"""Measure the effects of tire slip and of the alignment's evidence about tilts, alone and together.
 
     python benchmarks/slip_and_start.py ../shared/drives --out slip.jsonl
     python benchmarks/slip_and_start.py ../shared/drives --out slip.jsonl --table
 
-The cases are the 13 held-out ones of `defaults.py`. Every tuning is by default, with truth (T) and without (B), from
-the alignments' starts, with `tire_slip` 0 ("no slip"), with `--use slip` ("slip"), and with a fixed `tire_slip` (its
-value). Each is tested from the alignment's start with its evidence about tilts ("window") and without ("level"). With
-`--every S`, the test drives are the parts of up to 100 s that begin every S s and last at least 45 s, so that there are
-many starts. With `--fresh N`, drives with simulated white fix errors are also tested with N other realizations of these
-errors, since one realization hides effects below 5%. Each tuning and each row of scores is a line of the file, and is
-not repeated. Prints Markdown: medians over the seeds; then the geometric mean of the ratios to the default with the
-same seed and fixes, and the largest mean ratio of a case. Drifts are RMS over all placements of the outages.
+The cases are the 13 held-out cases of `defaults.py`. Every filter is tuned by default, with truth (T) and without (B),
+from the starts of the alignment: with `tire_slip` 0 ("no slip"), with `--use slip` ("slip"), and with a fixed
+`tire_slip` (its value). Each filter is tested from the start of the alignment with the evidence about tilts ("window")
+and without ("level"). With `--every S`, the test drives are the parts of up to 100 s that begin every S s and last at
+least 45 s, so that there are many starts. With `--fresh N`, drives with simulated white fix errors are also tested with
+N other realizations of these errors, since one realization hides effects below 5%. Each tuning and each row of scores
+is a line of the file, and is not repeated. Prints Markdown: medians over the seeds; then the geometric mean of the
+ratios to the default with the same seed and fixes, and the largest mean ratio of a case. Drifts are RMS over all
+placements of the outages.
 """
 
 import argparse
@@ -44,7 +45,7 @@ from switches import quantities
 TUNINGS = ("no slip", "slip", "0.003", "0.005")
 SHORTEST, LONGEST = 45.0, 100.0  # s, length of a part with `--every`
 WHITE = ("kitti-09-26", "kitti-09-30-0018", "kitti-09-30-0033", "colorado-1", "white-1m")
-"""Parts of the names of cases whose fixes are truth with white errors of 1 m per axis."""
+"""Parts of the names of cases in which the fixes are the truth plus white errors of 1 m per axis."""
 COLUMNS = (
     *("RMSE, m", "50%, m", "95%, m", "heading, deg", "5 s, m", "30 s, m", "NIS", "NEES"),
     *("smoothed RMSE, m", "smoothed heading, deg"),
@@ -60,7 +61,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--only", nargs="+", help="parts of cases' names")
     parser.add_argument("--tunings", nargs="+", default=TUNINGS[:2], choices=TUNINGS)
-    parser.add_argument("--fresh", type=int, default=0, help="realizations of the fix errors")
+    parser.add_argument("--fresh", type=int, default=0, help="number of realizations of the fix errors")
     parser.add_argument("--every", type=float, help="s between starts in a test drive")
     parser.add_argument("--table", action="store_true")
     options = parser.parse_args()
@@ -80,7 +81,7 @@ def main() -> None:
 def tuning(
     out: Path, case: Any, known: str, slip: str, seed: int, pool: ThreadPoolExecutor
 ) -> FilterParameters:
-    """Tune, or read the tuning."""
+    """Tune, or read the saved tuning."""
     name, training, test = case
     done, key = lines(out), (name, known, slip, seed, "tuning")
     if key in done:
@@ -118,7 +119,7 @@ def score(
 
 
 def begun(drive: Drive, every: float | None) -> list[Drive]:
-    """Return the drive, or its parts that begin every so many seconds and have a start."""
+    """Return the drive or, with ``every`` (s), the parts that begin at this interval and have a start."""
     if every is None:
         return [drive]
     first, last = drive.imu.time[[0, -1]]
@@ -127,7 +128,7 @@ def begun(drive: Drive, every: float | None) -> list[Drive]:
 
 
 def renewed(drive: Drive, seed: int) -> Drive:
-    """Return the drive with other white errors of its fixes, 1 m per axis."""
+    """Return the drive with another realization of the white errors of its fixes, 1 m per axis."""
     gps, truth = drive.gps, drive.truth
     assert truth is not None
     inside = (gps.time >= truth.time[0]) & (gps.time <= truth.time[-1])
@@ -140,7 +141,7 @@ def renewed(drive: Drive, seed: int) -> Drive:
 
 
 def figures(test: Sequence[PreparedDrive], parameters: FilterParameters) -> list[float]:
-    """Scores in the order of `COLUMNS`, over all test drives together."""
+    """Return the scores in the order of `COLUMNS`, over all test drives together."""
     off, turned = zip(*(errors(one.drive, run_filter(one, parameters)) for one in test), strict=True)
     after, faced = zip(*(errors(one.drive, smooth(one, parameters)) for one in test), strict=True)
     found = BatchScorer.prepare(test).scores([parameters])
@@ -160,7 +161,7 @@ def rms_deg(turned: Sequence[np.ndarray]) -> float:
 
 
 def errors(drive: Drive, estimate: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Position errors, m, and heading errors where they count, rad, at the truth's times."""
+    """Return position errors (m) and scored heading errors (rad) at the times of the truth."""
     truth = drive.truth
     assert truth is not None
     scored = truth.select((truth.time >= estimate.time[0]) & (truth.time <= estimate.time[-1]))
@@ -171,7 +172,7 @@ def errors(drive: Drive, estimate: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def drift(test: Sequence[PreparedDrive], parameters: FilterParameters, length: float) -> float:
-    """RMS over the drives and all placements of outages of a length, m."""
+    """Return the RMS drift (m) over the drives and all placements of outages of a length (s)."""
     each = []
     for one in test:
         outages = OutageDrifts(one, length=length, seed=0)

@@ -1,4 +1,4 @@
-"""What hindsight is worth: tuned filters and the same smoothed, on what the tuning never saw.
+"""Measure the benefit of smoothing: tuned filters, causal and smoothed, on held-out drives.
 
     python benchmarks/smoothing.py ../shared/drives --seeds 10
     python benchmarks/smoothing.py ../shared/drives --objectives innovation-t --only kingston-1 --gtsam
@@ -6,10 +6,10 @@
     python benchmarks/smoothing.py --lag
 
 Drives and splits are those of `switches.py`, scores those of `sigmaswarm evaluate`. Prints a Markdown table: medians
-over the seeds, for the filter and for the smoother; processor time in us per IMU sample, of one run alone. GTSAM's
-batch has the noises that `peers.py` searches; its time is that of the optimizer, begun at iSAM2's last estimate.
---ten-hours: how long ten hours at 100 Hz take, and the memory's peak; --lag: what a sample of a live filter costs with
-a lag of 2 s.
+over the seeds for the filter and for the smoother; processor time of a single run in us per IMU sample. GTSAM's batch
+smoother has the noise parameters that `peers.py` searches; its time is that of the optimizer, which starts from iSAM2's
+last estimate. --ten-hours: time and peak memory for ten hours at 100 Hz. --lag: time per sample of a live filter with a
+lag of 2 s.
 """
 
 import argparse
@@ -65,10 +65,12 @@ def main() -> None:
     parser.add_argument("drives", type=Path, nargs="?")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--objectives", nargs="+", default=OBJECTIVES)
-    parser.add_argument("--only", nargs="+", help="names of cases, as in switches.py")
+    parser.add_argument("--only", nargs="+", help="parts of the names of cases, as in switches.py")
     parser.add_argument("--filters", nargs="+", type=int, default=range(len(FILTERS)), help="their numbers")
-    parser.add_argument("--gtsam", action="store_true", help="GTSAM's batch beside them")
-    parser.add_argument("--tries", type=int, default=15, help="draws of GTSAM's noises")
+    parser.add_argument("--gtsam", action="store_true", help="also run GTSAM's batch smoother")
+    parser.add_argument(
+        "--tries", type=int, default=15, help="number of evaluations of GTSAM's noise parameters"
+    )
     parser.add_argument("--ten-hours", action="store_true")
     parser.add_argument("--lag", action="store_true")
     options = parser.parse_args()
@@ -99,7 +101,7 @@ def main() -> None:
 
 
 def row(training, test, model: str, use, objective: str, seed: int) -> list[list[float]]:
-    """Measures and time of the filter and of the smoother."""
+    """Return the measures and the time of the filter and of the smoother."""
     with ThreadPoolExecutor() as pool:
         tuned = tune(
             training, objective=objective, optimizer="de", model=model, use=use, seed=seed, executor=pool
@@ -115,7 +117,7 @@ def row(training, test, model: str, use, objective: str, seed: int) -> list[list
 
 
 def spent(run, ready: PreparedDrive, parameters: FilterParameters) -> float:
-    """Processor time of a run, s; the second one, with everything compiled and prepared."""
+    """Return the processor time (s) of the second run, when code is compiled and the drive is prepared."""
     run(ready, parameters)
     begun = time.process_time()
     run(ready, parameters)
@@ -123,7 +125,7 @@ def spent(run, ready: PreparedDrive, parameters: FilterParameters) -> float:
 
 
 def batch(training, test, tries: int) -> str:
-    """GTSAM's batch on the test drives."""
+    """Run GTSAM's batch smoother on the test drives."""
     import peers
     import rival_gtsam as rival
 
@@ -143,7 +145,7 @@ def batch(training, test, tries: int) -> str:
 
 
 def careful(drive: Drive) -> FilterParameters:
-    """planar8 as one would write it down."""
+    """Return planar8 with a manual choice of parameters."""
     q = (1e-6,) * 2 + (1e-4,) * 2 + (1e-8,) + (1e-8,) * 2 + (1e-11,)
     return FilterParameters(
         0.5, 2.0, 0.0, q, (1.0, 1.0), "planar8", lateral_noise=0.1, standstill_noise=1e-3,
@@ -152,7 +154,7 @@ def careful(drive: Drive) -> FilterParameters:
 
 
 def driven_again(drive: Drive, times: int) -> Drive:
-    """A drive that goes on as it was, each time from where it ended and in the direction that it had there."""
+    """Return a drive that repeats a drive; each repetition begins at the position and heading of the previous end."""
     imu, gps, truth = drive.imu, drive.gps, drive.truth
     assert truth is not None
     length = imu.time[-1] + drive.nominal_interval - imu.time[0]
@@ -173,7 +175,7 @@ def driven_again(drive: Drive, times: int) -> Drive:
 
 
 def ten_hours() -> None:
-    """Ten hours at 100 Hz, planar8, handed out in pieces as `sigmaswarm run --smooth` does."""
+    """Smooth ten hours at 100 Hz with planar8, in pieces as in `sigmaswarm run --smooth`."""
     drive = driven_again(simulate("urban", duration=600.0, imu_rate=100.0, gps_rate=5.0, seed=1), 60)
     p = careful(drive)
     drive_pass = whole_pass(drive)
@@ -193,7 +195,7 @@ def ten_hours() -> None:
 
 
 def lag() -> None:
-    """A live filter at 100 Hz with a lag of 2 s: processor time, over half a minute."""
+    """Print the processor time of a live filter at 100 Hz with a lag of 2 s, over half a minute."""
     drive = simulate("urban", duration=60.0, imu_rate=100.0, gps_rate=5.0, seed=1)
     p, start = careful(drive), initial_state(drive)
     filter = LiveFilter(p, start, nominal_interval=drive.nominal_interval, lever_arm=drive.lever_arm, lag=2.0)

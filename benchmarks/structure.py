@@ -5,8 +5,8 @@
     python benchmarks/structure.py BEFORE AFTER        # both, and their ratio
     python benchmarks/structure.py --list CHECKOUT     # with the names behind the figures
 
-Each checkout's command-line options and public names are read by its own ``.venv/bin/python`` where it has one. Needs
-grimp (it comes with import-linter). Run it with Python 3.11, as f-strings are one token there and several later.
+Command-line options and public names of a checkout are read by its own ``.venv/bin/python``, if it exists. Needs grimp,
+a dependency of import-linter. Run this program with Python 3.11: in later versions, an f-string is several tokens.
 """
 
 import argparse
@@ -50,14 +50,14 @@ print(json.dumps({"names": sigmaswarm.__all__, "options": options}))
 """
 RULES = {
     "source files": "*.py under src/ and carla_recorder/",
-    "source lines": "all lines of these, blank ones and comments too",
+    "source lines": "all lines of these files, including blank lines and comments",
     "source tokens": "names, numbers, strings, operators; without docstrings, comments, line ends and indentation",
-    "template lines": "all lines of files under src/ that are no Python: C, HTML, JavaScript, CSS and others",
+    "template lines": "all lines of other files under src/: C, HTML, JavaScript, CSS and others",
     "test files": "*.py under tests/",
-    "test lines": "all lines of these",
+    "test lines": "all lines of these files",
     "docs words": "words of *.md under docs/ (without _build) and at the top of the checkout; no changelog",
     "public names": "sigmaswarm.__all__ without errors and warnings",
-    "options": "of all commands, as cyclopts has them; positional arguments, --help and --version not counted",
+    "options": "options of all commands, without positional arguments, --help and --version",
     "classes": "class statements at the top of a module",
     "module constants": "names in capitals that a module assigns at its top level",
     "functions over 60 lines": "def to the last line, docstring included, without decorators; outside filters/compiled",
@@ -65,7 +65,7 @@ RULES = {
     "functions over 7 parameters": "self and cls not counted; outside filters/compiled",
     "functions over 7 parameters, kernels": "the same in filters/compiled",
     "functions of at most 4 lines": "def to the last line, docstring included",
-    "import cycles": "sets of modules that import each other, those within functions and for types alone too",
+    "import cycles": "sets of modules that import each other, also within functions and only for types",
     "arrows between folders": "ordered pairs of folders of the package, A != B, where a module of A imports one of B",
     "imports between folders": "pairs of modules behind these arrows",
     "files under 40 lines": "source files, __init__.py files with docstrings alone not counted",
@@ -91,10 +91,10 @@ def lines_of(paths: Iterator[Path] | list[Path]) -> int:
 
 
 def docstring_lines(tree: ast.Module) -> set[int]:
-    """Return the first lines of docstrings: their tokens do not count."""
+    """Return the first lines of docstrings, whose tokens are not counted."""
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     bodies = [node.body for node in ast.walk(tree) if isinstance(node, documented)]
-    # A string alone on a line below an assignment documents it, too.
+    # A string below an assignment is also a docstring.
     bare = [
         s for body in bodies for s in body if isinstance(s, ast.Expr) and isinstance(s.value, ast.Constant)
     ]
@@ -102,7 +102,7 @@ def docstring_lines(tree: ast.Module) -> set[int]:
 
 
 def code_tokens(path: Path, tree: ast.Module) -> list[str]:
-    """Return the tokens of a file that count (`RULES`)."""
+    """Return the tokens of a file that are counted: see `RULES`."""
     skipped_lines = docstring_lines(tree)
     with tokenize.open(path) as file:
         tokens = list(tokenize.generate_tokens(file.readline))

@@ -1,8 +1,8 @@
-"""How often the intervals of a study cover what they are for: by simulation of the study's own design.
+"""Measure the coverage of a study's intervals by simulation of its design.
 
-`python benchmarks/study_coverage.py` draws studies whose truth is known. A drive's score is its condition's mean times
-a skewed factor of its own, times a factor of the trial (the optimizer's luck) and one of both. What is to be covered is
-the mean score of a new drive of the same conditions, tuned by a new trial.
+`python benchmarks/study_coverage.py` draws studies with known expectations. The score of a drive is the mean of its
+condition times three random factors: a skewed factor of the drive, a factor of the trial (variation of the optimizer),
+and a factor of both. The intervals should cover the mean score of a new drive of the same conditions in a new trial.
 """
 
 import argparse
@@ -16,15 +16,15 @@ NAMES = ("mean +- 1.96 SD / sqrt(n)", "corrected resampled t", "bootstrap over d
 DRIVE_SPREAD, BOTH_SPREAD = 0.35, 0.05
 """Standard deviations of the logarithms of the factors."""
 DESIGNS = ((25, 20, 20), (10, 3, 5), (2, 4, 5))
-"""Conditions, runs of each, trials: the paper's study, the notebook's, and a very small one."""
+"""Numbers of conditions, runs per condition, and trials: the paper's study, the notebook's, and a very small study."""
 TRIAL_SPREADS = (0.0, 0.01, 0.03, 0.2)
-"""The same of the trial's factor: how much the optimizer's luck matters."""
+"""Standard deviations of the logarithm of the trial's factor."""
 
 
 def simulated_study(
     rng: np.random.Generator, luck: float, conditions: int = 25, runs: int = 20, trials: int = 20
 ):
-    """Scores (trials, drives), NaN in training; the drives' conditions; and the true mean for a new drive."""
+    """Return scores (trials, drives), NaN for training drives; conditions of the drives; true mean for a new drive."""
     levels = np.linspace(0.4, 2.0, conditions)
     strata = np.repeat(np.arange(conditions), runs)
     drive = levels[strata] * _factor(rng, DRIVE_SPREAD, len(strata))
@@ -39,12 +39,12 @@ def simulated_study(
 
 
 def _factor(rng: np.random.Generator, spread: float, shape) -> np.ndarray:
-    """Log-normal factors of mean one."""
+    """Draw log-normal factors with mean 1."""
     return np.exp(spread * rng.standard_normal(shape) - spread**2 / 2)
 
 
 def covered(rng: np.random.Generator, luck: float, **design: int) -> list[bool]:
-    """Whether each interval of one simulated study covers the truth."""
+    """Return, for each interval of a simulated study, True if it covers the true mean."""
     scores, strata, truth = simulated_study(rng, luck, **design)
     ratio = float(np.isfinite(scores[0]).sum() / np.isnan(scores[0]).sum())
     found = summarize(scores, strata, ratio, Draws(rng))
@@ -53,7 +53,7 @@ def covered(rng: np.random.Generator, luck: float, **design: int) -> list[bool]:
 
 
 def coverage(studies: int, luck: float, seed: int = 0, **design: int) -> np.ndarray:
-    """Share of the studies in which each interval covers the truth, shape (3,)."""
+    """Return the fraction of studies in which each interval covers the true mean, (3,)."""
     rng = np.random.default_rng(seed)
     return np.mean([covered(rng, luck, **design) for _ in range(studies)], axis=0)
 

@@ -1,24 +1,24 @@
-"""The driving swarm against the one filter that it comes from: on cars like those it was tuned on, and on others.
+"""Compare the filter bank with its tuned filter, on cars like those of the training drives and on other cars.
 
     python benchmarks/swarm.py ../shared/drives --out swarm
     python benchmarks/swarm.py ../shared/drives --out swarm --unseen
     python benchmarks/swarm.py ../shared/drives --out swarm --table
 
-A filter is tuned on a fleet (`planar8` with lateral, standstill and robust, objective `truth-pose + 0.2 nees`), and run
-over drives that the fleet has not: by itself, as sixteen that are only weighed, and as sixteen that search.
-J is position RMSE (m) + 0.1 heading RMSE (deg) + 0.1 drift over outages of 5 s (m; RMS over two placements a seed). The
-table has the geometric means of J over that of the fleet's filter, the worst drive in brackets, and the mean of
-|ln(NIS / 2)|. Groups:
+A filter (`planar8` with lateral, standstill and robust, objective `truth-pose + 0.2 nees`) is tuned on the drives of a
+fleet, and run over other drives: as a single filter, as a bank of sixteen filters without searches, and as a bank with
+searches. J is position RMSE (m) + 0.1 heading RMSE (deg) + 0.1 drift over outages of 5 s (m; RMS over two placements
+per seed). The table contains the geometric means of J divided by the J of the fleet's filter, the worst drive in
+brackets, and the mean of |ln(NIS / 2)|. Groups:
 
-    KITTI      each of the five drives, the fleet being the other four
-    other cars the second half of colorado-1 or kingston-1, the fleet being KITTI and the other one
-    near       simulated drives of the grades that the fleet has, other seeds
-    off        simulated drives of a grade that the fleet has not
-    switching  drives as near; halfway through the receiver's errors grow from 1 to 4 m
+    KITTI      each of the five drives; the fleet is the other four
+    other cars the second half of colorado-1 or kingston-1; the fleet is KITTI and the other of these two
+    near       simulated drives with the sensor grades of the fleet and other seeds
+    off        simulated drives with another grade of sensors than the fleet
+    switching  drives like "near"; in the middle, the receiver's errors increase from 1 to 4 m
 
-These drives chose the swarm's own constants (most of them seed 5 of the simulated ones, KITTI and both other cars, with
-one seed and one placement of outages); of kept-back drives nothing was looked at. `--unseen` measures on simulated
-drives of other grades and other seeds, which chose nothing.
+The constants of the bank were chosen on these drives (most constants on seed 5 of the simulated drives, KITTI and both
+other cars, with one seed and one placement of outages), but not on drives that were kept back. `--unseen` uses
+simulated drives of other grades and seeds, which were not used for this choice.
 """
 
 import argparse
@@ -62,7 +62,7 @@ UNSEEN = {
     "adis16405, 2 m slow": {"imu": "adis16405", "gps": GpsGrade("slow", 0.3, 2.0, markov_time=120.0)},
     "adis16465, 0.3 m": {"imu": "adis16465", "gps": GpsGrade("short", 0.3, 0.3, markov_time=10.0)},
 }
-"""Grades that chose none of the swarm's constants."""
+"""Grades that were not used to choose the constants of the bank."""
 
 
 class Fleet(NamedTuple):
@@ -80,14 +80,19 @@ def main() -> None:
     )
     parser.add_argument("drives", type=Path)
     parser.add_argument(
-        "--out", type=Path, required=True, help="folder: a line of JSON a run, and the tunings, made once"
+        "--out",
+        type=Path,
+        required=True,
+        help="folder of the tunings and of a file with one line of JSON per run",
     )
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--only", nargs="+", help="parts of groups' names")
+    parser.add_argument("--only", nargs="+", help="parts of the names of groups")
     parser.add_argument("--methods", nargs="+", default=list(CHANGES), choices=CHANGES)
-    parser.add_argument("--placements", type=int, default=2, help="of outages; 0: J without drift")
-    parser.add_argument("--unseen", action="store_true", help="simulated drives that chose nothing")
-    parser.add_argument("--table", action="store_true", help="only print what there is")
+    parser.add_argument("--placements", type=int, default=2, help="placements of outages; 0: J without drift")
+    parser.add_argument(
+        "--unseen", action="store_true", help="use simulated drives that were not used to choose constants"
+    )
+    parser.add_argument("--table", action="store_true", help="only print the existing results")
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
     options.out.mkdir(exist_ok=True)
@@ -110,7 +115,7 @@ def main() -> None:
 
 
 def tuning(fleet: Fleet, seed: int, folder: Path) -> FilterParameters:
-    """The fleet's filter, tuned if it is not in the folder yet."""
+    """Return the filter of a fleet; tune it if the folder does not contain it."""
     file = folder / f"{fleet.name}, seed {seed}.toml"
     if not file.exists():
         with ThreadPoolExecutor() as pool:
@@ -145,7 +150,7 @@ def unseen_cases() -> Iterator[Case]:
 
 
 def simulated_cases(made: Mapping[str, Sequence[Drive]]) -> Iterator[Case]:
-    """Of each grade's drives the first four are its fleet."""
+    """Yield the simulated cases; the first four drives of each grade are its fleet."""
     fleets = {grade: Fleet(grade, drives[:4]) for grade, drives in made.items()}
     for grade, drives in made.items():
         yield "near", grade, fleets[grade], drives[4:]
@@ -161,7 +166,7 @@ def simulated(seeds: Iterable[int], **options: str | GpsGrade) -> list[Drive]:
 
 
 def worse_midway(drive: Drive) -> Drive:
-    """The same drive, whose receiver has white errors of 4 m per axis in its second half."""
+    """Return the drive with white fix errors of 4 m per axis in its second half."""
     gps, rng = drive.gps, np.random.default_rng(5)
     late = gps.time > gps.time[len(gps) // 2]
     off = rng.standard_normal((2, len(gps))) * np.sqrt(15.0) * late
@@ -171,7 +176,7 @@ def worse_midway(drive: Drive) -> Drive:
 def measured(
     drive: Drive, tuned: FilterParameters, method: str, seed: int, n_placements: int
 ) -> tuple[float, float, float, float]:
-    """Position (m), heading (deg), drift (m), mean NIS."""
+    """Return position RMSE (m), heading RMSE (deg), drift (m) and mean NIS."""
     ready = prepare_drive(drive)
 
     def run(drive_pass: FilterPass) -> BankRun | FilterRun:
@@ -193,7 +198,7 @@ def measured(
 def drift(
     ready: PreparedDrive, run: Callable[[FilterPass], Iterator[EstimateChunk]], seed: tuple[int, int]
 ) -> np.ndarray:
-    """Squared errors at the ends of outages of 5 s, m2."""
+    """Return the squared position errors at the ends of outages of 5 s, m2."""
     ends = outage_windows(ready.drive, ready.initial, length=5.0, seed=seed)[:, 1]
     found = run(outage_pass(ready, length=5.0, seed=seed))
     pieces = [(piece.time, piece.mean[:, :2]) for piece in found]

@@ -1,14 +1,14 @@
-"""What each part of a filter is worth: models and what they use, tuned and tested with several seeds.
+"""Measure the benefit of each model and option of a filter, tuned and tested with several seeds.
 
     python benchmarks/switches.py ../shared/drives --seeds 10
     python benchmarks/switches.py ../shared/drives --objective innovation-t --only kingston-1
     python benchmarks/switches.py ../shared/drives --only kitti-09-30-0018 --as-recorded
 
-KITTI's drives: each is held out once, tuned on the other four. colorado-1 and kingston-1: tuned on the first 70% of the
-time, tested on the rest; colorado-1 also with bursts of outliers in 6% of its fixes. Simulated, for each grade of GPS:
-ten drives of 120 s in a town, a car-grade MEMS IMU (ICM-20602), tuned on seven of them, tested on three, another split
-each seed. Prints a Markdown table: medians over the seeds. Drift is the RMS over the windows of seeds 0 to 3 (5 s) and
-0 to 5 (30 s).
+Each KITTI drive is held out once, and the filter is tuned on the other four. On colorado-1 and kingston-1, the filter
+is tuned on the first 70% of the time and tested on the rest; colorado-1 is also used with bursts of outliers in 6% of
+its fixes. For each grade of GPS, ten town drives of 120 s with a car-grade MEMS IMU (ICM-20602) are simulated; the
+filter is tuned on seven and tested on three, with another split for each seed. Prints a Markdown table: medians over
+the seeds. Drift is the RMS over the windows of seeds 0 to 3 (5 s) and 0 to 5 (30 s).
 """
 
 import argparse
@@ -53,7 +53,7 @@ FILTERS = (
 )
 GRADES = ("white-1m", "ublox-m8", "f9p-rtk")
 WINDOWS = {5.0: range(4), 30.0: range(6)}
-"""Length of outages, s, and the seeds that place them."""
+"""Length of outages (s), and the seeds of their placement."""
 TITLES = (
     "tested on", "filter", "position RMSE, m", "50%, m", "95%, m", "heading, deg", "5 s drift, m", "30 s drift, m",
 )  # fmt: skip
@@ -71,8 +71,10 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", help="names of cases")
     parser.add_argument("--filters", nargs="+", type=int, default=range(len(FILTERS)), help="their numbers")
     parser.add_argument("--optimizer", default="de")
-    parser.add_argument("--as-recorded", action="store_true", help="no rules for frozen fixes and gaps")
-    parser.add_argument("--prior", type=float, help="of R; 0: none; by default as tune has it")
+    parser.add_argument("--as-recorded", action="store_true", help="no rules for stale fixes and gaps")
+    parser.add_argument(
+        "--prior", type=float, help="weight of the prior on R; 0: none; by default that of tune"
+    )
     parser.add_argument("--inflation", type=float, help="likewise")
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
@@ -106,7 +108,7 @@ def main() -> None:
 
 
 def cases(folder: Path, seeds: int, only: Sequence[str] | None) -> Iterator[tuple[str, list[Split]]]:
-    """Name, and a training and test set for each seed; no drive is read or made that is not asked for."""
+    """Yield names, and a training and test set for each seed; only the requested drives are read or simulated."""
 
     def asked(name: str) -> bool:
         return not only or name in only
@@ -129,7 +131,7 @@ def cases(folder: Path, seeds: int, only: Sequence[str] | None) -> Iterator[tupl
 
 
 def measured(ready: Sequence[PreparedDrive], parameters: FilterParameters) -> list[float]:
-    """RMSE, quantiles and drifts in m, heading in deg, over all test drives together."""
+    """Return RMSE, quantiles and drifts (m), and heading error (deg), over all test drives together."""
     off, turned = zip(*(errors(drive, parameters) for drive in ready), strict=True)
     heading = np.degrees(np.sqrt(np.mean(np.concatenate(turned) ** 2)))
     return [
@@ -140,7 +142,7 @@ def measured(ready: Sequence[PreparedDrive], parameters: FilterParameters) -> li
 
 
 def errors(ready: PreparedDrive, parameters: FilterParameters) -> tuple[np.ndarray, np.ndarray]:
-    """Position errors, m, and heading errors where they count, rad, at the truth's times."""
+    """Return position errors (m) and scored heading errors (rad) at the times of the truth."""
     estimate, truth = run_filter(ready, parameters), ready.drive.truth
     scored = truth.select((truth.time >= estimate.time[0]) & (truth.time <= estimate.time[-1]))
     x, y = (np.interp(scored.time, estimate.time, estimate.mean[:, i]) for i in (0, 1))
@@ -150,7 +152,7 @@ def errors(ready: PreparedDrive, parameters: FilterParameters) -> tuple[np.ndarr
 
 
 def drift(ready: Sequence[PreparedDrive], parameters: FilterParameters, length: float) -> float:
-    """RMS over all windows of a length that fit, m."""
+    """Return the RMS drift (m) over all outages of a length (s) that fit."""
     squares, count = 0.0, 0
     for one in ready:
         for seed in WINDOWS[length]:
@@ -163,7 +165,7 @@ def drift(ready: Sequence[PreparedDrive], parameters: FilterParameters, length: 
 
 
 def raw(test: Sequence[Drive]) -> np.ndarray:
-    """Errors of the fixes themselves, m."""
+    """Return the errors of the raw fixes, m."""
     each = []
     for drive in test:
         fixes = drive.gps.select(drive.gps.time >= initial_state(drive).time)
@@ -174,7 +176,7 @@ def raw(test: Sequence[Drive]) -> np.ndarray:
 
 
 def quantities(off: np.ndarray) -> tuple[float, float, float]:
-    """RMSE, median and 95% quantile."""
+    """Return RMSE, median and 95% quantile."""
     return float(np.sqrt(np.mean(off**2))), float(np.median(off)), float(np.quantile(off, 0.95))
 
 

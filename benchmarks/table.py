@@ -54,11 +54,11 @@ TUNINGS = {
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "benchmarks.json"
-        # By name: in a whole folder pytest would also import the rivals that are not installed, to look for examples.
+        # By name: to find examples in a folder, pytest would also import rivals that are not installed.
         tests = sorted(map(str, HERE.glob("test_*.py")))
         command = [sys.executable, "-m", "pytest", *tests, "-q", "-p", "no:cacheprovider"]
-        command += ["-o", "addopts=-ra --import-mode=importlib"]  # the tests' own plugins need not be here
-        command += ["--benchmark-timer=time.process_time"]  # what other jobs on the core take does not count
+        command += ["-o", "addopts=-ra --import-mode=importlib"]  # without the plugins of the tests
+        command += ["--benchmark-timer=time.process_time"]  # without the time of other jobs on the core
         subprocess.run([*command, f"--benchmark-json={result}"], check=True, cwd=HERE.parent)
         measured = by_turn(json.loads(result.read_text(encoding="utf-8"))["benchmarks"])
     table = render(measured)
@@ -68,7 +68,7 @@ def main() -> None:
 
 
 def by_turn(benchmarks: list[dict]) -> dict[str, list[dict]]:
-    """The record of every turn, in order, by name: `test_kind[turn0-planar5 ekf]` is `test_kind planar5 ekf`."""
+    """Return the records of all turns, in order, by name: `test_kind[turn0-planar5 ekf]` is `test_kind planar5 ekf`."""
     turns = defaultdict(list)
     for benchmark in benchmarks:
         turns[re.sub(r"\[turn\d+-?(.*)\]", r" \1", benchmark["name"]).strip()].append(benchmark)
@@ -76,17 +76,17 @@ def by_turn(benchmarks: list[dict]) -> dict[str, list[dict]]:
 
 
 def seconds(record: dict) -> float:
-    """The median round of a turn, scaled up to the whole job."""
+    """Return the time (s) of the median round of a turn, scaled to the whole job."""
     return record["stats"]["median"] * record["extra_info"]["times"]
 
 
 def per_unit(record: dict) -> float:
-    """The same in ns per parameter set and IMU sample, or per call."""
+    """Return the median time in ns per parameter set and IMU sample, or per call."""
     return record["stats"]["median"] / record["extra_info"]["work"] * 1e9
 
 
 def ratio(rival: list[dict], ours: list[dict], measure) -> str:
-    """Within each turn, so that both sides had the same machine; the median and the lowest."""
+    """Format the median and the lowest ratio over the turns; within a turn, the load of the machine is similar."""
     ratios = [measure(a) / measure(b) for a, b in zip(rival, ours, strict=True)]
     return f"{rounded(statistics.median(ratios))}; {rounded(min(ratios))}"
 
@@ -128,7 +128,7 @@ def kinds(measured: dict) -> Iterator[str]:
 
 
 def spread(records: list[dict], ours: list[dict]) -> str:
-    """Ratios within the turns: median, lowest and highest."""
+    """Format median, lowest and highest ratio over the turns."""
     ratios = [per_unit(a) / per_unit(b) for a, b in zip(records, ours, strict=True)]
     return f"{statistics.median(ratios):.2f} [{min(ratios):.2f}, {max(ratios):.2f}]"
 
@@ -147,7 +147,7 @@ def tunings(measured: dict) -> Iterator[str]:
 
 
 def cores(measured: dict) -> Iterator[str]:
-    """Leave out turns in which other jobs kept a core busy: they do not show the effect of two cores."""
+    """Yield the table of two cores, without turns in which other jobs used a core."""
     yield "| parameter sets | one core | two cores | ratio: median [lowest, highest] |"
     yield "|---:|---:|---:|---:|"
     for name in (name for name in measured if name.startswith("test_cores ")):
@@ -182,7 +182,7 @@ def live(measured: dict) -> Iterator[str]:
 
 
 def faster(rival: list[dict], ours: list[dict]) -> str:
-    """How many times faster at a sample, and at one with its fix: medians of the ratios within each turn."""
+    """Format the ratios of the times per sample, without and with a fix: medians over the turns."""
     return "; ".join(
         "{:.1f}".format(
             statistics.median(
@@ -198,7 +198,7 @@ def middle(records: list[dict], key: str) -> float:
 
 
 def machine() -> str:
-    """Processor, cores and versions; nothing that tells whose machine it is."""
+    """Describe processor, cores and versions, without data that identify the machine."""
     packages = ", ".join(f"{name} {version(name)}" for name in PACKAGES if find_spec(name.replace("-", "_")))
     return (
         f"{processor()}, {os.cpu_count()} cores, of which one is used unless stated otherwise; "
@@ -207,7 +207,7 @@ def machine() -> str:
 
 
 def processor() -> str:
-    """The model's name, and the architecture that LLVM compiles for."""
+    """Return the model's name, and the architecture for which LLVM compiles."""
     try:
         found = re.search(r"model name\s*:\s*(.+)", Path("/proc/cpuinfo").read_text(encoding="utf-8"))
     except OSError:
@@ -221,7 +221,7 @@ def number(value: float) -> str:
 
 
 def rounded(value: float) -> str:
-    """Three significant digits, with thousands separated."""
+    """Format with three significant digits and separated thousands."""
     return f"{float(f'{value:.3g}'):,.0f}" if value >= 100 else f"{value:.3g}"
 
 

@@ -1,7 +1,7 @@
-"""Two cores against one: the same batch on a pool of one thread and of two, by the clock on the wall.
+"""Compare the wall times of a batch with one thread and with two threads.
 
-The other jobs of a machine spoil a clock on the wall, so each measurement waits until both cores are idle (where the
-system tells), and gives up after a while.
+Since other jobs increase the wall time, each measurement waits until both cores are idle (if the operating system
+reports it), but at most `PATIENCE` seconds.
 """
 
 import os
@@ -27,7 +27,7 @@ pytestmark = [
 
 @pytest.fixture
 def all_cores():
-    """Undo `one_core` for a while."""
+    """Undo `one_core` during a test."""
     if not hasattr(os, "sched_setaffinity"):
         yield
         return
@@ -38,7 +38,7 @@ def all_cores():
 
 
 def idle_share():
-    """The least share of idle time of a core during the next moment."""
+    """Return the fraction of idle time of the busiest core in a short interval."""
 
     def ticks():
         lines = Path("/proc/stat").read_text().splitlines()
@@ -51,7 +51,7 @@ def idle_share():
 
 
 def wait_for_calm():
-    """Whether the machine came to rest."""
+    """Wait until both cores are idle; return False after `PATIENCE` seconds."""
     end = time.monotonic() + PATIENCE
     while Path("/proc/stat").exists() and time.monotonic() < end:
         if idle_share() > 0.97:
@@ -61,7 +61,7 @@ def wait_for_calm():
 
 @pytest.fixture(scope="session")
 def drives(drive):
-    """The usual drive, and four more of ten minutes."""
+    """Return the drive of all benchmarks, and four other drives of ten minutes."""
     return [drive, *(simulate("urban", duration=600.0, seed=1, run=run) for run in range(1, 5))]
 
 
@@ -84,7 +84,7 @@ def test_cores(benchmark, all_cores, drives, n_sets, n_drives):
         both()  # starts the threads
         calm = wait_for_calm()
         times.clear()
-        benchmark.pedantic(both, rounds=15)  # the first ones find a core that had gone to sleep
+        benchmark.pedantic(both, rounds=15)  # in the first rounds, a core may be in a sleep state
     ones, twos = times[::2], times[1::2]
     benchmark.extra_info.update(
         calm=calm, one=float(np.median(ones)), two=float(np.median(twos)),

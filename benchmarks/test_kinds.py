@@ -1,4 +1,4 @@
-"""What the other filters cost: 32 parameter sets over the same drive, beside the batch of planar5's UKF."""
+"""Measure the time of other models and filter types: 32 parameter sets over the same drive as planar5's UKF."""
 
 import numpy as np
 import pytest

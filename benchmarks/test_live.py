@@ -1,9 +1,9 @@
-"""One call at a time, in Python: the live filter beside FilterPy's, median and 99.9th percentile of each call.
+"""Compare the live filter with FilterPy's filters, one call at a time: median and 99.9% quantile of the call times.
 
-Each filter that FilterPy has, too, is held to it. Sage-Husa's and the strong tracking one it has not.
+Results are compared for filters that FilterPy also has; it lacks the adaptive and the strong tracking filter.
 
-The clock is the thread's processor time, so that other jobs do not make the percentiles; reading it costs more than a
-clock on the wall, and what an empty call shows is taken off.
+Times are processor times of the thread, so that other jobs do not affect the quantiles. The time of reading this clock,
+measured with an empty call, is subtracted.
 """
 
 from time import thread_time_ns as now
@@ -57,7 +57,7 @@ class Clock:
 
 
 def events(course):
-    """Time, dt, IMU sample, and its fix or None, of each step; fixes fall on IMU samples."""
+    """Yield time, dt, IMU sample, and fix or None of each step; the fixes have the times of IMU samples."""
     assert course.sampled.all()
     fixes = iter(course.fixes.tolist())
     end = course.initial.time + np.cumsum(course.dt)
@@ -68,7 +68,7 @@ def events(course):
 
 
 def run_filterpy(course, parameters):
-    """What a script does at a sample: predict, update with its fix if it has one, constraints."""
+    """Run FilterPy's filter: at each sample predict, update with a fix if there is one, and apply constraints."""
     clock = Clock()
     rival = (Ekf if parameters.kind == "ekf" else Ukf)(parameters, course.initial)
     for t, dt, u, z in list(events(course)):
@@ -84,7 +84,7 @@ def run_filterpy(course, parameters):
 
 
 def run_live(course, parameters, late, kind=LiveFilter):
-    """The fix comes before the sample that updates it; or ``late`` samples after it, and the filter goes back."""
+    """Run the live filter. A fix arrives before the sample of its time or, with ``late``, so many samples later."""
     clock, due = Clock(), []
     live = kind(parameters, course.initial, nominal_interval=0.01)
     for k, (t, _, u, z) in enumerate(list(events(course))):
@@ -108,7 +108,7 @@ def run_live(course, parameters, late, kind=LiveFilter):
 
 
 def record(benchmark, run):
-    """One round whose times are those of its calls; a round before it warms up."""
+    """Record the call times of one round, after a round to warm up."""
     run()
     clock, mean = benchmark.pedantic(run, rounds=1)
     benchmark.extra_info.update(clock.summary())

@@ -1,7 +1,7 @@
-"""sigmaswarm beside its rivals; `table.py` runs this and writes the table.
+"""Compare the speed of sigmaswarm with other programs; `table.py` runs these benchmarks and writes the table.
 
-Each benchmark says in ``extra_info`` how much work one round does: ``work`` counts parameter sets times IMU samples
-(or calls), and ``ns`` is the median time of one of them. ``times`` scales a part up to the whole job.
+``extra_info`` of each benchmark contains ``work``, the number of parameter sets times IMU samples (or calls) in a
+round, ``ns``, the median time divided by this number, and ``times``, the ratio of the whole job to the measured part.
 """
 
 from dataclasses import replace
@@ -16,7 +16,7 @@ from sigmaswarm import Gps, clip, initial_state, run_filter, run_textbook, tune
 from sigmaswarm.scoring.batch import BatchScorer
 
 PART = 5.0
-"""s of the drive that the slow ones run over."""
+"""Length (s) of the part of the drive for slow filters."""
 GENERATIONS, PARTICLES = 50, 30
 PAPERS_FILTER = {"model": "planar5", "objective": "truth-rmse"}
 
@@ -30,15 +30,15 @@ def part(drive):
 
 @pytest.fixture(scope="session")
 def point(parameter_sets):
-    """The first parameter set as the rival writes it."""
+    """Return the first parameter set in the form of `rival_pyswarms.py`."""
     p = parameter_sets[0]
     return np.array([p.alpha, p.beta, p.kappa, *np.log10([*p.process_noise, *p.measurement_noise])])
 
 
 @pytest.fixture(scope="session")
 def crowded(drive):
-    """The drive with a fix at every IMU sample, since kalman-py's filter updates one at every step."""
-    # To the last fix: those behind it would repeat, as a frozen receiver's do.
+    """Return the drive with a fix at every IMU sample, since kalman-py's filter needs a measurement at every step."""
+    # Up to the last fix, since later samples would repeat this fix like a stale fix.
     drive = clip(drive, drive.imu.time[0], drive.gps.time[-1] + 1e-3)
     gps, time = drive.gps, drive.imu.time
     return replace(drive, gps=Gps(time, np.interp(time, gps.time, gps.x), np.interp(time, gps.time, gps.y)))
@@ -47,13 +47,13 @@ def crowded(drive):
 @pytest.fixture(scope="session")
 def replayer(drive, parameter_sets):
     replayer = BatchScorer.prepare([drive])
-    replayer.scores(parameter_sets)  # compiles, where the cache is empty
+    replayer.scores(parameter_sets)  # compiles if the cache is empty
     return replayer
 
 
 @pytest.mark.benchmark(group="filter")
 def test_filterpy(measure, drive, part, point, parameter_sets):
-    # Both do the same work just if they end with the same error; their sigma points differ a little.
+    # Both filters do the same work if their errors are nearly equal; their sigma points differ slightly.
     ours = run_filter(drive, parameter_sets[0]).mean[: part.n_samples, :2]
     assert part.rmse(point) == pytest.approx(
         np.sqrt(np.mean(np.sum((ours - part.truth) ** 2, axis=1))), rel=1e-3
@@ -116,7 +116,7 @@ def test_batch(measure, drive, replayer, parameter_sets):
 
 @pytest.mark.benchmark(group="tuning")
 def test_tuning_pyswarms_filterpy(measure, part):
-    """One generation over a part of the drive; the whole job is as many times longer."""
+    """Measure one generation over a part of the drive; ``times`` extrapolates to the whole job."""
     measure(
         lambda: tune_with_pyswarms(part, particles=PARTICLES, generations=1),
         work=PARTICLES * part.n_samples,
@@ -127,7 +127,7 @@ def test_tuning_pyswarms_filterpy(measure, part):
 
 @pytest.mark.benchmark(group="tuning")
 def test_tuning_sigmaswarm(measure, drive, replayer):
-    """The whole job: alignment, time line, 30 x 50 filters over ten minutes, and the swarm itself."""
+    """Measure the whole job: alignment, time line, 30 x 50 filters over ten minutes, and the optimizer."""
     samples = int((drive.imu.time > replayer.initial[0].time).sum())
     measure(
         lambda: tune(drive, **PAPERS_FILTER, optimizer="pso", particles=PARTICLES, generations=GENERATIONS),

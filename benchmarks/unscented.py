@@ -2,9 +2,10 @@
 
     python benchmarks/unscented.py DRIVES
 
-Each drive is tuned on its first half and judged on the second one; simulated drives are tuned on one and judged on two
-others, as they are, with an IMU that is mounted 12 degrees off in roll and in pitch, and from starts whose heading is
-off by 20 to 90 degrees, with that standard deviation. Three seeds, 30 x 50 searches, no divergence monitor.
+On each real drive, the filter is tuned on the first half and tested on the second. For simulated drives, the filter is
+tuned on one drive and tested on two others: without changes; with an IMU whose mounting is rotated by 12 degrees in
+roll and in pitch; and from starts whose heading is wrong by 20 to 90 degrees and has this standard deviation. Three
+seeds, searches of 30 x 50 evaluations, no divergence monitor.
 """
 
 import sys
@@ -34,7 +35,7 @@ OFF = np.radians([20.0, 45.0, 90.0])
 
 
 def tuned(drive: Drive, kind: str, seed: int) -> tuple[FilterParameters, float]:
-    """A filter, and the seconds of its search."""
+    """Tune a filter; return its parameters and the duration of the search, s."""
     began = time.perf_counter()
     tuning = sigmaswarm.tune(
         drive, model="tilted12", kind=kind, use=USE, objective="truth-pose + 0.2 nees", seed=seed
@@ -44,7 +45,7 @@ def tuned(drive: Drive, kind: str, seed: int) -> tuple[FilterParameters, float]:
 
 
 def mounted_off(drive: Drive) -> Drive:
-    """The drive with its IMU turned in roll and pitch."""
+    """Return the drive with its IMU rotated in roll and pitch."""
     state = np.zeros(tilted.N)
     state[[8, 9]] = MOUNTED
     turn = tilted.rotation(state)
@@ -54,7 +55,7 @@ def mounted_off(drive: Drive) -> Drive:
 
 
 def starts(drive: Drive, off: float, seed: int) -> InitialState:
-    """A start whose heading is off by an angle, as its covariance says."""
+    """Return a start whose heading is wrong by an angle, which is also its standard deviation."""
     start = initial_state(drive)
     mean, covariance = start.mean.copy(), start.covariance.copy()
     mean[THETA] += off * (1 if seed % 2 else -1)
@@ -64,7 +65,7 @@ def starts(drive: Drive, off: float, seed: int) -> InitialState:
 
 
 def nees(drive: Drive, estimate: Estimate) -> float:
-    """Mean of e^T P^-1 e of the position where truth is known; 2 where the covariance is right."""
+    """Return the mean NEES e^T P^-1 e of the position at the times of the truth; 2 for a consistent filter."""
     truth = drive.truth
     assert truth is not None
     known = (estimate.time >= truth.time[0]) & (estimate.time <= truth.time[-1])
@@ -74,7 +75,7 @@ def nees(drive: Drive, estimate: Estimate) -> float:
 
 
 def judged(drives: list[Drive], p: FilterParameters, off: float = 0.0, seed: int = 0) -> list[float]:
-    """Position RMSE (m), heading RMSE (deg), and NEES over 2: the median of drives."""
+    """Return position RMSE (m), heading RMSE (deg) and NEES / 2, medians over the drives."""
     rows: list[list[float]] = []
     for drive in drives:
         initial = starts(drive, off, seed) if off else None
@@ -85,7 +86,7 @@ def judged(drives: list[Drive], p: FilterParameters, off: float = 0.0, seed: int
 
 
 def cases(drives: Path) -> Iterator[tuple[str, Drive, list[Drive]]]:
-    """Name, training drive and test drives."""
+    """Yield name, training drive and test drives."""
     for name in REAL:
         train, test = sigmaswarm.split(sigmaswarm.read_drive(drives / name), 0.5)
         yield name, train, [test]

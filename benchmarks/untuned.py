@@ -1,9 +1,9 @@
-"""The scores of the baseline that is compared with every tuning: it needs no training.
+"""Print the scores of the baseline, with which every tuning is compared.
 
     python benchmarks/untuned.py ../shared/drives
 
-Of the model and parts that `tune` takes for a case, on the test drives of `defaults.py`, watched for being lost, as in
-`evaluate`. Prints Markdown, means over a case's test drives.
+The baseline has the default model and options of `tune` for a case and, as in `evaluate`, a divergence monitor. The
+test drives are those of `defaults.py`. Prints Markdown: means over the test drives of a case.
 """
 
 import argparse
@@ -31,7 +31,7 @@ def main() -> None:
     print("| tested on | baseline | position RMSE, m | heading, deg | 5 s drift, m | 30 s drift, m |")
     print("|---" * 6 + "|")
     for name, parts in cases(options.drives).items():
-        if ">" in name or "outliers" in name:  # a stranger's drives: what was tuned plays no part here
+        if ">" in name or "outliers" in name:  # the baseline does not depend on the training drives
             continue
         training, test = parts()
         taken = suggest_filter([*training, *test])
@@ -42,7 +42,7 @@ def main() -> None:
 
 
 def some_filter(model: str, use: tuple[str, ...]) -> FilterParameters:
-    """Any filter of a model and its parts: only these count."""
+    """Return a filter with a model and options; its other parameters have no effect."""
     space = search_space(model, "log10", kind="ekf" if model == "tilted12" else "ukf", use=use)
     return space.decode(np.atleast_2d((space.low + space.high) / 2))[0]
 

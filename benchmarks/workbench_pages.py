@@ -1,10 +1,10 @@
-"""The workbench in a browser: opening a log, drawing each step's plots, zooming into them; memory of the server.
+"""Measure the workbench in a browser: opening a log, drawing and zooming the plots of each step; memory of the server.
 
     python benchmarks/workbench_pages.py --minutes 10
     python benchmarks/workbench_pages.py --minutes 60
 
-The log is a simulated drive with all axes at 100 Hz. Times are by the clock, followed by the processor time of the
-server and that of the browser's process for the page; their sum is about the time on an idle machine. Needs Chromium.
+The log is a simulated drive with all axes at 100 Hz. Prints wall times, followed by the processor times of the server
+and of the browser process of the page; the sum of these two is about the wall time on an idle machine. Needs Chromium.
 """
 
 import argparse
@@ -30,7 +30,7 @@ WATCH = """p => { const before = p.data[0].x; p.seen = null;
 
 
 def processes(pid: int) -> list[int]:
-    """A process and its children that still run."""
+    """Return a process and its running descendants."""
     try:
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     except OSError:  # it has ended
@@ -39,19 +39,19 @@ def processes(pid: int) -> list[int]:
 
 
 def processor_time(pid: int) -> float:
-    """Seconds of user and system time."""
+    """Return user plus system time, s."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def memory(pid: int, which: str) -> float:
-    """MB: VmRSS now, VmHWM at most."""
+    """Return the memory of a process, MB; ``which``: VmRSS (now) or VmHWM (peak)."""
     lines = Path(f"/proc/{pid}/status").read_text().splitlines()
     return next(int(line.split()[1]) / 1024 for line in lines if line.startswith(which))
 
 
 class Clock:
-    """Prints what a step takes."""
+    """Clock that prints the times of steps."""
 
     def __init__(self, server: int) -> None:
         self.server = server
@@ -64,7 +64,7 @@ class Clock:
         print(f"{what:34} {passed:6.2f} s   server {server:5.2f} s   page {page:5.2f} s", flush=True)
 
     def _now(self) -> tuple[float, float]:
-        """The server's time, and that of the browser's process that runs the page."""
+        """Return the processor times of the server and of the browser process of the page, s."""
         own = [
             p for p in processes(os.getpid()) if b"--type=renderer" in Path(f"/proc/{p}/cmdline").read_bytes()
         ]
@@ -72,13 +72,13 @@ class Clock:
 
 
 def settle(page: Any) -> None:
-    """Wait until nothing is being read and all plots are drawn."""
+    """Wait until all data are read and all plots are drawn."""
     page.wait_for_function("!document.querySelector('.message.wait')", polling=100)
     page.wait_for_function(DRAWN, polling=100)
 
 
 def zoom(page: Any, clock: Clock) -> None:
-    """Drag over the middle third of each plot over time, until its detail is drawn."""
+    """Zoom each plot over time by dragging over its middle third; wait until the detail is drawn."""
     for plot in page.locator(".js-plotly-plot").all():
         label = plot.evaluate("p => (p.closest('[aria-label]') || p).ariaLabel || ''")
         if (
@@ -122,7 +122,7 @@ def main() -> None:
             settle(page)
 
         try:
-            page.goto(f"{url}judge")  # NiceGUI's own files, once
+            page.goto(f"{url}judge")  # loads the files of NiceGUI
             clock.measure("log: read, looked at and drawn", lambda: opened("log"))
             for _ in range(2):
                 clock.measure("log: drawn again", lambda: opened("log"))
