@@ -65,7 +65,7 @@ def main() -> None:
     parser.add_argument("drives", type=Path, nargs="?")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--objectives", nargs="+", default=OBJECTIVES)
-    parser.add_argument("--only", nargs="+", help="parts of the names of cases, as in switches.py")
+    parser.add_argument("--only", nargs="+", help="names of cases, as in switches.py")
     parser.add_argument("--filters", nargs="+", type=int, default=range(len(FILTERS)), help="their numbers")
     parser.add_argument("--gtsam", action="store_true", help="also run GTSAM's batch smoother")
     parser.add_argument(

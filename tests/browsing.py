@@ -1,4 +1,4 @@
-"""Pages in the machine's own Chromium."""
+"""Pages in the Chromium of this machine."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""Settings that hold for all tests."""
+"""Settings of all tests."""
 
 import gc
 import os

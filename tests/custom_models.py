@@ -1,4 +1,4 @@
-"""Models of one's own that several tests share: a pendulum, and a point on a line."""
+"""Custom models that several tests share: a pendulum, and a point on a line."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""A Dask scheduler and workers as processes of their own on 127.0.0.1, each ended by its own id."""
+"""A Dask scheduler and workers in separate processes on 127.0.0.1, each ended by its process id."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""Builds and runs exported filters, as whoever gets them would: with a C compiler, and with a Python of their own."""
+"""Build and run exported filters like a user: with a C compiler, and with a separate Python."""
 
 import shutil
 import subprocess

@@ -1,4 +1,4 @@
-"""Filters of every kind, with every option, and a drive that has something for each of them."""
+"""Filters of every type with every option, and a drive with data for each of them."""
 
 from dataclasses import replace
 from functools import cache

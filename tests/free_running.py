@@ -1,4 +1,4 @@
-"""Whole runs beside each other, and beside a twin: the same filter with its heading moved by a hair."""
+"""Whole runs of filters, compared with a twin: the same filter with a slightly different initial heading."""
 
 from dataclasses import dataclass, replace
 

@@ -1,9 +1,10 @@
-"""Try a wheel as a user gets it: alone, in an empty environment, outside the checkout, on each Python that is found.
+"""Test a wheel like a user: without other files, in an empty environment outside the checkout, with each installed
+Python.
 
     python tests/installed.py dist
     python tests/installed.py dist --this-python
 
-By hand, or `make dist-check`: it installs everything anew and runs the demo, which takes minutes.
+Run it manually or with `make dist-check`. It installs all packages and runs the demo, which takes minutes.
 """
 
 import argparse

@@ -1,7 +1,7 @@
-"""Builds exported filters for Arm Cortex-M, and runs them on the boards that QEMU emulates.
+"""Build exported filters for Arm Cortex-M, and run them on boards that QEMU emulates.
 
-Each instruction is a nanosecond there (``-icount shift=0``), so the boards' timer counts instructions, 40 a tick, and
-two runs count the same.
+In QEMU, each instruction takes a nanosecond (``-icount shift=0``), so the timer of a board counts instructions, 40 per
+tick, and results are reproducible.
 """
 
 import shutil

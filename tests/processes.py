@@ -1,8 +1,8 @@
-"""Processes that have imported what a command needs before they start: for tests that need a process, not its start.
+"""Processes that start with all imports of a command, for tests that need a process but do not test its start.
 
-Imports and compiled filters take a process two or three seconds. Here one template does that once for a session, and
-each process that a test asks for is a fork of it, with arguments, environment, folder and outputs of its own; it can be
-killed like any other. What a start itself does is looked at in cli/test_process.py, where processes start from nothing.
+Imports and compiled filters take two or three seconds. Therefore, one template process loads them once per session, and
+each process of a test is a fork of it with its own arguments, environment, folder and outputs; it can be killed like
+any other process. cli/test_process.py tests the start itself, with new processes.
 """
 
 import atexit

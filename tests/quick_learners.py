@@ -1,4 +1,4 @@
-"""Learners whose training is a line through points, done within a second."""
+"""Learners that fit a line through points, within a second."""
 
 from typing import ClassVar
 

@@ -1,4 +1,4 @@
-"""Static logs of the simulator's grades, with the noises that were planted."""
+"""Static logs of the simulator's IMU grades, with planted noise."""
 
 import math
 from dataclasses import dataclass

@@ -1,8 +1,7 @@
-"""How closely the filters agree, one step at a time: what tests/filters/test_parity.py asserts on, and what
-benchmarks/parity.py prints whole figures of.
+"""Compare filters in single steps, for tests/filters/test_parity.py and benchmarks/parity.py.
 
-Far from its optimum a Kalman filter is chaotic, so whole runs can't be compared to 1e-9. One step can: at each step
-of a drive both sides start from the same state, and from the same memory where a filter has one.
+Far from its optimum, a Kalman filter is chaotic, so whole runs do not agree to 1e-9, but single steps do. In each step
+of a drive, both filters start from the same state and, if they are adaptive, from the same memory.
 """
 
 import warnings

@@ -1,4 +1,4 @@
-"""What the tests share: where the real drives are, and a synthetic drive that is exact."""
+"""Helpers of the tests: the folder of the real drives, and an exact synthetic drive."""
 
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager

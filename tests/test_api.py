@@ -1,4 +1,4 @@
-"""The names and shapes that other programs rely on."""
+"""Names and shapes on which other programs rely."""
 
 import inspect
 import json

@@ -1,4 +1,4 @@
-"""What can go wrong with a server, each on demand: a clear message, the world as it was, nothing lost."""
+"""Faults of a server, on demand: a clear message, the world restored, no loss of data."""
 
 import dataclasses
 import hashlib

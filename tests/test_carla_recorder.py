@@ -1,4 +1,4 @@
-"""The recorder with genuine, unmodified clients, against the stand-in: all that a user gets, end to end."""
+"""The recorder with genuine, unmodified clients and the stand-in: all outputs of a recording."""
 
 import json
 import tomllib

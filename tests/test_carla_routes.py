@@ -1,4 +1,4 @@
-"""Routes that the recorder picks by itself on a genuine `carla.Map`, judged by the town's own geometry."""
+"""Routes that the recorder finds on a genuine `carla.Map`, checked with the geometry of the town."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Machine code between processes: kept where it is safe, and never in the way of the run."""
+"""The cache of machine code: used where it is safe, and without effect on the results."""
 
 import json
 import os

@@ -1,6 +1,6 @@
 """Files that earlier versions wrote are read, and give the numbers that those versions computed from them.
 
-`corpus/README.md` says what is in the archives and how they were made.
+`corpus/README.md` describes the archives and how they were made.
 """
 
 import csv

@@ -1,6 +1,6 @@
-"""Commands that the documents show must be ones that the program takes, and links lead somewhere.
+"""The commands in the documents are valid, and the targets of links exist.
 
-Their Python blocks run by themselves.
+The Python blocks are executed.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""The notebooks of examples/: executed from the first cell to the last, and what they claim holds."""
+"""The notebooks of examples/ are executed completely, and their statements are true."""
 
 import ast
 import inspect

@@ -1,4 +1,4 @@
-"""Files are written whole or not at all, and nothing is removed that the process did not make."""
+"""Files are written completely or not at all, and only files of this process are removed."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Geodesy against the textbook, and the wrapping of angles against its definition."""
+"""Geodesy compared with textbook formulas, and the wrapping of angles with its definition."""
 
 import numpy as np
 import pytest

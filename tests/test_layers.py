@@ -1,4 +1,4 @@
-"""Imports point one way: the contracts in pyproject.toml."""
+"""Directions of imports: the contracts in pyproject.toml."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""What notebooks show: sound HTML for eyes and for screen readers, whatever a drive is called; pandas' tables."""
+"""Output in notebooks: valid HTML, also for screen readers and any name of a drive; conversion to pandas."""
 
 import sys
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The reference of the site has every public name and every option of every command; examples use the names."""
+"""The reference manual contains every public name and every option of every command; examples use the names."""
 
 import importlib.util
 import re

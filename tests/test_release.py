@@ -1,4 +1,4 @@
-"""What a release is made of: one version, an entry by module, completion, and files that others read."""
+"""Contents of a release: one version, the entry by module, completion, and files for other programs."""
 
 import re
 import subprocess

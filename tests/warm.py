@@ -1,4 +1,4 @@
-"""Compile each kernel and each test file once, before the tests race each other to them: ``python tests/warm.py``."""
+"""Compile each kernel and each test file once, before the tests run in parallel: ``python tests/warm.py``."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""Damage in the formats of logs that fuzzers found: nothing is lost in silence, hangs, or ends the process."""
+"""Damaged logs that fuzzers found: no silent loss of data, no endless run, and no crash."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What a file claims is checked before it is read: compression, lines, cells, columns, keys, members, pipes."""
+"""Limits that are checked before a file is read: compression, lines, cells, columns, keys, members, pipes."""
 
 import gzip
 import io

@@ -1,4 +1,4 @@
-"""Maps and tables are well formed, whatever a drive is called."""
+"""Maps and tables are well formed for every name of a drive."""
 
 import csv
 import io

@@ -1,4 +1,4 @@
-"""Numbers that are finite and absurd: refused with row and column; a live filter says that it failed."""
+"""Finite but absurd numbers are rejected with row and column; a live filter reports its failure."""
 
 from dataclasses import replace
 from itertools import product

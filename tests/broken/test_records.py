@@ -1,4 +1,4 @@
-"""Damaged records give one line that names the file; a folder of results is replaced as a whole."""
+"""Damaged records: one line that names the file. A folder of results is replaced as a whole."""
 
 import json
 import os

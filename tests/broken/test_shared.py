@@ -1,7 +1,7 @@
-"""Inputs and failures that fuzzers found, kept outside the repository in ../shared/broken: a verdict for each.
+"""Inputs and failures that fuzzers found, in ../shared/broken outside the repository: one test for each.
 
-``pytest tests/broken -m long``. Each must give a drive, or one line and exit code 2, within 10 s of processor time
-and 1.5 GB. The failures in ``faults/`` come with a folder of input, or with a script that this file repeats.
+``pytest tests/broken -m long``. Each input must give a drive, or one line and exit code 2, within 10 s of processor
+time and with 1.5 GB of memory. The failures in ``faults/`` have a folder of input, or a script that this file repeats.
 """
 
 import gzip

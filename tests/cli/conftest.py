@@ -1,4 +1,4 @@
-"""The command line in the tests' own process: what it prints, and how it ends."""
+"""Call the command line in the process of the tests: printed text and exit code."""
 
 import sys
 import warnings

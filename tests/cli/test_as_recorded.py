@@ -1,4 +1,4 @@
-"""--as-recorded: a filter is run and evaluated as it was tuned."""
+"""--as-recorded: a filter is run and evaluated with the setting of its tuning."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""Inputs that once ended badly, one of each kind that was found: now a drive, or one line and exit code 2."""
+"""Inputs that once caused a crash, one of each kind: now a drive, or one line and exit code 2."""
 
 import warnings
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Each command does what its help says, for people and for machines."""
+"""Each command does what its help states, with output for people and for programs."""
 
 import json
 import re

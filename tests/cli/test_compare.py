@@ -1,4 +1,4 @@
-"""`sigmaswarm compare`, and what `tune` says of racing and of the paper's setting."""
+"""`sigmaswarm compare`, and the messages of `tune` on racing and on the paper's setting."""
 
 import tomllib
 from pathlib import Path

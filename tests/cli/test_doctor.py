@@ -1,4 +1,4 @@
-"""`sigmaswarm doctor`: what it prints, how it ends, and that the copy is mended and the original untouched."""
+"""`sigmaswarm doctor`: output and exit code; the copy is repaired, and the original is unchanged."""
 
 import json
 import re

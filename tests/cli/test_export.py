@@ -1,4 +1,4 @@
-"""`sigmaswarm export`, and what `sigmaswarm run` writes beside CSV."""
+"""`sigmaswarm export`, and the formats of `sigmaswarm run` other than CSV."""
 
 import json
 import re

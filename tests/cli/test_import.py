@@ -1,4 +1,4 @@
-"""`sigmaswarm import`: the whole way from a bag to an evaluation, the first look, and mistakes in one line."""
+"""`sigmaswarm import`: from a bag to an evaluation, `--show`, and mistakes in one line."""
 
 import importlib
 import json

@@ -1,4 +1,4 @@
-"""Kills and full disks: nothing half-written under its own name, nothing lost that was there."""
+"""Killed commands and full disks: no incomplete file under its final name, and no loss of existing files."""
 
 import errno
 import os

@@ -1,4 +1,4 @@
-"""`sigmaswarm noise`: table, figure, files, and one line for what can't be measured."""
+"""`sigmaswarm noise`: table, figure and files, and one line for a log without measurable noise."""
 
 import json
 import tomllib

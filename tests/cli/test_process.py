@@ -1,4 +1,4 @@
-"""The command in a process of its own: how fast it answers, what it imports, what it compiles."""
+"""The command in a separate process: response time, imported modules, and compilation."""
 
 import json
 import os

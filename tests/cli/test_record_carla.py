@@ -1,4 +1,4 @@
-"""`sigmaswarm record-carla`: the recorder in a process of its own, whose end the command tells."""
+"""`sigmaswarm record-carla`: the recorder runs in a separate process, whose result the command reports."""
 
 import dataclasses
 import os

@@ -1,4 +1,4 @@
-"""`sigmaswarm report` on results that hold what JSON does not know."""
+"""`sigmaswarm report` on results with values that JSON does not support."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""`sigmaswarm simulate` and `sigmaswarm plot`: every option, the same bytes, interrupted and resumed."""
+"""`sigmaswarm simulate` and `plot`: every option, reproducible bytes, interruption and resumption."""
 
 import dataclasses
 import hashlib

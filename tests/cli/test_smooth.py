@@ -1,4 +1,4 @@
-"""Hindsight from the command line: what `run` writes, and the row that `evaluate` and its page have."""
+"""Smoothing on the command line: output of `run`, and the row of `evaluate` and its page."""
 
 import json
 from dataclasses import replace

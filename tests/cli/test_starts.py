@@ -1,4 +1,4 @@
-"""Commands around the start of a drive: a stated heading, parts without a start, ideal sensors."""
+"""Commands at the start of a drive: a stated heading, parts without a start, ideal sensors."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The swarm from the command line: what `run` writes, and the row that `evaluate` and its page have."""
+"""The filter bank on the command line: output of `run`, and the row of `evaluate` and its page."""
 
 import json
 from pathlib import Path

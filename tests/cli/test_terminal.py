@@ -1,4 +1,4 @@
-"""What is printed on a terminal that is narrow, ASCII only, full or gone, of names that nobody expects."""
+"""Output on a terminal that is narrow, ASCII only, full or closed, and for unusual names."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""A Dask cluster of processes of their own: the same bytes as on threads, and what goes wrong told in one line."""
+"""A Dask cluster of separate processes: the same bytes as with threads, and failures reported in one line."""
 
 import threading
 import time

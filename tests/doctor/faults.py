@@ -1,4 +1,4 @@
-"""Faults to plant in good drives, one at a time, and the code that the doctor should name each by."""
+"""Faults to plant in sound drives, one at a time, and the code with which the doctor should report each."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What a person looks at: the IMU agrees with the fixes on a sound drive, and shows each planted fault."""
+"""Plots for people: the IMU agrees with the fixes on a sound drive, and shows each planted fault."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What the doctor says of good drives, and of the same drives with one fault planted."""
+"""Findings of the doctor on sound drives, and on the same drives with one planted fault."""
 
 import re
 import warnings

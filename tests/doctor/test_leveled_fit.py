@@ -1,4 +1,4 @@
-"""The delay of the fixes with the tilt of the gyro: more accurate than without, and not against other evidence."""
+"""The delay of the fixes with the tilt of the gyro: more accurate than without it, consistent with other evidence."""
 
 from dataclasses import replace
 from functools import cache

@@ -1,4 +1,4 @@
-"""The mounting: one rotation, the same for a turned drive, and never a mirror image or the reverse."""
+"""The mounting: a rotation, which follows a rotation of the drive, and is never a mirror image or the reverse."""
 
 import warnings
 from dataclasses import replace

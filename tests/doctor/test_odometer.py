@@ -1,4 +1,4 @@
-"""What the doctor says of the wheels' speed, and what its repairs give back."""
+"""Findings of the doctor on the odometer, and the results of its repairs."""
 
 from collections.abc import Callable
 from dataclasses import replace

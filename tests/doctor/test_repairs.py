@@ -1,4 +1,4 @@
-"""What is mended is as good as the original: the planted fault is gone, and the numbers agree."""
+"""A repaired drive is as good as the original: the planted fault is removed, and the numbers agree."""
 
 import warnings
 from dataclasses import fields, replace

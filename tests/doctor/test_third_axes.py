@@ -1,4 +1,4 @@
-"""az, gx and gy: their faults are named and mended, and good drives raise no alarm."""
+"""az, gx and gy: faults are found and repaired, and sound drives cause no finding."""
 
 import warnings
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The windowed regression against one dense least squares, and its deviations against repeated draws."""
+"""The windowed regression compared with one dense least squares, and its deviations with repeated draws."""
 
 import numpy as np
 import pytest

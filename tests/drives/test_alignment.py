@@ -1,4 +1,4 @@
-"""Where a filter starts: early enough, causally, without truth, and as certain as it says."""
+"""The start of a filter: early, causal, without truth, and with a consistent covariance."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Plausibility: every planted fault is named, and a sound drive is left in peace."""
+"""Plausibility checks: every planted fault is reported, and a sound drive causes no warning."""
 
 from dataclasses import replace
 

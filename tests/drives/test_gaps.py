@@ -1,4 +1,4 @@
-"""Gaps in the IMU: what is one, and what P grows by."""
+"""Gaps in the IMU: their detection, and the growth of P."""
 
 import numpy as np
 import pytest

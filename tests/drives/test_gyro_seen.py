@@ -1,4 +1,4 @@
-"""What a start shows of the gyro's bias: as sure as it is good, and no more to a filter than the two of them say."""
+"""Evidence of a start about the gyro's bias: its consistency, and its combination with a filter's prior."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""odometer.csv as a part of a drive: read, checked, written, clipped, and a part of the drive's identity."""
+"""odometer.csv as a table of a drive: read, checked, written, clipped, and part of the fingerprint."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Outages: the windows keep their distances, fall anywhere allowed, and end on an IMU sample."""
+"""Outages: the windows have the required distances and all allowed positions, and end at an IMU sample."""
 
 from itertools import pairwise
 

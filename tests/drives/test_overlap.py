@@ -1,4 +1,4 @@
-"""Overlap: every copy of a drive is recognized, however it was cut, mended or renamed; no other drive is."""
+"""Overlap: every copy of a drive is recognized after clipping, repair or renaming, and other drives are not."""
 
 from collections.abc import Callable
 from dataclasses import replace

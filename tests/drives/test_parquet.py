@@ -1,4 +1,4 @@
-"""The compact form of a drive: the same bits as CSV, the same checks; and drives behind URLs."""
+"""Drives in Parquet: the same bits and checks as in CSV; and drives at URLs."""
 
 import datetime
 import warnings

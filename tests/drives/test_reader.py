@@ -1,4 +1,4 @@
-"""Reading: good folders give the record, bad ones one sentence with the place and the remedy."""
+"""Reading: sound folders give the record; for others, one sentence states the place and the remedy."""
 
 import math
 import shutil

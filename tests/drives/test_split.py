@@ -1,4 +1,4 @@
-"""Splitting: nothing is lost, nothing is in both parts, and the order stays."""
+"""Splitting: no row is lost or in both parts, and the order is unchanged."""
 
 from dataclasses import fields, replace
 

@@ -1,4 +1,4 @@
-"""Frozen fixes: planted in drives, with static hold beside them, and against a rule written down plainly."""
+"""Stale fixes: planted in drives, also with static hold, and compared with a simple form of the rule."""
 
 from dataclasses import replace
 

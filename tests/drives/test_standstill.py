@@ -1,4 +1,4 @@
-"""Standstills: the detector against one that goes over all samples plainly, and against the truth of real drives."""
+"""Standstills: the detector compared with a simple one over all samples, and with the truth of real drives."""
 
 import math
 import warnings

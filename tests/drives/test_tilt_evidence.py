@@ -1,4 +1,4 @@
-"""What a start shows of roll, pitch and accelerometer biases, and how filters use it."""
+"""Evidence of a start about roll, pitch and accelerometer biases, and its use by filters."""
 
 from dataclasses import replace
 from functools import cache

@@ -1,4 +1,4 @@
-"""The merged time line, against a loop that walks through the moments one by one."""
+"""The merged time line, compared with a loop over all times."""
 
 from dataclasses import dataclass, field, replace
 

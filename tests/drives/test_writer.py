@@ -1,4 +1,4 @@
-"""Writing: the same bits come back, the same bytes go out, and nothing is ever half written or lost."""
+"""Writing: exact bits when read again, reproducible bytes, and no incomplete or lost files."""
 
 import warnings
 from dataclasses import replace

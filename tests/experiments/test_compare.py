@@ -1,4 +1,4 @@
-"""`compare`: each run is a tuning, resumed to the same bytes, and the statistics are those of the textbooks."""
+"""`compare`: each run is a tuning, resumed runs have the same bytes, and the statistics equal the definitions."""
 
 import shutil
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""A grid in forked processes gives the same as in threads, whatever fails or is killed."""
+"""A grid gives the same results in forked processes as in threads, also after failures and kills."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""Rivals of a study: on the same drives, scored as filters are, the same bytes however often they are killed."""
+"""Rivals of a study: the same drives and scores as for filters, and the same bytes after any number of kills."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""Statistics against hand calculations on a frozen table of scores, against scipy, and by simulation."""
+"""Statistics compared with manual calculations on a fixed table of scores, with scipy, and with simulations."""
 
 import itertools
 import math

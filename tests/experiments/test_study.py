@@ -1,4 +1,4 @@
-"""A study from end to end: the same bytes however often it is killed, and fair to every method."""
+"""A whole study: the same bytes after any number of kills, and equal conditions for every method."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""The exported C code finds the library's start in the drive itself, and is as sure of it as it is good."""
+"""The exported C code finds the library's start from the drive, with a consistent covariance."""
 
 import re
 import subprocess

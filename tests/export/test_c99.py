@@ -1,4 +1,4 @@
-"""The exported C library: the library's numbers, no warning, and nothing that a sanitizer finds."""
+"""The exported C library: the numbers of the library, no compiler warnings, and no findings of sanitizers."""
 
 import re
 import subprocess

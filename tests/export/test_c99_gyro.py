@@ -1,4 +1,4 @@
-"""The exported C filter starts with what is seen of the gyro's bias: as the library does, and by its own alignment."""
+"""The exported C filter starts with evidence about the gyro's bias, from the library and from its own alignment."""
 
 import subprocess
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The exported filters with the wheels' speed: C is the run, late readings included, and so is the script."""
+"""Exported filters with an odometer: C and the script equal the run, also with late readings."""
 
 import subprocess
 from dataclasses import replace

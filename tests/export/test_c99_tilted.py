@@ -1,4 +1,4 @@
-"""tilted12 in C: the run's numbers with every measurement, on hills, through gaps and late fixes."""
+"""tilted12 in C equals the run with every measurement, on hills, in gaps and with late fixes."""
 
 import subprocess
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The exported C as others take it in: by CMake, PlatformIO's manifest, C++, Python, and an Arm compiler."""
+"""The exported C code in other projects: CMake, the manifest of PlatformIO, C++, Python, and an Arm compiler."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""The C filter sets ``failed`` where its covariance has lost its definiteness, and only there."""
+"""The C filter sets ``failed`` if and only if its covariance is no longer positive semidefinite."""
 
 import subprocess
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""evo, run as the program that it is, finds in the exported files the errors that the library finds."""
+"""The program evo computes from exported files the same errors as the library."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""Several lanes in C: a `LiveFilterBank` without searches, in the same numbers."""
+"""Filter banks in C equal a `LiveFilterBank` without searches."""
 
 import ctypes
 import importlib.util

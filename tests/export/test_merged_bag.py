@@ -1,4 +1,4 @@
-"""The messages of a recorded bag are merged with the estimate: the same bytes, counts and types, on one clock."""
+"""The messages of a recorded bag merged with the estimate: the same bytes, counts and types, on one clock."""
 
 import tracemalloc
 from itertools import pairwise

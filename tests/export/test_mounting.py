@@ -1,4 +1,4 @@
-"""From raw samples of a turned IMU to the deployed filter: import or repair, tune, export."""
+"""From raw samples of a rotated IMU to an exported filter: import or repair, tune, export."""
 
 import importlib.util
 import subprocess

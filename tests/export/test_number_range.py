@@ -1,4 +1,4 @@
-"""Parameters at the ends of the number range: what is exported reads back as it was, or one line says why not."""
+"""Parameters at the ends of the range of numbers: exports contain them exactly, or one line states the reason."""
 
 import ast
 import math

@@ -1,4 +1,4 @@
-"""On an IMU of any rate, the exported C filter and the live one see the standstills that a run sees."""
+"""The exported C filter and the live filter detect the standstills of a run for any rate of the IMU."""
 
 import subprocess
 from dataclasses import replace

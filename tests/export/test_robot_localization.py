@@ -1,4 +1,4 @@
-"""What robot_localization gets: its order, its units, and numbers that YAML reads as numbers."""
+"""The configuration for robot_localization: order, units, and numbers in a form that YAML reads as numbers."""
 
 import math
 import re

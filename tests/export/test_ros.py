@@ -1,4 +1,4 @@
-"""A bag is read back by rosbags as what the filter believed, turned into ROS's frames."""
+"""rosbags reads from a bag the estimates of the filter, converted to the frames of ROS."""
 
 import json
 import sys

@@ -1,4 +1,4 @@
-"""What a user of the exported script can do wrong: one line, exit code 2, and no estimate."""
+"""Mistakes of a user of the exported script: one line, exit code 2, and no estimate."""
 
 import re
 from pathlib import Path

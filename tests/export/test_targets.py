@@ -1,4 +1,4 @@
-"""Handing a filter over: what is written, and what is refused."""
+"""Export targets: written files, and rejected filters."""
 
 from dataclasses import replace
 from pathlib import Path

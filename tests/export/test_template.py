@@ -1,4 +1,4 @@
-"""Templates: what is filled in, what is left out, and that nothing is forgotten."""
+"""Templates: filled and omitted parts, and an error for a missing value."""
 
 import re
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""One stamp far ahead makes neither the exported C filter nor the live one deaf: both follow the same rule."""
+"""After one time stamp far ahead, the exported C filter and the live filter continue by the same rule."""
 
 import math
 import subprocess

@@ -1,4 +1,4 @@
-"""Estimates as files: what is written can be read back, and is what the filter believed."""
+"""Files of estimates: they can be read again, and contain the estimates of the filter."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""The exported C filter notices that it is lost, and starts anew, about as the library does."""
+"""The exported C filter detects divergence and is reset, approximately as in the library."""
 
 import subprocess
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The driving swarm: its lanes are filters, its mixture is theirs, and the same stream gives the same bits."""
+"""The filter bank: its lanes are filters, its estimate is their mixture, and equal samples give equal bits."""
 
 import math
 import pickle

@@ -1,8 +1,9 @@
-"""Consistency: on data drawn from a filter's own model, its errors are as large as its covariance says.
+"""Consistency: on data drawn from the model of a filter, its errors agree with its covariance.
 
-The start is drawn from the initial covariance, Q is added per step, R per fix. Then the normalized error squared
-(NEES) of n states is chi-square with n degrees of freedom, that of an innovation (NIS) with two; runs are independent,
-innovations too. Headings are known to some hundredths of a radian, so that turning is nearly linear.
+The start is drawn from the initial covariance; noise with covariance Q is added in each step, and with R to each fix.
+Then the normalized estimation error squared (NEES) of n states is chi-square with n degrees of freedom, and the
+normalized innovation squared (NIS) with two. Runs and innovations are independent. The standard deviation of the
+headings is a few hundredths of a radian, so that rotations are nearly linear.
 
 Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation, Wiley 2001,
 section 5.4.

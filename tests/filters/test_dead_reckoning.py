@@ -1,4 +1,4 @@
-"""IMU only: Newton's equations in a loop, and the truth itself where the IMU is exact."""
+"""Dead reckoning, compared with Newton's equations in a loop, and with the truth for an exact IMU."""
 
 import math
 from dataclasses import replace

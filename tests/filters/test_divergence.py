@@ -1,4 +1,4 @@
-"""Lost and found: what is planted is noticed, named and mended; a sound filter is left alone."""
+"""Divergence: planted divergence is detected, reported and ended by a reset; other filters are not changed."""
 
 import subprocess
 import sys

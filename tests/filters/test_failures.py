@@ -1,4 +1,4 @@
-"""A filter that fails is marked, costs inf, says when it failed, and changes nothing for the others."""
+"""A filter that fails is marked, has the cost inf, reports the time, and does not affect other filters."""
 
 from dataclasses import replace
 from functools import cache

@@ -1,4 +1,4 @@
-"""A filter's run in pieces: the whole run's bits, and sums that say the same as what is recorded."""
+"""A run in pieces: the bits of the whole run, and sums that agree with the recorded estimates."""
 
 import tracemalloc
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Every filter, compiled and in the textbook's form, on the same drives; and what must hold between filters."""
+"""Every filter, compiled and in textbook form, on the same drives; and relations between filters."""
 
 import warnings
 from dataclasses import replace

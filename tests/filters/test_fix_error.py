@@ -1,4 +1,4 @@
-"""Fix errors that last, as states: against an EKF written down here; textbook against kernels, live and smoothed."""
+"""Correlated fix errors as states, compared with a separate EKF; textbook form, kernels, live filter, smoother."""
 
 from dataclasses import replace
 from pathlib import Path

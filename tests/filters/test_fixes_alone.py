@@ -1,4 +1,4 @@
-"""The filter of the fixes alone: held to a filter of FilterPy, and to what its noises are fitted to."""
+"""The filter without IMU, compared with FilterPy, and its noise parameters with the data to which they are fitted."""
 
 from dataclasses import replace
 from functools import partial

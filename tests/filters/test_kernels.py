@@ -1,4 +1,4 @@
-"""What the compiled kernel promises beside parity: its sine, its vector instructions, and lanes on their own."""
+"""Properties of the compiled kernel: its sine, its vector instructions, and the independence of lanes."""
 
 import pickle
 import platform

@@ -1,4 +1,4 @@
-"""The live filter gives what `run_filter` gives, whatever the order in which fixes come."""
+"""The live filter equals `run_filter` for any order in which fixes arrive."""
 
 import math
 import pickle

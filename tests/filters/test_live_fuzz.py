@@ -1,4 +1,4 @@
-"""The live filter under anything at all: what it believes is finite, or it says that it failed."""
+"""The live filter with arbitrary input: its estimate is finite, or it reports a failure."""
 
 import math
 from itertools import product

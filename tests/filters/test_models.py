@@ -1,4 +1,4 @@
-"""Models are descriptions: what reads them agrees with them, and a larger one would find its place."""
+"""Descriptions of models: the code that reads them agrees with them, and supports a larger model."""
 
 import importlib
 from dataclasses import replace

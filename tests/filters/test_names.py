@@ -1,4 +1,4 @@
-"""Kernels of different models must not share a name in a process: one would run in place of the other."""
+"""Kernels of different models must not have the same name in a process, since one could replace the other."""
 
 from sigmaswarm.filters.compiled import run, step
 from sigmaswarm.filters.compiled.single import single_step

@@ -1,4 +1,4 @@
-"""The wheels' speed in every form of the filter: oracle, textbook, compiled, live."""
+"""The odometer in every form of the filter: oracle, textbook, compiled, live."""
 
 from dataclasses import replace
 from functools import cache

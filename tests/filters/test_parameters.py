@@ -1,4 +1,4 @@
-"""Parameters: exact on their way through a file, and refused with the place named where they are wrong."""
+"""Parameters: exact after saving and loading, and rejected with the place of an error."""
 
 import tomllib
 from dataclasses import FrozenInstanceError, replace

@@ -1,7 +1,7 @@
-"""The compiled filter, the textbook filter, FilterPy, and an extended-precision oracle, held together.
+"""Compare the compiled filter, the textbook filter, FilterPy, and an oracle in extended precision.
 
-What is measured, and why one step at a time, stands in tests/stepwise.py; tests run it on slices, and
-benchmarks/parity.py over whole drives.
+tests/stepwise.py describes the comparison and the reason for single steps. The tests use parts of drives, and
+benchmarks/parity.py uses whole drives.
 """
 
 from collections.abc import Callable, Iterable

@@ -1,4 +1,4 @@
-"""The manual filters: the published figures, and the data sheet's arithmetic."""
+"""Filters without tuning: the published figures, and the computation from data sheets."""
 
 from dataclasses import replace
 

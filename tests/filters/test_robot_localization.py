@@ -1,4 +1,4 @@
-"""robot_localization's filter: the textbook and the compiled form against its own core's outputs."""
+"""robot_localization's filter: textbook and compiled form, compared with outputs of the original code."""
 
 import csv
 import gzip

@@ -1,4 +1,4 @@
-"""An ekf.yaml of robot_localization as a filter: what is read, what is refused, and what starts from it."""
+"""An ekf.yaml of robot_localization as a filter: read settings, rejected settings, and uses as a start."""
 
 import warnings
 from dataclasses import replace

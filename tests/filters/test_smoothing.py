@@ -1,4 +1,4 @@
-"""The smoother: against its textbook form, FilterPy's, its own statistics, and what must hold whatever the drive is."""
+"""The smoother, compared with its textbook form and FilterPy's; its statistics, and properties on every drive."""
 
 from dataclasses import replace
 from functools import cache

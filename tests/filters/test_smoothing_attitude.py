@@ -1,4 +1,4 @@
-"""tilted12 in hindsight against the maximum of the posterior of a whole drive at once, which knows no recursion."""
+"""The smoother of tilted12, compared with the maximum of the posterior of a whole drive, which is not recursive."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""A table of parameter sets equals the sets that it stands for, one by one and in the kernel."""
+"""A table of parameter sets equals the sets that it contains, one by one and in the kernel."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""tilted12: its rotations, Jacobians and filters, and what it needs of a drive."""
+"""tilted12: rotations, Jacobians and filters, and the data that it requires of a drive."""
 
 from collections.abc import Callable
 from dataclasses import replace

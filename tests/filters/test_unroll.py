@@ -1,4 +1,4 @@
-"""Loops over states that are written out do what the loops did."""
+"""Unrolled loops over states compute the same as the loops."""
 
 import ast
 

@@ -1,4 +1,4 @@
-"""Loops over lanes that are put into LLVM do what the loops did; what they can't hold is refused."""
+"""Loops over lanes in LLVM compute the same as in Python; unsupported code is rejected."""
 
 # ruff: noqa: E741 (a lane is l in kernels)
 

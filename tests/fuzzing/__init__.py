@@ -1,1 +1,1 @@
-"""Sound logs of every format, broken by chance: no traceback, no hang, no flood, and no value changed unsaid."""
+"""Damage sound logs of every format at random: no traceback, no endless run, and no unreported change of a value."""

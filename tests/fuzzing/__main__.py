@@ -1,4 +1,4 @@
-"""The fuzzer's long run: ``python -m fuzzing --minutes 30``. Prints what was tried, and keeps what was found."""
+"""Long run of the fuzzer: ``python -m fuzzing --minutes 30``. Prints the number of inputs, and saves failures."""
 
 import argparse
 import multiprocessing

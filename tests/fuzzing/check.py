@@ -1,4 +1,4 @@
-"""What must hold of any broken input: refused in one line, or a drive in which only what was broken differs."""
+"""Requirements for any damaged input: one line, or a drive in which only the damaged values differ."""
 
 import resource
 import shutil

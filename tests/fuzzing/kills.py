@@ -1,9 +1,9 @@
-"""Kills at random moments, and full disks, by hand: ``python -m fuzzing.kills --count 200``.
+"""Test kills at random times, and full disks: ``python -m fuzzing.kills --count 200``, which is run manually.
 
-Every command that writes is killed at moments drawn over all of its time, with older results in the place of what it is
-going to write; then nothing half-written may stand under a final name, nothing that was there may be gone, and the same
-command, started again, must end in the bytes of a run that nobody disturbed. The same with a disk that is full on the
-way, where the system lets us mount a small one.
+Every command that writes files is killed at random times, with older results at the place of its output. Then there
+must be no incomplete file under a final name, no older file may be missing, and the same command, run again, must give
+the bytes of an undisturbed run. The same is tested with a disk that becomes full, if the system allows mounting a small
+one.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""How a sound file is broken: bytes, cells, columns and lines; checksums, chunks and zips around what is broken."""
+"""Damage of sound files: bytes, cells, columns and lines, with checksums, chunks and zip files adjusted."""
 
 import gzip
 import io

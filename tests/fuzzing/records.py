@@ -1,7 +1,7 @@
-"""Damaged results: ``python -m fuzzing.records --inputs 5000 --seed 1``.
+"""Read damaged results: ``python -m fuzzing.records --inputs 5000 --seed 1``.
 
 One or two files of a tuning, an interrupted tuning, an evaluation, a comparison or a study are damaged: their bytes, a
-value in JSON or TOML, an array of an archive. Whatever reads the folder must then give a result, or one line.
+value in JSON or TOML, an array of an archive. Every command that reads the folder must then give a result, or one line.
 """
 
 import argparse

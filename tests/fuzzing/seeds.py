@@ -1,4 +1,4 @@
-"""A small sound log for every reader, and how it is asked for."""
+"""A small sound log for every reader, and the options of its import."""
 
 import json
 import shutil

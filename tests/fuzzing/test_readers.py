@@ -1,4 +1,4 @@
-"""A short run of the fuzzer; `make fuzz MINUTES=30` is the long one."""
+"""A short run of the fuzzer; `make fuzz MINUTES=30` is a long run."""
 
 from pathlib import Path
 

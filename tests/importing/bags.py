@@ -1,4 +1,4 @@
-"""Bags of a drive, written with rosbags and mcap: what a vehicle's recorder leaves."""
+"""Write bags of a drive with rosbags and mcap, like a recorder in a vehicle."""
 
 import json
 from collections.abc import Iterator

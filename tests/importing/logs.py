@@ -1,4 +1,4 @@
-"""What the importer's tests share: a drive whose columns are easy to follow through a log, and how it is imported."""
+"""A drive with columns that are easy to recognize in a log, and its import, for the importer's tests."""
 
 from pathlib import Path
 from typing import Any

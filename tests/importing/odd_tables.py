@@ -1,4 +1,4 @@
-"""Write a known drive as odd tables, by a seed: dialects, units, dates, clocks and names of loggers."""
+"""Write a known drive as unusual tables by a seed: dialects, units, dates, clocks and names of loggers."""
 
 import datetime
 from collections.abc import Callable

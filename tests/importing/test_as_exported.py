@@ -1,4 +1,4 @@
-"""Logs as people export them: read right, or refused with an option that reads them."""
+"""Logs as users export them: read correctly, or rejected with an option that reads them."""
 
 import datetime
 import json

@@ -1,4 +1,4 @@
-"""Broken and incomplete logs: each ends in a drive without what is broken, or in one line that says what it is."""
+"""Damaged and incomplete logs: a drive without the damaged data, or one line that states the damage."""
 
 import json
 import struct

@@ -1,4 +1,4 @@
-"""CSV and Parquet, with guessed columns and with mapped ones."""
+"""CSV and Parquet, with guessed and with mapped columns."""
 
 import re
 import shutil

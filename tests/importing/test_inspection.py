@@ -1,4 +1,4 @@
-"""The first look reads the beginning of a long log, meets all of its tables, and guesses nothing that it can't."""
+"""`import --show` reads the beginning of a long log, finds all of its tables, and makes no unfounded guesses."""
 
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""A role of several tables: the first one's times, the others in between, angles the short way round."""
+"""A role with several tables: the times of the first table, interpolated values of the others, wrapped angles."""
 
 import shutil
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Small files that say that they hold more than memory does: refused by what they say, with the option to raise."""
+"""Small files that claim a large content are rejected, with the option that raises the limit."""
 
 import json
 import struct

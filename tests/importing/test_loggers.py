@@ -1,4 +1,4 @@
-"""Layouts of loggers, written from a simulated drive: what is proposed, or named as remedy, makes the drive again."""
+"""Layouts of loggers, written from a simulated drive: the proposed command, or the remedy, restores the drive."""
 
 import datetime
 import functools

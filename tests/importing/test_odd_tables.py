@@ -1,4 +1,4 @@
-"""Tables in odd dialects, units, dates and clocks: read right or refused in one line, never read wrong."""
+"""Tables in unusual dialects, units, dates and clocks: read correctly or rejected in one line."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""The wheels' speed in logs: a column, a table of its own, a topic of a bag."""
+"""The odometer in logs: a column, a separate table, a topic of a bag."""
 
 from itertools import chain
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What `import --show` proposes works as it is pasted, for the logs of every reader; columns left out are named."""
+"""The command that `import --show` proposes works for the logs of every reader; omitted columns are listed."""
 
 import re
 import shlex

@@ -1,4 +1,4 @@
-"""A path names one file: what other programs take for a pattern, a home or a link is part of its name."""
+"""A path names one file, also if it contains characters of patterns, a home folder or a link."""
 
 import re
 import shutil

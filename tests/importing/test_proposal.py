@@ -1,4 +1,4 @@
-"""A --map that is proposed: read from names, corrected by the doctor's evidence, and never applied by itself."""
+"""A proposed --map: from names, corrected by the doctor's evidence, and never applied automatically."""
 
 import re
 import shlex

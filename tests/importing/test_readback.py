@@ -1,4 +1,4 @@
-"""What is imported can be read: a drive that `read_drive` would refuse never takes its place."""
+"""Imported drives can be read: a drive that `read_drive` would reject is not written."""
 
 from pathlib import Path
 

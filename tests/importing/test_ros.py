@@ -1,4 +1,4 @@
-"""ROS 1 and ROS 2 bags and MCAP: a drive written by other libraries comes back in every column."""
+"""ROS 1 and ROS 2 bags and MCAP: all columns of a drive that other libraries wrote are restored."""
 
 import re
 from dataclasses import replace

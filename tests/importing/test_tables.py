@@ -1,4 +1,4 @@
-"""Dialects of tables, names and units of columns, forms of positions: read right, or refused in one line."""
+"""Dialects of tables, names and units of columns, forms of positions: read correctly, or rejected in one line."""
 
 import re
 import shlex

@@ -1,4 +1,4 @@
-"""Counters of unknown rate: the rate follows from a known clock, the motion or the duration, or is refused."""
+"""Counters with an unknown rate: the rate follows from a known clock, the motion or the duration, or is rejected."""
 
 import re
 from datetime import UTC, datetime

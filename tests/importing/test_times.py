@@ -1,4 +1,4 @@
-"""Times in two columns, counters that wrap, clocks that start anew, coarse stamps, days, dates."""
+"""Times in two columns, counters that overflow, clocks that restart, rounded stamps, days, dates."""
 
 import datetime
 import re

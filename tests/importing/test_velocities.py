@@ -1,4 +1,4 @@
-"""A stated speed or course that the positions contradict is left out; what only looks like it stays."""
+"""A stated speed or course that contradicts the positions is omitted; similar columns are not."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The command line in the tests' own process."""
+"""Call the command line in the process of the tests."""
 
 from cli.conftest import sigmaswarm
 

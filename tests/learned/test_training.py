@@ -1,4 +1,4 @@
-"""Training: through the same filter, to the same bits, whatever interrupts it; and the commands around it."""
+"""Training: gradients of the same filter, the same bits after any interruption, and the commands."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Each package's own form and units, read by the parsers of YAML and TOML."""
+"""The format and units of each package, read by parsers of YAML and TOML."""
 
 import math
 import re

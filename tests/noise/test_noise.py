@@ -1,4 +1,4 @@
-"""The noise that is measured is the noise that was planted, and the log says what it does not show."""
+"""The measured noise equals the planted noise, and noise that a log does not show is reported."""
 
 import math
 from dataclasses import replace

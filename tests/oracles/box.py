@@ -1,4 +1,4 @@
-"""Parameter sets of the boxes that a tuning searches, written down a second time: corners, and random sets inside."""
+"""Parameter sets within the bounds of a search, defined independently: corners, and random sets."""
 
 from dataclasses import replace
 

@@ -1,6 +1,6 @@
-"""CARLA's geodesies a second time: 0.9.14's as its source has it, 0.9.16's from the genuine client itself.
+"""CARLA's geodesies for comparison: that of 0.9.14 from its source, that of 0.9.16 from the genuine client.
 
-The formula is that of LibCarla/source/carla/geom/GeoLocation.cpp of 0.9.14, written out number by number.
+The formula is that of LibCarla/source/carla/geom/GeoLocation.cpp in 0.9.14, for single numbers.
 """
 
 import json

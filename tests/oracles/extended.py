@@ -1,7 +1,7 @@
-"""Extended precision: what the oracles calculate with, and how far a filter in doubles is from them.
+"""Extended precision: arithmetic of the oracles, and differences of a filter in double from them.
 
-On x86 ``numpy.longdouble`` has 64 bits of mantissa. LAPACK has none of it, so factors and inverses are loops here.
-Leading axes are parameter sets, side by side.
+On x86, ``numpy.longdouble`` has 64 bits of mantissa. LAPACK does not support it, so factors and inverses are computed
+in loops. Leading axes are parameter sets.
 """
 
 import numpy as np

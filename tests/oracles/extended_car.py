@@ -1,8 +1,9 @@
-"""A car's process and measurements in extended precision, with the Jacobians that one writes down by hand.
+"""Process and measurements of a car in extended precision, with manual Jacobians.
 
-States are x, y, vx, vy, theta, and for planar8 the biases of ax, ay and of the yaw rate. A sigma point is given as
-mean (s, 1, n) and offset (s, p, n): with alpha = 1e-3 offsets are so small that 64 bits beside hundreds of metres are
-few. So what is linear is done on means and offsets apart. Many parameter sets go side by side in the leading axis.
+States are x, y, vx, vy, theta, and for planar8 the biases of ax, ay and the yaw rate. A sigma point is given as mean
+(s, 1, n) and offset (s, p, n): with alpha = 1e-3, the sum of a mean of hundreds of meters and a small offset would lose
+digits, even with 64 bits. Therefore, linear operations are applied to means and offsets separately. The leading axis is
+that of the s parameter sets.
 """
 
 from collections.abc import Callable

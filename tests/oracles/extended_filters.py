@@ -1,9 +1,9 @@
-"""Every kind of filter for a car, step by step from the textbook's equations, in extended precision.
+"""Every filter type for a car, from the textbook's equations, in extended precision.
 
-Nothing here is clever, nothing is shared with sigmaswarm's filters, and nothing is the closed form: sigma points are
-drawn, pushed through Newton's equations and averaged; redrawn after Q is added and after each measurement, and pushed
-through h. The extended filter has its Jacobians by hand and Joseph's form of the update. All arrays have the parameter
-sets, s of them, in the leading axis.
+The code shares nothing with sigmaswarm's filters, and uses no closed forms: sigma points are drawn, propagated by
+Newton's equations and averaged; they are drawn again after Q is added and after each measurement, and transformed by h.
+The extended filter has manual Jacobians and Joseph's form of the update. The leading axis of all arrays is that of the
+s parameter sets.
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,8 @@
-"""A car on a road that is not flat, in extended precision: what `extended_car` is for planar ones.
+"""A car on a road that is not flat, in extended precision, like `extended_car` for planar models.
 
 States are x, y, vx, vy, theta, the biases of ax, ay and gz, roll, pitch, and the biases of gx and gy. The attitude is a
-matrix; its error turns it from the left, and all Jacobians are cross products with that error. Sigma points, 25 of
-them, are such errors; each is added to the mean, pushed through process or measurement, and compared with the centre.
+matrix, which its error rotates from the left; all Jacobians are cross products with this error. The 25 sigma points are
+such errors: each is added to the mean, transformed by process or measurement, and compared with the center.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""FilterPy 2.0.0's filters on a sigmaswarm time line: the ones that everybody else runs."""
+"""FilterPy 2.0.0's filters on a time line of sigmaswarm."""
 
 from collections.abc import Callable
 from typing import Any

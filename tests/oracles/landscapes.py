@@ -1,4 +1,4 @@
-"""Functions to search, each of many points at once, in a box whose middle is not the answer."""
+"""Test functions for optimizers, evaluated at many points; the optimum is not in the middle of the bounds."""
 
 import numpy as np
 from scipy.stats import ortho_group

@@ -1,4 +1,4 @@
-"""The same algorithms by others, each with the same box, batch and number of evaluations: the lowest cost found."""
+"""Other implementations of the algorithms with the same bounds, batch and budget: the lowest cost."""
 
 import cma
 import cmaes

@@ -1,4 +1,4 @@
-"""The single-track drift model of commonroad-vehicle-models, integrated, and its parameters in our terms.
+"""The single-track drift model of commonroad-vehicle-models, integrated, with its parameters as a `Vehicle`.
 
 M. Althoff and G. Würsching, "CommonRoad: Vehicle Models", 2020: an independent implementation with wheels
 that spin and a full magic formula, but one track, no relaxation of the tires, no roll and no pitch.

@@ -1,4 +1,4 @@
-"""Truth made of a good receiver's fixes, held against the simulator's truth; and what is refused."""
+"""Truth from the fixes of a good receiver, compared with the simulator's truth; rejected inputs."""
 
 from dataclasses import replace
 from pathlib import Path

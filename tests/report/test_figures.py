@@ -1,4 +1,4 @@
-"""Figures: what is on their axes, and the same bytes for the same result."""
+"""Figures: the axes, and the same bytes for the same result."""
 
 import csv
 import sys

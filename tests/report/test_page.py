@@ -1,4 +1,4 @@
-"""The page: made of a folder alone, opened in a real browser, and honest about what it can't read."""
+"""The page: written from a folder alone, opened in a real browser, with messages about unreadable files."""
 
 import base64
 import gzip

@@ -1,4 +1,4 @@
-"""The page's tracks and errors over time in a real browser: panels that fit what there is to show."""
+"""Tracks and errors over time of the page in a real browser: panels that suit the data."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The page of a study: the paper's figures beside ours, and drives that nobody tuned on."""
+"""The page of a study: the paper's figures next to ours, and drives that were not used for tuning."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""What the compiled replays add up, against the plain definitions on whole trajectories."""
+"""The sums of the compiled filters, compared with the definitions on whole trajectories."""
 
 import math
 from concurrent.futures import ThreadPoolExecutor

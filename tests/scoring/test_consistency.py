@@ -1,4 +1,4 @@
-"""NIS, its band, and whiteness: on innovations whose law is known."""
+"""NIS, its band, and whiteness, on innovations with a known distribution."""
 
 import numpy as np
 import pytest

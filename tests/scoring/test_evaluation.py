@@ -1,4 +1,4 @@
-"""The comparison: every method on the same drives, in the form that machines rely on."""
+"""The comparison: every method on the same drives, in a format that programs can read."""
 
 import json
 from dataclasses import replace

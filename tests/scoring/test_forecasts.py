@@ -1,4 +1,4 @@
-"""What needs no truth: likelihood and forecasts of fixes, against the textbook filter and SciPy."""
+"""Scores without truth: likelihood and forecasts of fixes, compared with the textbook filter and SciPy."""
 
 import math
 from dataclasses import replace

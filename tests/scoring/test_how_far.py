@@ -1,4 +1,4 @@
-"""How many metres a filter is off where no truth tells it: its own word, held against its forecasts of the fixes."""
+"""The estimated position error of a filter without truth, compared with its forecasts of the fixes."""
 
 from dataclasses import replace
 

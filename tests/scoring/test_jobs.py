@@ -1,4 +1,4 @@
-"""A batch is divided into jobs, and an executor runs each once; nothing goes on when the caller has gone on."""
+"""A batch is divided into jobs, each of which an executor runs once; no job continues after the call has ended."""
 
 import heapq
 import signal

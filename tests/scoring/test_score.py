@@ -1,4 +1,4 @@
-"""The definitions of the scores, against loops that follow their words."""
+"""The definitions of the scores, compared with loops."""
 
 import math
 from collections.abc import Iterator

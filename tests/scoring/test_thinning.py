@@ -1,4 +1,4 @@
-"""Series that come in pieces are thinned as if they came whole; close-ups have gaps where a track leaves."""
+"""Series in pieces are thinned like whole series; close-ups have gaps where a track is outside."""
 
 from itertools import pairwise
 

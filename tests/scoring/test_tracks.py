@@ -1,4 +1,4 @@
-"""What is kept of trajectories for pictures."""
+"""The parts of trajectories that are stored for figures."""
 
 from dataclasses import replace
 

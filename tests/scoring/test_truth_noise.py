@@ -1,4 +1,4 @@
-"""Truth that states its own deviation: what moments count, by naive loops, and what is left out in its gaps."""
+"""Truth with standard deviations: the scored times, compared with loops, and its gaps."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""A constant offset between fixes and truth is reported with figures, and each remedy takes it away."""
+"""A constant offset between fixes and truth is reported with figures, and each remedy removes it."""
 
 import re
 from dataclasses import replace

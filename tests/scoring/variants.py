@@ -1,4 +1,4 @@
-"""One drive whose truth is known at other times: denser, sparser, later, shorter than the IMU."""
+"""A drive with known truth at other times: more or fewer, later, or over a shorter time than the IMU."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What each maneuver is after, and that no drive leaves the road or the friction circle."""
+"""The target of each maneuver; no drive leaves the road or the friction circle."""
 
 from itertools import product
 

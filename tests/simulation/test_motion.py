@@ -1,4 +1,4 @@
-"""The ideal IMU and the true path belong together: integrating the one gives the other."""
+"""Consistency of the ideal IMU and the true path: integrating the IMU gives the path."""
 
 import numpy as np
 import pytest

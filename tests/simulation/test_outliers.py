@@ -1,4 +1,4 @@
-"""Outliers: as many as asked for, as far off, in bursts, and nothing else is touched."""
+"""Outliers: the requested number, size and bursts; all other data are unchanged."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Hills: the road has the slopes that it was drawn with, and an ideal IMU feels them and nothing else."""
+"""Hills: the road has the drawn slopes, and they are the only difference in the data of an ideal IMU."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,5 @@
-"""A stand-in for a CARLA server, in a process of its own: the genuine client's protocol, sigmaswarm's car.
+"""A stand-in for a CARLA server in a separate process, with the protocol of the genuine client and sigmaswarm's car.
 
-`wire` speaks msgpack-RPC and streams, `town` writes an OpenDRIVE map, `car` drives, `world` answers the client's
-calls, `server` is the process with its faults on demand and its watchdog.
+`wire` implements msgpack-RPC and streams, `town` writes an OpenDRIVE map, `car` simulates the car, `world` answers the
+client's calls, and `server` is the process, with faults on demand and a watchdog.
 """

@@ -1,4 +1,4 @@
-"""The car of the stand-in: sigmaswarm's own, driven by CARLA's controls, seen in CARLA's axes."""
+"""The car of the stand-in: sigmaswarm's car with CARLA's controls, in CARLA's axes."""
 
 import math
 from typing import Any

@@ -1,4 +1,4 @@
-"""The stand-in and the recorder as processes, and which genuine clients there are to test with."""
+"""The stand-in and the recorder as processes, and the available genuine clients."""
 
 import atexit
 import importlib.metadata

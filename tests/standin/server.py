@@ -1,8 +1,8 @@
 """The stand-in as a process: `python -m standin.server`.
 
-It listens on 127.0.0.1 alone and prints its port. Each line of its standard input is an order, as JSON:
+It listens only on 127.0.0.1 and prints its port. Each line of its standard input is a command in JSON:
 `{"version": "0.9.16", "faults": {}}` begins a new world, without the clients of the last one;
-`{"log": "FILE"}` writes what was true. It answers each with a line. It ends when its standard input closes, or
+`{"log": "FILE"}` writes the truth. It answers each command with a line. It ends when its standard input closes, or
 after `--life` seconds at the latest.
 """
 

@@ -1,7 +1,7 @@
-"""What travels between CARLA's client and its server: calls, their answers, and streams of sensor data.
+"""Messages between CARLA's client and server: calls, answers, and streams of sensor data.
 
-Calls are msgpack-RPC as rpclib has it; streams are TCP connections on which the client says a number and then
-receives blocks of bytes. Layouts follow LibCarla's headers (carla/rpc, carla/sensor, carla/streaming).
+Calls are msgpack-RPC as in rpclib. Streams are TCP connections, on which the client sends a number and then receives
+blocks of bytes. Layouts follow LibCarla's headers (carla/rpc, carla/sensor, carla/streaming).
 """
 
 import socket

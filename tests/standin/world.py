@@ -1,4 +1,4 @@
-"""The world behind the stand-in: settings, weather, actors and ticks, as answers to the client's calls."""
+"""The world of the stand-in: settings, weather, actors and ticks, as answers to the client's calls."""
 
 import random
 import threading

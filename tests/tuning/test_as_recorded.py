@@ -1,4 +1,4 @@
-"""Frozen fixes and gaps as recorded: what the switch reaches, and that the paper's protocol has it."""
+"""Tuning without preprocessing: effect on stale fixes and gaps, and use by the paper's setting."""
 
 from dataclasses import replace
 

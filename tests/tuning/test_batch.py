@@ -1,4 +1,4 @@
-"""`run_batch`: costs and scores of sets by drives, whatever the company."""
+"""`run_batch`: costs and scores of sets by drives, independent of the other sets."""
 
 import math
 from concurrent.futures import ThreadPoolExecutor

@@ -1,4 +1,4 @@
-"""A model of one's own, tuned: what is found, the same bits, resumed, and what is refused."""
+"""Tuning of a custom model: the result, the same bits, resumption, and rejected inputs."""
 
 import json
 import signal

@@ -1,4 +1,4 @@
-"""What `tune` takes where nothing is asked for: by what the logs have, and by nothing else."""
+"""Defaults of `tune`: they depend on the logs alone."""
 
 from dataclasses import replace
 from functools import partial

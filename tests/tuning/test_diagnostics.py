@@ -1,4 +1,4 @@
-"""What is said of a filter that loses its way on the drives that it was tuned on."""
+"""Warnings about a filter that diverges or drifts on its training drives."""
 
 from dataclasses import replace
 from functools import cache

@@ -1,4 +1,4 @@
-"""`tune --use fix-error`: what is searched, the prior on the whole variance of a fix, and what comes out."""
+"""`tune --use fix-error`: searched parameters, the prior on the total variance of a fix, and the result."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Process noise is inflated as far as the cost allows, and no farther."""
+"""Process noise is inflated as far as the cost permits."""
 
 from collections.abc import Sequence
 from dataclasses import replace

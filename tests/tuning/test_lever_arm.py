@@ -1,4 +1,4 @@
-"""The estimate of the antenna's lever arm, against arms that were planted, and against least squares with truth."""
+"""The estimate of the lever arm, compared with planted lever arms and with least squares with truth."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Costs from scores: the formulas of the design, and no win for a failure."""
+"""Costs from scores: the formulas of the design, and inf for a failure."""
 
 import math
 import re

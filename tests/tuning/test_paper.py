@@ -1,4 +1,4 @@
-"""The paper's setting, and what contradicts it."""
+"""The paper's setting, and options that contradict it."""
 
 import pytest
 

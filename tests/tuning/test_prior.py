@@ -1,6 +1,7 @@
 """The priors: by hand, where they act, and their purpose.
 
-The prior on R is for receivers that smooth their fixes, that on the other parameters for logs that do not show them.
+The prior on R is for receivers that smooth their fixes, that on the other parameters for logs that do not determine
+them.
 """
 
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Racing: steps counted exactly, full costs for those that finish, everybody else behind them."""
+"""Racing: exact numbers of steps, full costs for finished candidates, and higher costs for all others."""
 
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial

@@ -1,4 +1,4 @@
-"""A tuned R beside what the fixes say of themselves: whoever copies the fixes is told so."""
+"""A tuned R compared with the accuracy of the fixes: a filter that copies the fixes causes a warning."""
 
 from dataclasses import replace
 from functools import cache

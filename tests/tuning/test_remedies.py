@@ -1,4 +1,4 @@
-"""Each remedy of a TO DO, applied, changes the figure that it is about, and names no option that was not given."""
+"""Each remedy of a TO DO improves the figure in its reason, and names no option that was not given."""
 
 import re
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Interrupted tunings: resumed, they end in the same bits; what can't be resumed says why."""
+"""Interrupted tunings: resumed, they end with the same bits, or a message states why they can't be resumed."""
 
 import json
 import os

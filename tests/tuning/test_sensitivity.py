@@ -1,4 +1,4 @@
-"""How far parameters can move: against closed forms, and on a filter whose answer is known."""
+"""The ranges of parameters, compared with closed forms, and on a filter with a known result."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace

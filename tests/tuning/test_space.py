@@ -1,4 +1,4 @@
-"""The search space: every point is a filter inside the paper's box, and bounds are exact."""
+"""The search space: every point is a filter within the paper's bounds, and bounds are exact."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""`tune`: the same bits for the same seed, better than chance, and honest about objectives and bounds."""
+"""`tune`: the same bits for the same seed, better than random, with warnings on objectives and bounds."""
 
 import shutil
 import tomllib

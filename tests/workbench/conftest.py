@@ -1,4 +1,4 @@
-"""A workbench server, and a browser that looks at it."""
+"""A workbench server, and a browser for its pages."""
 
 import json
 import signal

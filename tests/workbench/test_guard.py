@@ -1,4 +1,4 @@
-"""Who may see the workbench, what may be read, and how much may be sent."""
+"""Access to the workbench, readable files, and the size of uploads."""
 
 import asyncio
 import http.client

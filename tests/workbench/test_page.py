@@ -1,4 +1,4 @@
-"""The steps one by one: faults next to their columns, repairs and the way back, the keyboard, contrast."""
+"""The steps one by one: faults next to their columns, repairs and their reversal, keyboard, contrast."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The whole road in a real browser: from a dropped log to a built C filter."""
+"""All steps in a real browser: from a dropped log to a compiled C filter."""
 
 import shlex
 import shutil

@@ -16,6 +16,7 @@ from sigmaswarm.versions import __version__
 
 
 def features_of(p: FilterParameters) -> dict[str, bool]:
+    """Return the features on which templates depend, by name: True if the filter has the feature."""
     measured = requirements.measured_by(p)
     lateral, stands, wheels = (name in measured for name in ("lateral", "standstill", "odometer"))
     gate, robust = p.gate is not None, p.robust_dof is not None

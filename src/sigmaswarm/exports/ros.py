@@ -185,6 +185,8 @@ def _serialized(
 
 @dataclass(frozen=True)
 class MessageFactory:
+    """Constructor of ROS messages; ``types``: classes by name, ``time_origin``: see `write_pieces`."""
+
     types: Any
     time_origin: float
 

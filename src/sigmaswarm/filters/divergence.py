@@ -41,6 +41,8 @@ CHECKS, SINCE, LAST = range(3)
 
 @dataclass(frozen=True, eq=False)
 class CheckTimes:
+    """Steps and fixes of the l checks of a drive."""
+
     step: Indices  # (l,), index of the step that ends at the IMU sample of each check
     fix: Indices  # (l,), index of the last fix before each check
 
@@ -173,6 +175,7 @@ class DivergenceMonitor:
 
 
 def record_check(contradiction: Array, time: float, contradicts: bool) -> None:
+    """Record a check at a time, s; a check without a contradiction clears the record."""
     if contradicts:
         if contradiction[CHECKS] == 0:
             contradiction[SINCE] = time

@@ -355,22 +355,22 @@ class LiveFilter:
 
     @property
     def restarts(self) -> list[float]:
-        """See `LiveFilter`."""
+        """Times of the last resets, s: see `LiveFilter`."""
         return [] if self._monitor is None else self._monitor.restarts[-MAX_RESTARTS:]
 
     @property
     def too_late(self) -> int:
-        """See `LiveFilter`."""
+        """Number of fixes and odometer readings that came too late: see `LiveFilter`."""
         return int(self._memory.arrays.counts[live.TOO_LATE])
 
     @property
     def time_jumps(self) -> int:
-        """See `LiveFilter`."""
+        """Number of dropped data whose time stamps were far ahead: see `LiveFilter`."""
         return int(self._memory.arrays.counts[live.TIME_JUMPS])
 
     @property
     def frozen(self) -> int:
-        """See `LiveFilter`."""
+        """Number of stale fixes, which are not used."""
         return int(self._memory.arrays.counts[live.N_STALE])
 
     @property

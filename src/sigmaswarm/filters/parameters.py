@@ -221,6 +221,7 @@ class FilterParameters:
 
     @property
     def n_states(self) -> int:
+        """Number n of states of the model."""
         return len(MODELS[self.model].states)
 
     @property
@@ -374,6 +375,7 @@ _ALWAYS_STATED = ("alpha", "beta", "kappa", "process_noise", "measurement_noise"
 
 
 def units(parameters: FilterParameters) -> dict[str, Any]:
+    """Return the units of the parameters in `to_dict`, and the names of the states: the table ``units`` of a file."""
     states = MODELS[parameters.model].states
     known: dict[str, Any] = {f.name: f.metadata.get("unit") for f in fields(parameters)}
     known |= {

@@ -69,6 +69,8 @@ class LearnedRecord(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class LearnedNetwork:
+    """A trained network: its record in learned.toml, and its weights."""
+
     record: LearnedRecord
     weights: Mapping[str, Array]
 

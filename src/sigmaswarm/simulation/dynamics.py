@@ -84,6 +84,8 @@ class Vehicle(NamedTuple):
 
 
 class Drivetrain(NamedTuple):
+    """Values that are equal for all wheels in a step."""
+
     tangent: float  # tangent of the steering angle
     peak: float  # slip of the peak force of a tire
     drive: float  # N m, of all motors

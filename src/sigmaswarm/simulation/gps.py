@@ -133,6 +133,7 @@ def with_heading(fixes: Gps, time: Array, yaw: Array, grade: HeadingGrade, rng: 
 
 
 def degrade(grade: GpsGrade, factor: float) -> GpsGrade:
+    """Multiply the standard deviations of a grade by a factor."""
     errors = {name: getattr(grade, name) for name in ("white_std", "markov_std", "velocity_std")}
     return replace(grade, **{name: std and factor * std for name, std in errors.items()})
 

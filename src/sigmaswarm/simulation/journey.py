@@ -17,6 +17,8 @@ URBAN_DURATION = 180.0  # s, default
 
 @dataclass(frozen=True)
 class Journey:
+    """A driven maneuver."""
+
     maneuver: Maneuver
     path: Array  # (p, 4): east m, north m, heading rad, curvature 1/m
     record: Array  # (n, 21), states of the car at each millisecond (`dynamics`)

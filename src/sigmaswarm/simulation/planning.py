@@ -23,6 +23,8 @@ SWAY_SPEED = 0.006  # relative to the ideal speed
 
 @dataclass(frozen=True)
 class Leg:
+    """Part of a route, with the limits for its driver."""
+
     length: float  # m
     speed: float  # m/s, limit
     acceleration: float = 2.5  # m/s2, limit of the plan

@@ -122,6 +122,7 @@ def scorer_for(objective: Objective, dataset: Dataset, seed: int, *, as_recorded
 
 
 def require_fit(scorer: BatchScorer, objective: str, seed: int) -> None:
+    """Raise `InputError` if a drive has no scored fix, truth or hidden fix after the start of a filter."""
     needs_truth = parse_objective(objective).needs_truth
     for drive, initial in zip(scorer.drives, scorer.initial, strict=True):
         if not needs_truth and not (drive.gps.time > initial.time).any():

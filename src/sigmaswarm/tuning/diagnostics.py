@@ -121,7 +121,7 @@ def forecasts_of(
             yield DriftComparison(length, *drifts)
 
 
-def loss_warnings(
+def divergence_or_drift_warnings(
     parameters: FilterParameters, scorer: AnyBatchScorer, shown_std: float | None = None, *, outages: bool
 ) -> list[str]:
     messages = divergence_warnings(scorer.map_prepared(partial(restarts_of, parameters=parameters)))

@@ -35,8 +35,8 @@ from sigmaswarm.tuning.diagnostics import (
     confirmed_std,
     correlation_of,
     correlation_warnings,
+    divergence_or_drift_warnings,
     forecasts_of,
-    loss_warnings,
     scale_warnings,
 )
 from sigmaswarm.tuning.objectives import Objective, mean_cost, parse_objective
@@ -233,7 +233,9 @@ class CarProblem(Problem[FilterParameters]):
 
     def warnings(self, point: Array) -> list[str]:
         parameters, scorer, objective = self.parameters(point), self.scorer, self.objective
-        messages = loss_warnings(parameters, scorer, self.shown_std, outages=not objective.needs_outages)
+        messages = divergence_or_drift_warnings(
+            parameters, scorer, self.shown_std, outages=not objective.needs_outages
+        )
         if parameters.accuracy_scale is not None:
             messages += accuracy_warnings(parameters, scorer.dataset.map(median_stated_std), self.config.use)
         messages += scale_warnings(objective, parameters, scorer)

@@ -109,6 +109,7 @@ class FixNoise:
 
 
 def fix_noise(drive: Drive) -> FixNoise:
+    """Estimate the errors of a drive's fixes; ``scatter`` is measured in the middle `SPAN` seconds."""
     middle = float(drive.imu.time[0] + drive.imu.time[-1]) / 2
     try:
         scatter = fix_scatter(clip(drive, middle - SPAN / 2, middle + SPAN / 2)) or np.nan

@@ -1,4 +1,4 @@
-"""Mistakes in a model or a log: one line that names the place, what is wrong and the remedy."""
+"""Mistakes in a model or a log: one line with the place, the fault and the remedy."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Outliers in models of the user's own: the update, the likelihood and the smoother with a limit of the NIS."""
+"""Outliers in custom models: update, likelihood and smoother with a limit of the NIS."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Filters of one's own: against an exact Kalman filter, against the textbook's, and where they fail."""
+"""Filters of custom models, compared with an exact Kalman filter and the textbook filter; failures."""
 
 import warnings
 from dataclasses import replace

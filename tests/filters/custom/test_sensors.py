@@ -1,4 +1,4 @@
-"""Several sensors with their own clocks: against filters in plain NumPy that delete the absent rows of h, R and z."""
+"""Several sensors with their own clocks, compared with NumPy filters that delete the absent rows of h, R and z."""
 
 import warnings
 from dataclasses import replace

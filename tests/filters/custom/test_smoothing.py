@@ -1,4 +1,4 @@
-"""A smoother for models of the user's own: against least squares over a whole log at once, which knows no recursion."""
+"""The smoother for custom models, compared with least squares over a whole log, which is not recursive."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Bayesian optimization: what it makes of costs, where it looks, and what it leaves alone."""
+"""Bayesian optimization: transformation of costs, selection of points, and no side effects."""
 
 import warnings
 from concurrent.futures import ThreadPoolExecutor

@@ -1,4 +1,4 @@
-"""The budget, and the polish in the end."""
+"""The budget of evaluations, and the local search at the end."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""CMA-ES, against another implementation of the same tutorial, generation by generation."""
+"""CMA-ES, compared with another implementation of the same tutorial, generation by generation."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What every optimizer promises, with a polish and without: resumable, reproducible, inside the box and the budget."""
+"""Properties of every optimizer, with and without polish: resumable, reproducible, within bounds and budget."""
 
 import random
 from importlib.util import find_spec

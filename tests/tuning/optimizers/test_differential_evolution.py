@@ -1,4 +1,4 @@
-"""Differential evolution, against its equations written out member by member."""
+"""Differential evolution, compared with its equations for each member."""
 
 import numpy as np
 import pytest

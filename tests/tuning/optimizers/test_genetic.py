@@ -1,4 +1,4 @@
-"""The genetic operators, against pymoo's, and how the population is renewed."""
+"""The genetic operators, compared with pymoo's, and the renewal of the population."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The simplex, against scipy's, point by point; and several vertices at a time."""
+"""The simplex, compared with scipy's, point by point; several vertices at a time."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The swarm, against the paper's equations 2 and 3 written out particle by particle."""
+"""The particle swarm, compared with the paper's equations 2 and 3 for each particle."""
 
 import copy
 

@@ -1,4 +1,4 @@
-"""No optimizer is worse than the same algorithm by others: a rank test over 20 seeds, at the same budget."""
+"""No optimizer is worse than other implementations: a rank test over 20 seeds, at the same budget."""
 
 from functools import cache
 

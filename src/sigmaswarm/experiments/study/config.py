@@ -27,6 +27,8 @@ ProtocolName = Literal["paper", "honest"]
 
 
 class Protocol(BaseModel):
+    """Objective and scale of a study's tunings."""
+
     model_config = ConfigDict(frozen=True)
 
     objective: str

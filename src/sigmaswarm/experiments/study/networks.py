@@ -74,6 +74,8 @@ class Training:
 
 @dataclass(frozen=True, eq=False)
 class TrainedNetwork:
+    """A trained network, its filter, and the driving time of its training data."""
+
     parameters: FilterParameters
     learned: LearnedNetwork
     driven: float  # s

@@ -408,7 +408,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def moved(self) -> Array:
-        """Weighted mean of the offsets from the tuned parameters, (d,)."""
+        """Weighted mean of the ``offsets`` from the tuned parameters, (d,), in the same units."""
         return self.weights @ self.offsets * self.prior.lasting
 
     @property
@@ -441,7 +441,7 @@ class LiveFilterBank(LiveFilter):
         return self._together is not None and self._together.lost
 
     def lanes(self) -> tuple[Array, Array]:
-        """Return the current state rows (s, LANES) and weights (LANES,)."""
+        """Return the current state rows (s, 16), see `compiled.layout`, and weights (16,) of the filters."""
         return self._rows_of(self._numbers)[state_rows(self._kernel)], self.weights
 
     def _mixed(self) -> tuple[Array, Array]:

@@ -185,6 +185,7 @@ class Model:
         return chdtri(np.arange(1, m + 1), outside)
 
     def indices(self, names: Sequence[str]) -> list[int]:
+        """Return the indices of states by name."""
         return [self.states.index(name) for name in names]
 
     def places(self, names: Sequence[str]) -> list[int]:
