@@ -233,7 +233,7 @@ def tables(done: dict[tuple[str, str, str, int], list[float]]) -> None:
     for (name, label, objective), row in sorted(median.items(), key=lambda item: item[0][0]):
         cells = [f"{v:.2f}" for v in row] + ["-"] * (len(COLUMNS) - len(row))
         print(f"| {name} | {label} | {objective} | " + " | ".join(cells) + " |")
-    print("\n" + "\n".join(beside_the_best(median)))
+    print("\n" + "\n".join(relative_to_best(median)))
     for title, rows in summaries(median):
         print(f"\n| {title} | " + " | ".join(RATIOS) + " | worst RMSE |\n" + "|---" * 6 + "|")
         for label, cells in rows:
@@ -247,7 +247,7 @@ def lowest(rows: np.ndarray) -> np.ndarray:
     )
 
 
-def beside_the_best(median: dict[tuple[str, str, str], np.ndarray]) -> Iterator[str]:
+def relative_to_best(median: dict[tuple[str, str, str], np.ndarray]) -> Iterator[str]:
     """Yield ratios of the default's scores to the lowest of each case and to the raw fixes' RMSE: mean and worst."""
     yield (
         "| the default over the best of each case | cases | "
@@ -286,11 +286,11 @@ def summaries(
             if objectives
         }
         rivals["the default"] = [("default", objective) for objective in objectives]
-        for (title, methods), strange in product(rivals.items(), (False, True)):
+        for (title, methods), other_sensors in product(rivals.items(), (False, True)):
             names = [
                 name
                 for name in dict.fromkeys(name for name, *_ in median)
-                if stranger(name) == strange and all((name, *m) in median for m in methods)
+                if has_other_sensors(name) == other_sensors and all((name, *m) in median for m in methods)
             ]
             if len(methods) < 2 or not names:
                 continue
@@ -303,11 +303,11 @@ def summaries(
                     float(np.exp(np.mean(np.log(each)))) if len(each) else np.nan for each in known_drifts
                 ]
                 rows.append((f"{label}, {objective}", [*means, float(one[:, 0].max())]))
-            what = "strangers" if strange else "held out"
+            what = "strangers" if other_sensors else "held out"
             yield f"{title}, {'with' if truth else 'without'} truth, {what}: {len(names)} cases", rows
 
 
-def stranger(name: str) -> bool:
+def has_other_sensors(name: str) -> bool:
     """Return True if the training drives have another receiver, or if the test fixes have outliers."""
     return " > " in name or "outliers" in name
 

@@ -76,10 +76,10 @@ for function in (operator.lt, operator.le, operator.gt, operator.ge, operator.eq
 
 def count() -> None:
     """Print the operations per lane of a prediction and of a fix; needs NUMBA_DISABLE_JIT=1."""
-    absorb = measurements.measurement_kernels(MODELS["planar5"])["update_fix"]
+    update = measurements.measurement_kernels(MODELS["planar5"])["update_fix"]
     counting = SimpleNamespace(sqrt=lambda x: Counting._do("sqrt", math.sqrt, x), log=math.log, pi=math.pi)
     # each generated function has its own names
-    for names in (planar5.predict_planar5.written.names, absorb.written.names, vars(lanes)):
+    for names in (planar5.predict_planar5.written.names, update.written.names, vars(lanes)):
         names.update({name: counting for name, value in names.items() if value is math})
     rows = np.array(
         [[Counting(0.1) for _ in range(layout.LANES)] for _ in range(layout.N_ROWS)], dtype=object
@@ -90,7 +90,7 @@ def count() -> None:
     rows[R.DOF] = Counting(0.0)
     for name, step in (
         ("predict", lambda: planar5.predict_planar5(rows, (0.01, 1.0, 0.0, 1.0, 0.1, 0.1))),
-        ("fix", lambda: absorb(rows, (1.0, 2.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0)),
+        ("fix", lambda: update(rows, (1.0, 2.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0)),
     ):
         Counting.done.clear()
         step()

@@ -98,7 +98,7 @@ def tuned(
     return tune(training, seed=seed, executor=pool, **asked).parameters
 
 
-def tell(name: str, what: str, rows: Sequence[Sequence[float]]) -> None:
+def print_row(name: str, what: str, rows: Sequence[Sequence[float]]) -> None:
     print(f"| {name} | {what} | {shown(np.median(np.array(rows), axis=0))} |", flush=True)
 
 
@@ -113,10 +113,10 @@ def grade(imu: str, options: argparse.Namespace, pool: ThreadPoolExecutor) -> No
             measured([PreparedDrive(drive) for drive in test], tuned(training, use, seed, options, pool))
             for seed, (training, test) in enumerate(splits(drives, options.seeds))
         ]
-        tell(imu, " + ".join((options.model, *use)), rows)
+        print_row(imu, " + ".join((options.model, *use)), rows)
 
 
-def lying(change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Callable[[Drive], Drive]:
+def with_faulty_odometer(change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Callable[[Drive], Drive]:
     """Return a function that replaces the odometer's speeds of a drive by a function of times and speeds."""
 
     def plant(drive: Drive) -> Drive:
@@ -155,7 +155,7 @@ FAULTS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
 def exact(drive: Drive) -> Drive:
     """Return the drive without the scale error of its odometer; an estimated scale could not be more accurate."""
     scale = drive.metadata["odometer"]["scale"]
-    return lying(lambda t, v: v / scale)(drive)
+    return with_faulty_odometer(lambda t, v: v / scale)(drive)
 
 
 def faults(options: argparse.Namespace, pool: ThreadPoolExecutor) -> None:
@@ -173,9 +173,9 @@ def faults(options: argparse.Namespace, pool: ThreadPoolExecutor) -> None:
             )
             for seed, (training, test) in enumerate(parts)
         ]
-        tell(imu, "each drive's scale known, tuned and tested", known)
+        print_row(imu, "each drive's scale known, tuned and tested", known)
         for use, name in [(PLAIN, "as it is"), *((WHEELS, name) for name in options.only)]:
-            plant, rows, codes = lying(FAULTS[name]), list[list[float]](), list[str]()
+            plant, rows, codes = with_faulty_odometer(FAULTS[name]), list[list[float]](), list[str]()
             for (_, test), parameters in zip(parts, filters[use], strict=True):
                 planted = [plant(drive) for drive in test]
                 rows.append(measured([PreparedDrive(drive) for drive in planted], parameters))
@@ -187,7 +187,7 @@ def faults(options: argparse.Namespace, pool: ThreadPoolExecutor) -> None:
             codes, tests = [code for code in codes if code], len(parts[0][1])
             seen = ", ".join(f"{c} {codes.count(c)}/{tests}" for c in sorted(set(codes)))
             label = "without" if use is PLAIN else name + (f" ({seen})" if seen else "")
-            tell(imu, label, rows)
+            print_row(imu, label, rows)
 
 
 def real(options: argparse.Namespace, pool: ThreadPoolExecutor) -> None:
@@ -195,7 +195,7 @@ def real(options: argparse.Namespace, pool: ThreadPoolExecutor) -> None:
     training, test = split_time(read_drive(options.drive), 0.5)
     for use in (PLAIN, WHEELS):
         found = [tuned([training], use, seed, options, pool) for seed in range(options.seeds)]
-        tell(
+        print_row(
             test.name, " + ".join((options.model, *use)), [measured([PreparedDrive(test)], p) for p in found]
         )
         if use is WHEELS:

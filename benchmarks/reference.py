@@ -25,8 +25,8 @@ ARM = (0.9, -0.4, 1.2)
 """Lever arm of the RTK antenna, m."""
 FLOAT, FLOAT_TIME = 0.4, 40.0
 """Standard deviation (m per axis) and correlation time (s) of the errors of float solutions."""
-LASTING, LASTING_TIME = 0.015, 60.0
-"""The same for errors of fixed solutions (multipath), with --lasting."""
+LASTING_TIME = 60.0
+"""Correlation time (s) of the errors of fixed solutions with --lasting (multipath)."""
 
 
 def rtk(

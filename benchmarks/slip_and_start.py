@@ -27,7 +27,7 @@ from unittest import mock
 
 import numpy as np
 
-from defaults import cached, cases, stranger
+from defaults import cached, cases, has_other_sensors
 from sigmaswarm import Drive, FilterParameters, SigmaswarmWarning, initial_state, tune
 from sigmaswarm.drives.alignment import StartFailure, find_start
 from sigmaswarm.drives.prepared import PreparedDrive
@@ -68,7 +68,7 @@ def main() -> None:
     warnings.simplefilter("ignore", SigmaswarmWarning)
     if not options.table:
         with ThreadPoolExecutor() as pool:
-            parts = {name: of for name, of in cases(options.drives).items() if not stranger(name)}
+            parts = {name: of for name, of in cases(options.drives).items() if not has_other_sensors(name)}
             names = [name for name in parts if any(part in name for part in options.only or [""])]
             for seed, name, known, slip in product(range(options.seeds), names, "TB", options.tunings):
                 case = (name, *cached(name, parts[name]))

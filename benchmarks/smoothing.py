@@ -144,7 +144,7 @@ def batch(training, test, tries: int) -> str:
     return " | ".join(f"{v:.3g}" for v in cells)
 
 
-def careful(drive: Drive) -> FilterParameters:
+def manual_filter(drive: Drive) -> FilterParameters:
     """Return planar8 with a manual choice of parameters."""
     q = (1e-6,) * 2 + (1e-4,) * 2 + (1e-8,) + (1e-8,) * 2 + (1e-11,)
     return FilterParameters(
@@ -177,7 +177,7 @@ def driven_again(drive: Drive, times: int) -> Drive:
 def ten_hours() -> None:
     """Smooth ten hours at 100 Hz with planar8, in pieces as in `sigmaswarm run --smooth`."""
     drive = driven_again(simulate("urban", duration=600.0, imu_rate=100.0, gps_rate=5.0, seed=1), 60)
-    p = careful(drive)
+    p = manual_filter(drive)
     drive_pass = whole_pass(drive)
 
     def peak() -> float:
@@ -197,7 +197,7 @@ def ten_hours() -> None:
 def lag() -> None:
     """Print the processor time of a live filter at 100 Hz with a lag of 2 s, over half a minute."""
     drive = simulate("urban", duration=60.0, imu_rate=100.0, gps_rate=5.0, seed=1)
-    p, start = careful(drive), initial_state(drive)
+    p, start = manual_filter(drive), initial_state(drive)
     filter = LiveFilter(p, start, nominal_interval=drive.nominal_interval, lever_arm=drive.lever_arm, lag=2.0)
     fixes = iter(zip(drive.gps.time, drive.gps.x, drive.gps.y, strict=True))
     fix = next(fixes, None)

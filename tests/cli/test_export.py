@@ -132,7 +132,9 @@ def test_export_states_that_slow_vehicles_have_no_alignment_in_c(
 @pytest.mark.long
 @needs_gcc
 @pytest.mark.usefixtures("unoptimized")
-def test_lanes_are_checked_against_the_swarm(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
+def test_exported_lanes_are_compared_with_the_bank(
+    sigmaswarm: Command, tuned: Path, drives: Path, here: Path
+):
     drive = drives / "urban-clear-00"
     ended = sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--lanes", 3, "--check", drive)
     (found,) = re.findall(r"C is within (\S+) of a LiveFilterBank without searches", ended.out)

@@ -20,7 +20,7 @@ from sigmaswarm.scoring.targets import outage_windows, placements
 from sigmaswarm.scoring.tracks import load_tracks
 
 
-def test_run_writes_what_is_known_in_hindsight(sigmaswarm, drives: Path, tuned: Path, here: Path):
+def test_run_writes_the_smoothed_estimates(sigmaswarm, drives: Path, tuned: Path, here: Path):
     drive = next(drives.iterdir())
     ended = sigmaswarm("run", tuned, drive, "--out", "smoothed.csv", "--smooth")
     assert ended.code == 0

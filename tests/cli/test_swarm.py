@@ -13,7 +13,7 @@ from sigmaswarm.scoring.score import score_estimate
 from sigmaswarm.scoring.tracks import load_tracks
 
 
-def test_run_writes_the_mixture_and_what_the_swarm_said(sigmaswarm, drives: Path, tuned: Path, here: Path):
+def test_run_writes_the_mixture_and_the_log_of_the_bank(sigmaswarm, drives: Path, tuned: Path, here: Path):
     drive = next(drives.iterdir())
     ended = sigmaswarm("run", tuned, drive, "--out", "estimate.csv", "--bank", "--json")
     assert ended.code == 0
@@ -53,7 +53,7 @@ def test_evaluate_has_a_row_for_it_and_so_has_the_page(sigmaswarm, drives: Path,
     assert "--bank" in page
 
 
-def test_it_has_no_hindsight(sigmaswarm, drives: Path, tuned: Path):
+def test_a_bank_is_not_smoothed(sigmaswarm, drives: Path, tuned: Path):
     ended = sigmaswarm("run", tuned, next(drives.iterdir()), "--out", "e.csv", "--swarm", "--smooth")
     assert ended.code == 2
     assert "leave one option out" in ended.err

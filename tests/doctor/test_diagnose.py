@@ -134,7 +134,7 @@ def test_a_good_simulated_drive_raises_no_alarm(maneuver: str, sensors: str):
 
 @pytest.mark.long
 @needs_shared
-def test_the_log_as_it_came_is_seen_through():
+def test_the_faults_of_the_raw_log_are_found():
     """Its README: accelerations of the wrong sign, deg/s, pitched 10.5 deg, 0.65 s late, velocity 0.45 s later."""
     found = {
         finding.code: finding for finding in sigmaswarm.diagnose(recorded("dresden-as-recorded")).findings

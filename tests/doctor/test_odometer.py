@@ -120,7 +120,7 @@ def test_brakes_hills_and_snow_are_no_slip(imu: str, environment: str):
         assert "odometer-slip" not in diagnose(drive).codes
 
 
-def test_an_accelerometer_that_says_nothing_of_the_wheels_is_not_believed():
+def test_an_accelerometer_without_information_on_the_wheels_is_not_used():
     turned = replace(evidence().drive.imu, ax=-evidence().drive.imu.ax)
     drive = replace(planted(slipping), imu=turned)
     assert "odometer-slip" not in {f.code for f in subject.check_odometer(replace(evidence(), drive=drive))}

@@ -171,7 +171,7 @@ def test_nothing_to_mend_changes_nothing():
 
 @pytest.mark.long
 @needs_shared
-def test_the_log_as_it_came_ends_up_about_like_the_mended_one():
+def test_the_repaired_raw_log_is_about_like_the_corrected_log():
     sick, good = drive_of("dresden-as-recorded"), drive_of("dresden")
     mended = sigmaswarm.repair(sick, sigmaswarm.diagnose(sick))
     for column, limit in (("ax", 0.35), ("ay", 0.5), ("gz", 0.02)):

@@ -80,7 +80,7 @@ def test_a_good_simulated_drive_has_sound_third_axes(name: str):
 
 @pytest.mark.long
 @needs_shared
-def test_the_log_as_it_came_is_mended_in_all_axes():
+def test_the_raw_log_is_repaired_in_all_axes():
     sick, good = drive_of("dresden-as-recorded"), drive_of("dresden")
     mended = sigmaswarm.repair(sick, sigmaswarm.diagnose(sick))
     assert np.median(mended.imu.az) == pytest.approx(np.median(good.imu.az), abs=0.4)

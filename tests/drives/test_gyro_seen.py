@@ -51,7 +51,7 @@ def heading_error(drive: Drive, start: InitialState, theta: float) -> float:
 
 
 @pytest.mark.parametrize("off", [np.zeros(3), 0.1 * OFF, OFF], ids=["none", "some", "much"])
-def test_it_is_as_sure_as_it_is_good(off: np.ndarray):
+def test_its_errors_agree_with_its_covariance(off: np.ndarray):
     wrong = []
     for seed in range(60):
         start = initial_state(biased(make_drive(duration=12.0, seed=seed), off))
@@ -182,7 +182,7 @@ def test_a_filter_of_a_good_gyro_is_not_lost_with_one_that_is_off(model: str):
 
 
 @pytest.mark.parametrize("model", ["planar8", "tilted12"])
-def test_a_live_filter_starts_anew_with_what_is_seen_as_a_run_does(model: str):
+def test_a_live_filter_is_reset_with_the_evidence_of_the_start_as_a_run_is(model: str):
     drive, p = biased(make_drive(duration=60.0, seed=4), OFF), tuned(model)
     wrong = replace(initial_state(drive), gyro=None)
     run = run_filter(drive, p, initial=wrong)

@@ -32,7 +32,7 @@ def straight(speed, rate: float = 5.0, duration: float = 20.0) -> Gps:
 
 @pytest.mark.parametrize("rate", [1.0, 2.0, 5.0, 10.0])
 @pytest.mark.parametrize("speed", [2.5, 8.0, 30.0])
-def test_repeats_of_a_driving_car_are_frozen_and_no_evidence(rate: float, speed: float):
+def test_repeats_of_a_driving_car_are_stale_and_no_evidence(rate: float, speed: float):
     gps = straight(lambda t: speed + 0 * t, rate)
     first = int(8 * rate)
     kinds = classify_fixes(repeated(gps, slice(first, first + 4)))
@@ -58,7 +58,7 @@ def test_no_car_brakes_as_hard_as_a_fix_may_jump():
     assert kinds.tolist() == [NEW] * 4 + [STALE_MOVING] * 2 + [NEW] * 2
 
 
-def test_between_crawling_and_driving_a_repeat_is_frozen_but_may_be_evidence():
+def test_between_crawling_and_driving_a_repeat_is_stale_but_may_be_evidence():
     gps = straight(lambda t: 1.4 + 0 * t)
     assert (classify_fixes(repeated(gps, slice(40, 44)))[40:44] == STALE).all()
 
@@ -88,7 +88,7 @@ def test_one_position_at_one_time_is_no_repeat():
     assert not classify_fixes(twice).any()
 
 
-def test_positions_held_in_between_are_frozen_each_time():
+def test_positions_held_in_between_are_stale_each_time():
     # A log at 10 Hz of a receiver at 1 Hz: nine of ten say nothing.
     gps = straight(lambda t: 6.0 + 0 * t, rate=10.0)
     held = replace(gps, x=gps.x[np.arange(len(gps)) // 10 * 10])
@@ -118,7 +118,7 @@ def test_repeats_are_found_and_nothing_later_is_looked_at(rows: list[tuple[int, 
     assert classify_fixes(gps.select(slice(0, cut))).tolist() == kinds[:cut].tolist()
 
 
-def test_the_alignment_does_not_take_frozen_fixes():
+def test_the_alignment_does_not_use_stale_fixes():
     drive = make_drive(duration=20.0, gps_std=0.3, seed=2)
     start = initial_state(drive)
     first = int(np.searchsorted(drive.gps.time, start.time))
@@ -143,7 +143,7 @@ def test_fixes_that_are_hidden_were_judged_with_all_others():
 
 
 @needs_shared
-def test_kingston_has_18_frozen_fixes():
+def test_kingston_has_18_stale_fixes():
     drive = read_drive(DRIVES / "kingston-1")
     kinds = classify_fixes(drive.gps)
     assert (kinds == STALE_MOVING).sum() == 18

@@ -167,7 +167,7 @@ def test_behind_an_outage_a_steady_departure_is_no_standstill():
         assert speed[stands].max() < 0.3
 
 
-def test_frozen_fixes_of_a_driving_car_are_no_evidence():
+def test_stale_fixes_of_a_driving_car_are_no_evidence():
     t = np.arange(0.0, 12.0, 0.5)
     fixes = np.column_stack([t, np.minimum(t, 5.0) * 9.0, 0 * t])
     kinds = classify_fixes(Gps(t, fixes[:, 1], fixes[:, 2]))

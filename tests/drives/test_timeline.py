@@ -171,7 +171,7 @@ def test_a_gap_is_driven_by_the_mean_of_the_samples_around_it():
     assert not plain.gap.any()
 
 
-def test_frozen_fixes_are_left_out():
+def test_stale_fixes_are_left_out():
     drive = make_drive(duration=12.0, gps_rate=5.0, seed=1)
     gps = drive.gps
     frozen = np.isin(np.arange(len(gps)), [30, 31, 32])

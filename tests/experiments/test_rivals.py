@@ -250,7 +250,7 @@ def test_the_rivals_stand_in_the_tables(whole: Study):
     assert (cells[2], cells[3]) == (f"{driven:.0f}", f"{tuned + weights}")
 
 
-def test_networks_are_told_against_the_filter_that_they_stand_beside(whole: Study):
+def test_networks_are_compared_with_the_filter_that_they_assist(whole: Study):
     gains = {(c.method, c.measure): c for c in whole.results.rivals.gains}
     assert {c.against for c in gains.values()} == {"pso-planar8"}
     assert {method for method, _ in gains} == set(NETWORKS)

@@ -104,7 +104,7 @@ def simulated(seed: int) -> Drive:
 
 @needs_gcc
 @pytest.mark.parametrize("seed", quickly([(0,), (1,)], lambda seed: seed == 1))
-def test_it_is_as_sure_as_it_is_good(program: Path, seed: int):
+def test_its_errors_agree_with_its_covariance(program: Path, seed: int):
     time, mean, covariance = starts(program, rows_of(simulated(seed)))
     assert len(time) > 200
     assert np.linalg.eigvalsh(covariance).min() > 0

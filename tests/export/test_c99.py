@@ -141,7 +141,7 @@ def test_a_gate_gives_way_where_the_run_does(tmp_path: Path):
 
 @needs_gcc
 @pytest.mark.parametrize("kind", quickly([(kind,) for kind in KINDS], lambda kind: kind == "ekf"))
-def test_two_fixes_of_one_time_are_both_absorbed(tmp_path: Path, kind: str):
+def test_two_fixes_of_one_time_are_both_used(tmp_path: Path, kind: str):
     p = given("planar8", kind, "all")
     theirs = replay(build(tmp_path, p), two_receivers())
     assert distance(theirs.mean, run_filter(two_receivers(), p, recover=False).mean) < 1e-11
@@ -155,7 +155,7 @@ def test_two_fixes_of_one_time_are_both_absorbed(tmp_path: Path, kind: str):
         lambda model, kind: model == "planar8" and kind == "strong-tracking-ukf",
     ),
 )
-def test_frozen_fixes_and_gaps_are_those_of_the_run(tmp_path: Path, model: str, kind: str):
+def test_stale_fixes_and_gaps_are_those_of_the_run(tmp_path: Path, model: str, kind: str):
     p, ready = given(model, kind, "all"), PreparedDrive(rough())
     assert ready.stale.sum() == 5
     assert ready.timeline().gap.any()

@@ -60,7 +60,7 @@ def test_it_weighs_fixes_as_the_run_does(tmp_path: Path, kind: str, option: str)
 
 
 @pytest.mark.parametrize("kind", quickly([("ukf",), ("ekf",)], lambda kind: kind == "ekf"))
-def test_frozen_fixes_and_gaps_are_those_of_the_run(tmp_path: Path, kind: str):
+def test_stale_fixes_and_gaps_are_those_of_the_run(tmp_path: Path, kind: str):
     drive = clip(rough(), 4.0, 14.0)
     ready = PreparedDrive(drive)
     assert ready.stale.sum() == 5

@@ -151,7 +151,7 @@ def test_one_fix_far_ahead_is_dropped_and_counted(program: Path, ahead: float):
 
 
 @needs_gcc
-def test_a_jump_of_less_is_believed_at_once(program: Path):
+def test_a_smaller_jump_is_used_at_once(program: Path):
     k = at(4.0)
     said = same_in_both(program, [*rows()[:k], *(moved(row, 9.9) for row in rows()[k:])])
     assert said[k, TIME] > said[k - 1, TIME] + 9.0
@@ -159,7 +159,7 @@ def test_a_jump_of_less_is_believed_at_once(program: Path):
 
 
 @needs_gcc
-def test_a_silence_is_believed_once_a_second_sample_agrees(program: Path):
+def test_a_gap_is_accepted_when_a_second_sample_agrees(program: Path):
     k = at(4.0)
     fed = [*rows()[:k], *(moved(row, 60.0) for row in rows()[k:])]
     said = same_in_both(program, fed)

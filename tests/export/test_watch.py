@@ -78,7 +78,7 @@ def watched(program: Path, drive: Drive, start: InitialState) -> np.ndarray:
 
 @needs_gcc
 @pytest.mark.parametrize("plant", quickly([(plant,) for plant in PLANTS], lambda plant: plant == "turned"))
-def test_it_starts_anew_where_the_library_does(program: Path, plant: str):
+def test_it_is_reset_where_the_library_is(program: Path, plant: str):
     drive, start = PLANTS[plant](drive_of("simulated"))
     run = run_filter(drive, SET, initial=start)
     rows = watched(program, drive, start)

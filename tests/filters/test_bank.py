@@ -384,7 +384,7 @@ def test_a_run_is_the_stream():
 @pytest.mark.parametrize(  # before, in and after a search
     "at", quickly([(11.9,), (13.2,), (13.9,), (15.1,), (15.9,), (17.0,)], lambda at: at == 13.2)
 )
-def test_that_all_lanes_fail_is_told_at_once_and_it_starts_anew(at: float):
+def test_a_failure_of_all_lanes_is_reported_at_once_and_the_bank_is_reset(at: float):
     p = parameters("planar8", **ALL)
     filter, failed = made(LiveFilterBank, p), []
     for t in feed(filter, events()):
@@ -436,7 +436,7 @@ def biases(turned_at: float = math.inf, held_at: float = math.inf) -> tuple[Live
 
 
 @pytest.mark.long
-def test_a_gyro_with_a_bias_that_it_knows_is_no_reason_to_start_anew():
+def test_a_gyro_bias_that_the_bank_estimates_causes_no_reset():
     filter, found = biases()
     assert not filter.restarts  # nor has the tuning by itself, whose start sees the bias
     assert not filter.bank_restarts
@@ -444,14 +444,14 @@ def test_a_gyro_with_a_bias_that_it_knows_is_no_reason_to_start_anew():
 
 
 @pytest.mark.long
-def test_what_it_knows_of_biases_outlives_a_new_start():
+def test_estimated_biases_are_kept_at_a_reset():
     filter, found = biases(turned_at=30.0)
     began = filter.bank_restarts[0]
     after = found[(found[:, 0] >= began) & (found[:, 0] < began + 0.5), 1]
     assert abs(after - BIAS).max() < 0.05
 
 
-def test_what_it_knows_of_biases_outlives_being_held_at_a_fix():
+def test_estimated_biases_are_kept_while_the_bank_is_lost():
     filter, found = biases(held_at=30.005)
     began = filter.bank_restarts[0]
     assert 0.05 < began - 30.0 < 3.0

@@ -188,7 +188,7 @@ EVERY_FILTER = [
     ("model", "kind"),
     quickly(EVERY_FILTER, lambda *case: case in (("planar5", "ukf"), ("tilted12", "ekf"))),
 )
-def test_errors_are_as_large_as_the_covariance_says(model: str, kind: str):
+def test_errors_agree_with_the_covariance(model: str, kind: str):
     found = consistency(model, kind)
     assert all(found.inside.values()), found
 

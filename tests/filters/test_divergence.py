@@ -153,7 +153,7 @@ ROADS = ["urban", "turns", "cruise", "brake", "outages"]
         lambda *case: case in (("turns", "f9p-rtk"), ("outages", "ublox-m8")),
     ),
 )
-def test_no_sound_filter_starts_anew_on_a_simulated_drive(maneuver: str, gps: str):
+def test_no_sound_filter_is_reset_on_a_simulated_drive(maneuver: str, gps: str):
     drive = sigmaswarm.simulate(maneuver, run=2, gps=gps)
     for p in (SET, TRUSTING):
         estimate = run_filter(drive, p)
@@ -181,12 +181,12 @@ def test_no_sound_filter_starts_anew_on_a_simulated_drive(maneuver: str, gps: st
         lambda name: name == "colorado-1",
     ),
 )
-def test_no_sound_filter_starts_anew_on_a_recording(name: str):
+def test_no_sound_filter_is_reset_on_a_recording(name: str):
     for p in (SET, TRUSTING):
         assert run_filter(drive_of(name), p).restarts == ()
 
 
-def test_a_gyro_that_is_far_off_is_no_reason_to_start_anew_for_a_filter_that_knows_it():
+def test_a_large_gyro_bias_that_the_filter_estimates_causes_no_reset():
     """The alignment takes such a bias only for certain where fixes contradict it far beyond their noise."""
     drive = sigmaswarm.simulate("urban", duration=200.0, gps="white-1m", seed=5)
     off = replace(drive, imu=replace(drive.imu, gz=drive.imu.gz + 0.3))
@@ -223,7 +223,7 @@ def test_a_restart_does_not_depend_on_the_pieces():
     np.testing.assert_array_equal(a.mean, b.mean)
 
 
-def test_no_tuning_starts_anew():
+def test_no_filter_is_reset_during_tuning():
     drive, start = turned(drive_of("simulated"))
     scored = BatchScorer.prepare([prepare_drive(drive, start)]).scores([SET])
     lost = score_estimate(drive, run_filter(drive, SET, initial=start, recover=False))

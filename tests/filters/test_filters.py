@@ -185,7 +185,7 @@ def factors(drive: Drive, p: FilterParameters) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.long
-def test_fuzzy_rules_doubt_an_outlier_and_then_what_lasts():
+def test_fuzzy_rules_increase_r_for_an_outlier_and_q_for_lasting_errors():
     drive = make_drive(duration=40, gps_std=0.5, seed=3)
     x, after = drive.gps.x.copy(), drive.gps.time[100]
     x[100] += 6.0

@@ -122,7 +122,7 @@ def test_late_fixes_take_it_back_and_forward(kind: str, late: float):
         lambda model, kind, late: (model == "planar8") == (late > 0),
     ),
 )
-def test_two_fixes_of_one_time_are_both_absorbed(model: str, kind: str, late: float):
+def test_two_fixes_of_one_time_are_both_used(model: str, kind: str, late: float):
     p, drive = parameters(model, kind=kind, **OPTIONS["all"]), two_receivers()
     run = run_filter(drive, p, initial=start())
     assert run.failure is None
@@ -138,7 +138,7 @@ def test_two_fixes_of_one_time_are_both_absorbed(model: str, kind: str, late: fl
 
 @pytest.mark.parametrize("late", [0.0, 0.05])
 @pytest.mark.parametrize("model", ["planar5", "planar8"])
-def test_frozen_fixes_and_gaps_are_those_of_the_run(model: str, late: float):
+def test_stale_fixes_and_gaps_are_those_of_the_run(model: str, late: float):
     p, drive = parameters(model, **OPTIONS["all"]), rough()
     ready = PreparedDrive(drive)
     line = ready.timeline()
@@ -228,7 +228,7 @@ def test_a_pickled_filter_goes_on_in_another_process():
     assert there.stdout.strip() == (filter.state.mean.tobytes() + filter.smoothed.mean.tobytes()).hex()
 
 
-def test_asking_for_hindsight_changes_nothing_that_a_late_fix_goes_back_to():
+def test_the_smoothed_state_does_not_change_the_history_for_late_fixes():
     drive, p = equipped(), parameters("planar8")
     asked, silent = (LiveFilter(p, start(), nominal_interval=0.01, lag=1.0, history=2.0) for _ in range(2))
     begin = start().time

@@ -94,7 +94,7 @@ def test_all_forms_start_from_the_same_state(name: str):
 
 
 @EACH_MODEL
-def test_units_densities_and_box_are_those_of_the_states(name: str):
+def test_units_densities_and_bounds_are_those_of_the_states(name: str):
     p, states = parameters(name, nominal_interval=0.01), MODELS[name].states
     said = units(p)
     assert said["states"] == [s.name for s in states]

@@ -86,7 +86,7 @@ def happens_at(timeline: Timeline, p: FilterParameters, bit: int, n_steps: int |
 
 
 @ALSO_LONG
-def test_compiled_filter_takes_the_oracles_steps_everywhere_in_the_papers_box(name: str):
+def test_steps_of_the_compiled_filter_equal_the_oracles_everywhere_in_the_papers_bounds(name: str):
     timeline, initial = ready(name)
     errors = compiled_against_extended(timeline, initial, as_parameters(box_table(64)), until=700)
     assert np.max(timeline.dt[:700]) > (1.5 if name == SIMULATED else 0.06)  # a gap is among them
@@ -325,7 +325,7 @@ def test_free_run_stays_with_filterpy_where_a_twin_stays(name: str):
 
 @WHOLE_DRIVES
 @ALSO_LONG
-def test_no_lane_fails_inside_the_box(name: str):
+def test_no_lane_fails_within_the_bounds(name: str):
     timeline, initial = ready(name)
     every_corner = np.array(list(product((0, 1), repeat=10)))
     table = np.vstack([np.where(every_corner, UPPER, LOWER), box_table(1032)[32:]])

@@ -350,7 +350,7 @@ def test_where_it_does_not_run_is_refused():
             use()
 
 
-def test_the_box_has_the_stated_variances_and_the_baseline_its_defaults():
+def test_the_bounds_contain_the_stated_variances_and_the_baseline_has_its_defaults():
     space = search_space(NAME, "log10", 0.01, kind="ekf", use=("lateral", "gate"))
     names = ["q_xy", "q_vx", "q_vy", "q_theta", "q_ax", "q_ay", "q_yaw_rate", "r_xy", "r_gyro", "r_accel"]
     assert list(space.names) == [*names, "lateral_noise", "gate"]

@@ -164,7 +164,7 @@ def test_an_unscented_one_is_filterpys_step_by_step():
         lambda model, kind: (model, kind) == ("planar8", "ekf"),
     ),
 )
-def test_errors_in_hindsight_are_as_large_as_the_covariance_says(model: str, kind: str):
+def test_errors_of_the_smoother_agree_with_its_covariance(model: str, kind: str):
     """On data of the model's own, see `test_consistency`; early, in the middle, and at the end."""
     p, line, n = model_parameters(model, kind), time_line(), MODELS[model]
     n = len(n.states)
@@ -374,6 +374,6 @@ def test_a_lag_that_is_none_is_refused(lag: float):
         LiveFilter(parameters("planar5"), began(), nominal_interval=0.01, lag=lag)
 
 
-def test_without_a_lag_there_is_nothing_in_hindsight():
+def test_without_a_lag_there_is_no_smoothed_state():
     with pytest.raises(InputError, match=r"lag=2\.0"):
         _ = LiveFilter(parameters("planar5"), began(), nominal_interval=0.01).smoothed

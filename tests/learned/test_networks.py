@@ -106,7 +106,7 @@ def displaced(
         lambda model, kind, lateral_noise: model != "tilted12",
     ),
 )
-def test_a_displacement_is_absorbed_as_by_a_filter_that_keeps_a_clone(
+def test_the_update_with_a_displacement_equals_that_of_a_filter_with_a_clone(
     model: str, kind: str, lateral_noise: float | None
 ):
     """The textbook's filter, run from states moved a little, one by one, and the joint update written out."""

@@ -58,7 +58,7 @@ def write_pos(path: Path, gps: Gps, ahead: float = 0.0) -> Path:
 
 
 @pytest.mark.long
-def test_it_is_as_near_the_truth_as_it_says(cheap: Drive, made: Drive):
+def test_the_errors_of_the_truth_agree_with_its_standard_deviations(cheap: Drive, made: Drive):
     got, true = made.truth, cheap.truth
     at = np.searchsorted(true.time, got.time)
     np.testing.assert_array_equal(true.time[at], got.time)  # the IMU's times

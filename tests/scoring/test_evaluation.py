@@ -270,7 +270,7 @@ def worse(evaluation: Evaluation) -> tuple[str, ...]:
     return tuple(worse_than_untuned(evaluation.record, evaluation.measures).values())
 
 
-def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evaluation: Evaluation):
+def test_a_sentence_states_if_the_baseline_is_better(evaluation: Evaluation):
     (here,) = worse(evaluation)  # `GOOD` is none that was tuned, and the data sheet's suits these drives
     assert "the baseline: position RMSE 0.8" in here
     others = dict.fromkeys(METHODS, Score())

@@ -40,7 +40,7 @@ def recorded(nis: float, next_one: float) -> Consistency:
         (0.2, 0.0, "unknown, since there is no truth. It may be as large as the 1.5 m RMS by which the filter"),
     ],
 )  # fmt: skip
-def test_how_far_off_without_truth_is_the_filters_word_held_against_the_fixes(
+def test_the_stated_position_error_without_truth_is_checked_with_the_fixes(
     nis: float, next_one: float, said: str
 ):
     assert describe_position(recorded(nis, next_one)).startswith(said)
@@ -66,7 +66,7 @@ def test_a_log_that_shows_nothing_of_the_error_gets_no_figure():
 
 
 @pytest.mark.long
-def test_what_a_filter_says_of_itself_is_what_it_is_off_where_the_log_bears_it_out():
+def test_the_stated_position_error_is_near_the_true_error_if_the_log_confirms_it():
     """Fixes with white errors and a filter that is right: the word is within a third of the truth."""
     drives = [
         sigmaswarm.simulate("urban", run=run, gps="white-1m", duration=60, imu_rate=50) for run in range(3)

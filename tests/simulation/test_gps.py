@@ -47,7 +47,7 @@ def test_white_and_correlated_errors_are_told_apart_by_their_autocorrelation():
     assert np.diff(error).std() == pytest.approx(np.sqrt(2) * grade.white_std, rel=0.05)
 
 
-def test_velocity_is_told_by_those_who_know_it():
+def test_only_receivers_with_a_velocity_grade_report_velocity():
     gps, _ = fixes(GpsGrade("test", 1.0, velocity_std=0.05))
     assert gps.speed is not None and gps.course is not None
     assert gps.speed.mean() == pytest.approx(10.0, abs=0.01)

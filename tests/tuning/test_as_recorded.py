@@ -33,7 +33,7 @@ def test_it_reaches_tune_batch_evaluate_and_run():
     assert found[True][1] == found[False][1] + 5  # the frozen fixes end steps of their own
 
 
-def test_raw_fixes_are_scored_with_the_frozen_ones():
+def test_raw_fixes_are_scored_with_the_stale_ones():
     drive = rough()
     with_frozen, without = (evaluate(d, parameters("planar5")) for d in (drive, unfrozen(drive)))
     assert with_frozen.mean("raw_gps", "position_rmse_m") != without.mean("raw_gps", "position_rmse_m")

@@ -266,7 +266,7 @@ def test_what_can_not_be_tuned_is_refused(tmp_path: Path):
         assert "use a ThreadPoolExecutor" in refusal(lambda: tune(LOGS, executor=pool, **SMALL))
 
 
-def test_the_box_is_that_of_the_model():
+def test_the_bounds_are_those_of_the_model():
     tuning = tune(LOGS[0], **(SMALL | {"scale": "linear"}))
     assert tuning.trials[0].point.tolist() == list(tuning.parameters.values())
     log10 = tune(LOGS[0], **SMALL)

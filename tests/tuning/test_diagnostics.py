@@ -56,7 +56,7 @@ def test_a_filter_that_is_lost_where_it_was_tuned_is_not_to_be_used():
 
 
 @pytest.mark.long
-def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():
+def test_so_is_one_that_drifts_farther_than_the_baseline():
     good = tune([town()], model="planar8", kind="ekf", objective="innovation-t", particles=16, generations=12)
     assert not [doubt for doubt in good.warnings if "DO NOT" in doubt]
     found = [drifts_of(PreparedDrive(town()), good.parameters)]

@@ -108,7 +108,7 @@ def test_dropped_together_they_keep_their_distances():
     assert result.costs[2] > result.costs[1]
 
 
-def test_if_all_that_finish_fail_nobody_wins_by_having_seen_less():
+def test_if_all_finished_candidates_fail_no_dropped_candidate_wins():
     _, result = raced(np.array([[1.0, np.inf], [2.0, 0.0]]), [0, 1])
     assert np.isinf(result.costs).all()
     assert result.failures == 1
@@ -216,7 +216,7 @@ def test_among_many_drives_it_begins_with_some():
     assert (rungs(30, MIN_RACED_DRIVES)[0], rungs(30, MIN_RACED_DRIVES - 1)[0]) == ((30, 8), (30, 1))
 
 
-def test_whoever_is_no_better_than_the_best_stops_when_it_is_plain():
+def test_a_candidate_that_is_clearly_not_better_than_the_best_is_dropped():
     """Drives differ by much more than candidates do, so that only a comparison on the same drives can tell."""
     rng = np.random.default_rng(0)
     hard = rng.uniform(0, 100, 120)

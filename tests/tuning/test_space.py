@@ -21,7 +21,7 @@ def values(parameters) -> list[float]:
 
 
 @SCALES
-def test_it_is_the_paper_s_box(scale):
+def test_the_bounds_are_those_of_the_paper(scale):
     space = search_space("planar5", scale)
     assert space.names == NAMES
     assert space.lowest.tolist() == LOWEST
@@ -38,7 +38,7 @@ def test_the_bounds_are_exact(scale):
 
 @SCALES
 @given(shares=st.lists(st.floats(0, 1), min_size=10, max_size=10))
-def test_every_point_of_the_box_is_a_filter_in_the_box(scale, shares: list[float]):
+def test_every_point_within_the_bounds_is_a_filter_within_the_bounds(scale, shares: list[float]):
     space = search_space("planar5", scale)
     point = np.clip(space.low + np.array(shares) * (space.high - space.low), space.low, space.high)
     decoded = values(space.decode(point[None])[0])
@@ -172,7 +172,7 @@ def test_an_unknown_scale_is_refused():
         search_space("planar5", "cubic")
 
 
-def test_the_box_of_tilted12_is_per_second_whatever_the_imus_rate():
+def test_the_bounds_of_tilted12_are_per_second_for_any_rate_of_the_imu():
     box = {
         interval: {d.name: d for d in search_space("tilted12", "log10", interval, kind="ekf").dimensions}
         for interval in (0.01, 0.02)

@@ -128,7 +128,7 @@ def test_it_beats_random_search_and_the_defaults(scale: str):
     assert sum(wins) >= 4
 
 
-def test_parameters_stay_in_the_box_and_touched_bounds_are_told():
+def test_parameters_stay_within_the_bounds_and_touched_bounds_are_reported():
     tuning = tune(
         DRIVES, optimizer="pso", particles=10, generations=15, seed=1
     )  # its particles stop at bounds

@@ -44,7 +44,7 @@ def test_of_a_linear_model_it_is_the_least_squares_of_the_whole_log():
 
 
 @pytest.mark.parametrize("kind", ["ukf", "ekf"])
-def test_a_pendulum_is_known_better_in_hindsight(kind: str):
+def test_the_smoother_estimates_a_pendulum_better(kind: str):
     log = pendulum_log(duration=8.0)
     model = PENDULUM if kind == "ukf" else replace(PENDULUM, kind=kind)
     p = PARAMETERS if kind == "ukf" else {k: v for k, v in PARAMETERS.items() if k not in SCALING}

@@ -70,7 +70,7 @@ def test_others_are_three_different_ones():
     np.testing.assert_allclose(off, 1 / 6, atol=0.04)
 
 
-def test_what_leaves_the_box_comes_back_anywhere_in_it():
+def test_coordinates_outside_the_bounds_are_drawn_again_within_them():
     search = DifferentialEvolution(np.zeros(2), np.ones(2), 40, np.random.default_rng(0), scale=(1.9, 1.9))
     search.tell(np.sum(search.ask(), axis=1))
     points = np.concatenate([search._next() for _ in range(50)])

@@ -44,7 +44,7 @@ def test_the_constants_are_the_paper_s():
 
 
 @given(seed=st.integers(0, 2**32), low=st.floats(-1e3, 1e3), width=st.floats(1e-6, 1e3), n=st.integers(2, 9))
-def test_no_particle_ever_leaves_the_box(seed: int, low: float, width: float, n: int):
+def test_no_particle_leaves_the_bounds(seed: int, low: float, width: float, n: int):
     low, high = np.array([low, -1.0]), np.array([low + width, 1.0])
     swarm = ParticleSwarm(low, high, n, np.random.default_rng(seed))
     for _ in range(6):
@@ -54,7 +54,7 @@ def test_no_particle_ever_leaves_the_box(seed: int, low: float, width: float, n:
     assert np.all((swarm.global_best >= low) & (swarm.global_best <= high))
 
 
-def test_velocity_is_kept_or_zeroed_where_the_box_stops_a_particle():
+def test_velocity_is_kept_or_zeroed_where_a_bound_stops_a_particle():
     for zeroed in (False, True):
         swarm = ParticleSwarm(LOW, HIGH, 8, np.random.default_rng(0), zero_velocity_at_bounds=zeroed)
         stopped = 0
