@@ -135,9 +135,9 @@ def cases(folder: Path) -> dict[str, Callable[[], Parts]]:
     found["comma2k19"] = lambda: in_time("comma2k19", 0.5)
     found |= {f"simulated {grade}": lambda grade=grade: simulated(grade) for grade in GRADES}
     found |= {name: lambda name=name: held_out(name) for name in KITTI}
-    strangers = ("kitti-09-30-0033", "colorado-1", "kingston-1")
-    for one in strangers:
-        for other in strangers:
+    recordings = ("kitti-09-30-0033", "colorado-1", "kingston-1")
+    for one in recordings:
+        for other in recordings:
             if one != other:
                 found[f"{one} > {other}"] = lambda one=one, other=other: across(one, other)
     found["simulated white-1m > ublox-m8"] = lambda: (
@@ -250,9 +250,9 @@ def lowest(rows: np.ndarray) -> np.ndarray:
 def relative_to_best(median: dict[tuple[str, str, str], np.ndarray]) -> Iterator[str]:
     """Yield ratios of the default's scores to the lowest of each case and to the raw fixes' RMSE: mean and worst."""
     yield (
-        "| the default over the best of each case | cases | "
+        "| scores of the default / lowest scores of each case | cases | "
         + " | ".join(RATIOS)
-        + " | over the raw fixes' RMSE |"
+        + " | RMSE / RMSE of the raw fixes |"
     )
     yield "|---" * (len(RATIOS) + 3) + "|"
     for objective in dict.fromkeys(o for _, label, o in median if label == "default"):
@@ -303,7 +303,7 @@ def summaries(
                     float(np.exp(np.mean(np.log(each)))) if len(each) else np.nan for each in known_drifts
                 ]
                 rows.append((f"{label}, {objective}", [*means, float(one[:, 0].max())]))
-            what = "strangers" if other_sensors else "held out"
+            what = "other sensors" if other_sensors else "held out"
             yield f"{title}, {'with' if truth else 'without'} truth, {what}: {len(names)} cases", rows
 
 

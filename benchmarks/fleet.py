@@ -252,7 +252,7 @@ def _overhead(replays: Any, sets: Sequence[Any]) -> float:
 
 
 def memory(folder: Path, drives: int | None) -> None:
-    if drives is not None:  # in a process of its own
+    if drives is not None:  # in a separate process
         made = drives_of(folder, 3, 600.0)
         place = [made[i % len(made)] for i in range(drives)]
         with Processes(folder / f"dask-{os.getpid()}", 2) as running, connected(running.address) as client:

@@ -70,7 +70,9 @@ def table(title: str, training: Drive, test: Drive, options: argparse.Namespace,
     replayer = BatchScorer.prepare([test], PassOptions(outages=True))
     raw = score_raw_gps(test, replayer.initial[0]).position_rmse
     print(f"\ncolorado-1, last 30%, {title} (raw {raw:.2f} m)\n")
-    print("| tuned by | beside lateral and standstill | position RMSE, m | heading, deg | 5 s drift, m |")
+    print(
+        "| tuned by | other options than lateral and standstill | position RMSE, m | heading, deg | 5 s drift, m |"
+    )
     print("|---|---|---|---|---|")
     for objective in OBJECTIVES:
         for name, use in OPTIONS.items():

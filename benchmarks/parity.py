@@ -230,12 +230,12 @@ def free_running(timeline: Timeline, initial: InitialState, sets: Sets) -> Table
     for name, parts in (
         ("the twin", [run.twin for run in runs]),
         ("FilterPy, theta first", [run.filterpy for run in runs]),
-        ("the twin, where it stays", [run.twin[run.judged] for run in runs]),
-        ("FilterPy, where the twin stays", [run.filterpy[run.judged] for run in runs]),
+        ("the twin, below the limit", [run.twin[run.judged] for run in runs]),
+        ("FilterPy, twin below the limit", [run.filterpy[run.judged] for run in runs]),
     ):
         values = np.concatenate(parts)
         cells = _cells(values)
-        whole = f"{len(sound)} of {len(runs)} stay" if "stays" in name else str(len(runs))
+        whole = f"{len(sound)} of {len(runs)} below" if "below" in name else str(len(runs))
         out.add_row(name, "mean", *cells, str(values.size), whole)
     return out
 

@@ -115,13 +115,15 @@ def faults(drives: Iterator[Drive]) -> None:
             else:
                 missed[fault].append(drive.name)
         print(drive.name, named.total(), dict(told), dict(missed), alarms, file=sys.stderr, flush=True)
-    print("| planted | named | reported as not to be seen | missed on |\n|---|---|---|---|")
+    print("| planted | found | reported as not observable | missed on |\n|---|---|---|---|")
     for fault in {**named, **told, **missed}:
         print(f"| {fault} | {named[fault]} | {', '.join(told[fault])} | {', '.join(missed[fault])} |")
     unseen, lost = (sum(map(len, some.values())) for some in (told, missed))
     whole = named.total() + unseen + lost
-    print(f"\n{named.total()} of {whole} named ({named.total() / whole:.1%}), {unseen} reported as not to be")
-    print(f"seen, {lost} missed; serious findings on the {count} sound drives: {', '.join(alarms) or 'none'}")
+    print(f"\n{named.total()} of {whole} found ({named.total() / whole:.1%}), {unseen} reported as not")
+    print(
+        f"observable, {lost} missed; serious findings on the {count} sound drives: {', '.join(alarms) or 'none'}"
+    )
 
 
 def hidden(fault: str, sound: Diagnosis, sick: Diagnosis) -> bool:

@@ -35,7 +35,7 @@ def main() -> None:
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
     print(
-        "| tested on | prior | position RMSE, m | heading, deg | 5 s drift, m | NEES | R, m | fixes err by, m |"
+        "| tested on | prior | position RMSE, m | heading, deg | 5 s drift, m | NEES | R, m | errors of fixes, m |"
     )
     print("|---" * 8 + "|")
     found = cases(options.drives)

@@ -23,7 +23,7 @@ from pathlib import Path
 import grimp
 
 PACKAGE = "sigmaswarm"
-RECORDER = "carla_recorder"  # a distribution of its own, at the top of the checkout
+RECORDER = "carla_recorder"  # a separate distribution, at the top of the checkout
 KERNELS = "filters/compiled"
 LONG, MANY, SHORT = 60, 7, 40
 SKIPPED_TOKENS = {

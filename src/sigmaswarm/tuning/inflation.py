@@ -107,8 +107,8 @@ def shown_bias(starts: Sequence[InitialState]) -> float:
 def predicted_bias(biases: Sequence[float]) -> float:
     """Return the standard deviation (rad/s) of the gyro bias on another drive, from the true ones; 0 if unknown.
 
-    With a mean of zero, it is that of a Student's t distribution with n degrees of freedom. For fewer than three
-    drives, where this is infinite, the RMS of the biases is returned.
+    For a mean of zero, the bias on another drive has a Student's t distribution with n degrees of freedom (n drives).
+    For n < 3, the standard deviation of this distribution is infinite, and the RMS of the biases is returned instead.
     """
     known = np.array([bias for bias in biases if np.isfinite(bias)])
     if not len(known):
