@@ -24,6 +24,9 @@ Symbols: x, P state mean and covariance; Q, R process and measurement noise cova
 scaling (Merwe); z, nu, S, K measurement, innovation, innovation covariance, gain; C = Cov(x, z); F, H Jacobians of
 process and measurement; n number of states; w, c1, c2 inertia, cognitive and social acceleration of a particle swarm. A
 minus or plus after a symbol (P-, P+): before and after the update.
+
+In docstrings and options, "the paper" is Malabo and Gerardo, "Adaptive Tuning of the Unscented Kalman Filter Using
+Particle Swarm Optimization for Inertial-GPS Sensor Fusion Systems".
 """
 
 import ast

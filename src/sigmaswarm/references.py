@@ -147,8 +147,8 @@ def _smoothed(
     estimate = smooth(ready, parameters)
     if estimate.failure:
         raise SigmaswarmError(f"{name}: {estimate.failure}; check the log with sigmaswarm doctor")
-    stretched = _stretch(ready, parameters, np.random.default_rng(options.seed))
-    truth = _truth(estimate, receiver.gps, stretched, accuracy)
+    factor = _std_factor(ready, parameters, np.random.default_rng(options.seed))
+    truth = _truth(estimate, receiver.gps, factor, accuracy)
     if truth is None:
         raise InputError(
             f"{name}: the truth has a standard deviation above {accuracy:g} m everywhere; raise --accuracy, or check "
@@ -160,7 +160,7 @@ def _smoothed(
         "offset_s": options.offset,
         "lever_arm_m": [float(v) for v in arm or (0.0, 0.0, 0.0)],
         "filter": parameters.model,
-        "stretched": round(stretched, 3),
+        "stretched": round(factor, 3),
         "share": round(share, 4),
     }
 
@@ -221,7 +221,7 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
     return replace(gps, lat=None, lon=None, alt=None).select(known)
 
 
-def _stretch(ready: PreparedDrive, parameters: FilterParameters, rng: np.random.Generator) -> float:
+def _std_factor(ready: PreparedDrive, parameters: FilterParameters, rng: np.random.Generator) -> float:
     """Return the factor, 1 or more, on the smoother's standard deviations.
 
     With this factor, the 95% intervals contain 95% of the hidden fixes: see `COVERAGE`.
@@ -273,10 +273,10 @@ def _antenna(mean: Array, drive: Drive) -> Array:
     return mean[:, :2] + np.column_stack([turned.real, turned.imag])
 
 
-def _truth(estimate: Estimate, good: Gps, stretched: float, accuracy: float) -> Truth | None:
+def _truth(estimate: Estimate, good: Gps, factor: float, accuracy: float) -> Truth | None:
     """Return truth at the times with a known position; None if there are fewer than two."""
     mean, time = estimate.mean, estimate.time
-    deviation = stretched * np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
+    deviation = factor * np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
     std_x, std_y = (
         np.hypot(deviation[:, i], np.interp(time, good.time, stated))
         for i, stated in enumerate(_stated(good))

@@ -103,11 +103,11 @@ class StrongTracking:
     forgetting: float
     recent: float | None = None
 
-    def stretch(self, filter: GaussianFilter, innovation: Innovation) -> Innovation:
+    def inflate(self, filter: GaussianFilter, innovation: Innovation) -> Innovation:
         size = float(innovation.nu @ innovation.nu)
         rho = self.forgetting
         self.recent = size if self.recent is None else rho * self.recent + (1 - rho) * size
-        return stretched(filter, innovation, self.recent)
+        return inflate_observed(filter, innovation, self.recent)
 
 
 @dataclass
@@ -133,7 +133,7 @@ class StudentT:
             self.outliers += 1
             if self.outliers >= OUTLIERS and time - self.since >= OUTLIERS_SPAN - 1e-6:
                 self.outliers = 0
-                return stretched(filter, innovation, float(innovation.nu @ innovation.nu))
+                return inflate_observed(filter, innovation, float(innovation.nu @ innovation.nu))
         noise = innovation.noise / weight
         return replace(innovation, variance=innovation.variance - innovation.noise + noise, noise=noise)
 
@@ -149,7 +149,7 @@ class StudentT:
         return float(weight)
 
 
-def stretched(filter: GaussianFilter, innovation: Innovation, size: float) -> Innovation:
+def inflate_observed(filter: GaussianFilter, innovation: Innovation, size: float) -> Innovation:
     """Inflate the part of P that a fix observes until tr S is at least ``size``, m2; return the new innovation."""
     cross = innovation.cross
     observed = cross.T @ np.linalg.solve(filter.covariance, cross)  # H P H^T, with H = C^T P^-1

@@ -115,7 +115,7 @@ class Car:
         if gate is None or innovation.nis <= gate or self._rejected >= MOST_REJECTED:
             self._rejected = 0
             if self.parameters.kind == "strong-tracking-ukf":
-                innovation = self.tracking.stretch(self.filter, innovation)
+                innovation = self.tracking.inflate(self.filter, innovation)
             if self.robust:
                 innovation = self.robust.weigh(self.filter, innovation, time)
             if self.fuzzy:

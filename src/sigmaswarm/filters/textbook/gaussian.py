@@ -56,7 +56,7 @@ class Prediction:
     """Prediction of a filter before the update, for smoothing.
 
     ``mean`` (n,) and ``covariance`` (n, n) are m- and P-; P- includes the inflation of an adaptive filter
-    (`adaptive.stretched`). ``cross`` (n, n) is the covariance of the previous state with the predicted state.
+    (`adaptive.inflate_observed`). ``cross`` (n, n) is the covariance of the previous state with the predicted state.
     """
 
     mean: Array
