@@ -253,6 +253,16 @@ def test_warnings_of_the_doctor_are_named_too(sigmaswarm, good, tuned: Path, her
     assert "doctor" not in sigmaswarm("evaluate", tuned, "scaled", "--json", "--trust-log").err
 
 
+def test_a_warning_that_needs_no_action_is_not_named_again(sigmaswarm, good, tuned: Path, here: Path):
+    write_drive(good, here / "short")
+    rows = (here / "short" / "imu.csv").read_text().splitlines()
+    (here / "short" / "imu.csv").write_text("\n".join(rows[: 4 * len(rows) // 10]) + "\n")
+    (checked,) = json.loads(sigmaswarm("doctor", "short", "--json").out)["drives"]
+    codes = [f["code"] for f in checked["findings"] if f["severity"] == "warning"]
+    assert codes == ["gps-outside", "unseen-yaw"]
+    assert "less accurate (unseen-yaw)" in sigmaswarm("evaluate", tuned, "short", "--json").err
+
+
 def test_a_mended_copy_is_offered_where_something_can_be_mended_and_its_folder_is_free(
     sigmaswarm, good, sick: Path, here: Path
 ):

@@ -440,16 +440,19 @@ def test_what_was_read_from_which_column_is_said_without_show(sigmaswarm: Comman
     assert tomllib.loads(said["recipe"])["imu"][0]["gz"] == "1.0*gyro_z"
 
 
-def test_fixes_that_nobody_uses_are_said_once(sigmaswarm: Command, here: Path):
+@pytest.mark.parametrize(("kept", "unused", "severity"), [(0.5, 150, "note"), (0.4, 180, "warning")])
+def test_fixes_that_no_filter_uses_are_counted_once(
+    sigmaswarm: Command, here: Path, kept: float, unused: int, severity: str
+):
     drive = library.simulate("urban", run=3, duration=60.0, imu_rate=50.0, gps="white-1m")
     library.write_drive(drive, here / "log")
     rows = Path("log/imu.csv").read_text().splitlines()
-    Path("log/imu.csv").write_text("\n".join(rows[: len(rows) // 2]) + "\n")
+    Path("log/imu.csv").write_text("\n".join(rows[: round(kept * len(rows))]) + "\n")
     ended = sigmaswarm("import", "log/imu.csv", "--gps", "log/gps.csv", "--out", "drive")
     assert ended.code == 0, ended.err
-    assert ended.out.count(" fixes (150 outside of the IMU's time span are not used), ") == 1
+    assert ended.out.count(f" fixes ({unused} outside of the IMU's time span are not used), ") == 1
     found = json.loads(sigmaswarm("doctor", "drive", "--json").out)["drives"][0]["findings"]
-    assert [f["severity"] for f in found if f["code"] == "gps-outside"] == ["note"]
+    assert [f["severity"] for f in found if f["code"] == "gps-outside"] == [severity]
 
 
 def test_nothing_that_is_read_is_overwritten(sigmaswarm: Command, here: Path, tuned: Path):

@@ -4,7 +4,7 @@ import pytest
 
 from sigmaswarm import evaluate, tune
 from sigmaswarm.drives.fingerprint import DriveRecord
-from sigmaswarm.drives.sensors import receiver_std
+from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, receiver_std
 from sigmaswarm.scoring.remarks import other_sensors
 from support import make_drive
 
@@ -25,6 +25,7 @@ def record(rate: float = 100.0, fixes: float = 5.0, std: float | None = 1.0) -> 
         (record(), ""),
         (record(rate=80.0, fixes=4.0, std=1.9), ""),
         (record(std=None), ""),
+        (record(std=UNSTATED_GPS_STD), ""),
         (record(rate=50.0), "IMU 50 Hz instead of 100 Hz"),
         (record(std=0.02), "standard deviation of the fixes 0.02 m instead of 1 m"),
         (record(rate=400.0, std=4.0), "IMU 400 Hz instead of 100 Hz, standard deviation of the fixes 4 m"),
@@ -34,6 +35,11 @@ def test_sensors_that_clearly_differ_are_named(drive: DriveRecord, said: str):
     found = other_sensors(drive, [record(), record(), record(rate=98.0, std=1.2)])
     assert (said in found) if said else not found
     assert not other_sensors(drive, [])
+
+
+def test_an_accuracy_that_was_only_assumed_is_not_compared():
+    assert not other_sensors(record(std=0.1), [record(std=UNSTATED_GPS_STD)])
+    assert "0.1 m instead of 1 m" in other_sensors(record(std=0.1), [record(std=UNSTATED_GPS_STD), record()])
 
 
 def test_a_tuning_and_an_evaluation_record_the_deviation_of_the_fixes(undiagnosed: None):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from sigmaswarm.cli.output import Output, Remark
 from sigmaswarm.files import free_path
-from sigmaswarm.wording import as_sentence, count_of, printable, sentences
+from sigmaswarm.wording import NO_ACTION, as_sentence, count_of, printable, sentences
 
 if TYPE_CHECKING:
     from sigmaswarm.datasets.dataset import Dataset
@@ -69,8 +69,8 @@ def warn_of_serious(
 ) -> list[Remedy]:
     """Warn about faults, in one warning per drive; return the remedies for serious faults.
 
-    A warning lists the serious faults or, if there are none, the doctor's warnings. ``printed``: codes of faults that
-    were printed before.
+    A warning lists the serious faults or, if there are none, the doctor's warnings that need an action. ``printed``:
+    codes of faults that were printed before.
     """
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.errors import SigmaswarmWarning
@@ -87,7 +87,9 @@ def warn_of_serious(
             )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
         elif codes := ", ".join(
-            f.code for f in diagnosis.findings if f.severity == "warning" and f.code not in printed
+            f.code
+            for f in diagnosis.findings
+            if f.severity == "warning" and f.code not in printed and not f.remedy.startswith(NO_ACTION)
         ):
             findings = (
                 f"the log makes the filter less accurate ({codes}); {_doctor(folder)} describes the faults"

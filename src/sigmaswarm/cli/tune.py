@@ -142,7 +142,10 @@ def tune(
         output.next(f"next: {check}    (check the training drives, then tune as stated above)")
     else:
         output.details("the command for a filter with the receiver's velocity", *velocity)
-        output.next(*following)
+        if any(remark.startswith(TO_DO) for remark in tuning.remarks):
+            output.next('first: follow "to do" above, or go on with this filter:', *following)
+        else:
+            output.next(*following)
 
 
 def _tune(

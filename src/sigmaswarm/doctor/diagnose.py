@@ -20,7 +20,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.drives.split import name_of_whole
 from sigmaswarm.errors import DriveError
-from sigmaswarm.wording import printable
+from sigmaswarm.wording import NO_ACTION, printable
 
 # The order of findings of equal severity
 CHECKS = (
@@ -91,7 +91,7 @@ def _diagnosed(drive: Drive) -> Diagnosis:
 def _contradicted(finding: Finding) -> Finding:
     """Return a finding whose repair made forecasts worse: it is at most a warning, and is not repaired again."""
     remedy = (
-        "no action is needed: the repair was tried, but then a filter predicts the fixes less accurately. If you know "
+        f"{NO_ACTION}: the repair was tried, but then a filter predicts the fixes less accurately. If you know "
         f"that this fault exists, repair it yourself: {finding.remedy}"
     )
     severity = "warning" if finding.severity == "serious" else finding.severity

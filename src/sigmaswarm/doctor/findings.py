@@ -28,6 +28,7 @@ CONSEQUENCES = {
     "gps-disturbed": "the filter is less accurate during this time",
     "gps-noise": "without truth, tune takes the accuracy of the fixes from the stated value",
     "gps-outliers": "these fixes pull a filter away from the path",
+    "gps-outside": "these fixes improve neither the tuning nor an evaluation",
     "gps-repeats": "such a fix does not contain the position at its time",
     "gravity": "a filter mistakes the offsets for acceleration, so its position drifts between fixes",
     "gravity-axis": "a filter mistakes gravity for acceleration and loses the position within seconds",

@@ -5,6 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from sigmaswarm.drives.fingerprint import DriveRecord
+from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
 from sigmaswarm.filters.divergence import describe_restarts
 from sigmaswarm.scoring.consistency import MAX_CORRELATION, Consistency
 from sigmaswarm.scoring.measures import DRIFTS, POSITION_MEASURES, Measure
@@ -54,11 +55,15 @@ def describe_drives(data: Sequence[DriveRecord]) -> str:
 
 
 def other_sensors(drive: DriveRecord, training: Sequence[DriveRecord]) -> str:
-    """Describe sensors of an evaluated drive that clearly differ from those of all training drives; "" if none do."""
+    """Describe sensors of an evaluated drive that clearly differ from those of all training drives; "" if none do.
+
+    Assumed standard deviations of fixes are not compared.
+    """
     differences: list[str] = []
     drives = drive, *training
     rates = [(one.imu_samples or 0) / (one.duration_s or np.inf) for one in drives]
-    values = rates, [one.receiver_std_m or 0.0 for one in drives]
+    stds = [one.receiver_std_m or 0.0 for one in drives]
+    values = rates, [0.0 if std == UNSTATED_GPS_STD else std for std in stds]
     for (name, unit, ratio), (here, *known) in zip(SENSORS, values, strict=True):
         others = [value for value in known if value]
         if others and here and not min(others) / ratio < here < max(others) * ratio:

@@ -19,6 +19,7 @@ from sigmaswarm.doctor.verdicts import DEGREE, MIN_GAIN_ERROR
 from sigmaswarm.doctor.windows import integral, moving_mean, smoothed
 from sigmaswarm.doctor.yaw_fit import yaw_windows
 from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
+from sigmaswarm.wording import NO_ACTION
 
 MIN_SCALE_TURN = np.radians(
     1.0
@@ -114,7 +115,7 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
         severity = "warning" if abs(bias) > BIAS_LIMITS[1] else "note"
         what = f"the gyro's bias is about {np.degrees(bias):.2f} deg/s"
         model = evidence.suggestion.model
-        remedy = f"no action is needed, since the default filter of tune (--model {model}) estimates the bias"
+        remedy = f"{NO_ACTION}, since the default filter of tune (--model {model}) estimates the bias"
         yield Finding("gyro-bias", severity, what, where, span, 0.95, remedy)
 
 

@@ -12,6 +12,7 @@ from sigmaswarm.doctor.acceleration_fit import MIN_NOISE
 from sigmaswarm.doctor.evidence import MAX_SCATTER_RATIO, Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of, split_command
 from sigmaswarm.drives.sensors import motion_in_noise, receiver_std, stated_std
+from sigmaswarm.wording import NO_ACTION
 
 MAX_OBSERVED_RATIO = 2.0  # largest ratio of observed noise to stated noise
 # m, standard deviation that no receiver reaches in motion (data sheets of RTK state 0.006 to 0.01 m). A smaller
@@ -80,7 +81,7 @@ def _disturbed(evidence: Evidence) -> Iterator[Finding]:
     span = float(course.time[fixes[0]]), float(course.time[fixes[-1]])
     command = split_command(*span)
     remedy = (
-        "no action is needed with the default filter of tune (robust), which reduces the weight of such fixes; for "
+        f"{NO_ACTION} with the default filter of tune (robust), which reduces the weight of such fixes; for "
         f"other filters, leave them out: {command}"
     )
     yield Finding("gps-disturbed", "warning", what, "gps.csv, positions", span, 0.99, remedy, command=command)

@@ -25,6 +25,7 @@ MAX_INTERVAL_RANGE = 0.5  # largest range of the middle 90% of the intervals, re
 MAX_REPEATED_SHARE = 0.2
 LONG_GAP = 0.5  # s without IMU samples, above which a filter's step is inaccurate
 MIN_STALE_FIXES = 3
+MAX_UNUSED_SHARE = 0.5  # of the fixes, outside of the IMU's time span
 # Smallest excess of an interval between fixes, in usual intervals, that shows missing fixes
 MIN_EXCESS = 0.3
 SPEED_WINDOW = 2.0  # s on each side of a gap in which the speed is measured
@@ -122,7 +123,9 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     remedy = "during this time a filter uses only the IMU; no action is needed if this is intended"
     yield from _gaps("gps", gaps_in(gps.time, GPS_GAP, imu.time), remedy)
     if remark := unshared_times(imu.time, gps.time):
-        yield finding_of(remark, "note", _ends(imu.time), 1.0)
+        unused = np.mean((gps.time < imu.time[0]) | (gps.time > imu.time[-1]))
+        severity = "warning" if unused > MAX_UNUSED_SHARE else "note"
+        yield finding_of(remark, severity, _ends(imu.time), 1.0)
     yield from clock_jumps(imu.time, gps)
     same = np.append(False, (np.diff(imu.ax) == 0) & (np.diff(imu.ay) == 0) & (np.diff(imu.gz) == 0))
     if same.mean() > MAX_REPEATED_SHARE:
