@@ -1,6 +1,8 @@
 """A sensor's clock that runs fast or slow: found with its rate, and repaired."""
 
 from dataclasses import replace
+from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -11,8 +13,14 @@ from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.repairs import repair
 from sigmaswarm.drives.drive import Drive, Odometer
 from sigmaswarm.simulation.scenarios import simulate
+from support import quickly, some
 
-DRIVES = [simulate("urban", run=run, duration=400.0, imu_rate=50.0, gps="white-1m") for run in range(3)]
+QUICK = {(0, 0.004), (1, -0.004)}
+
+
+@cache
+def simulated(run: int) -> Drive:
+    return simulate("urban", run=run, duration=400.0, imu_rate=50.0, gps="white-1m")
 
 
 def stretched(drive: Drive, drift: float) -> Drive:
@@ -20,23 +28,25 @@ def stretched(drive: Drive, drift: float) -> Drive:
     return replace(drive, imu=replace(drive.imu, time=begin + (1 + drift) * (drive.imu.time - begin)))
 
 
-@pytest.mark.parametrize("run", range(3))
-@pytest.mark.parametrize("drift", [0.004, -0.004, 0.007])
+@pytest.mark.parametrize(
+    ("run", "drift"),
+    quickly(product(range(3), [0.004, -0.004, 0.007]), lambda run, drift: (run, drift) in QUICK),
+)
 def test_a_fast_or_slow_clock_is_found_and_repaired(run: int, drift: float):
-    drive = stretched(DRIVES[run], drift)
+    drive = stretched(simulated(run), drift)
     diagnosis = diagnose(drive)
     (found,) = (f for f in diagnosis.findings if f.code == "clock-drift")
     assert found.severity == "serious" and ("fast" if drift > 0 else "slow") in found.what
     assert "clock-offset" not in diagnosis.codes, "one cause is one finding"
     again = repair(drive, diagnosis)
-    left = np.ptp(again.imu.time) / np.ptp(DRIVES[run].imu.time) - 1
+    left = np.ptp(again.imu.time) / np.ptp(simulated(run).imu.time) - 1
     assert abs(left) < 0.25 * abs(drift)
     assert "clock-drift" not in diagnose(again).codes
 
 
-@pytest.mark.parametrize("run", range(3))
+@pytest.mark.parametrize("run", some(range(3)))
 def test_a_correct_clock_has_no_drift(run: int):
-    assert "clock-drift" not in diagnose(DRIVES[run]).codes
+    assert "clock-drift" not in diagnose(simulated(run)).codes
 
 
 def test_few_turns_and_noise_of_five_meters_are_no_drift():
@@ -52,10 +62,9 @@ def test_turns_at_falling_speeds_are_no_drift():
 
 
 def test_the_odometer_has_the_clock_of_the_imu():
-    drive = stretched(DRIVES[0], 0.004)
-    speed = np.interp(
-        DRIVES[0].imu.time, DRIVES[0].truth.time, np.hypot(DRIVES[0].truth.vx, DRIVES[0].truth.vy)
-    )
+    sound = simulated(0)
+    drive = stretched(sound, 0.004)
+    speed = np.interp(sound.imu.time, sound.truth.time, np.hypot(sound.truth.vx, sound.truth.vy))
     drive = replace(drive, odometer=Odometer(drive.imu.time, speed))
     again = repair(drive, diagnose(drive))
     np.testing.assert_array_equal(again.odometer.time, again.imu.time)

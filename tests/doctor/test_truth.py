@@ -13,6 +13,7 @@ from sigmaswarm.doctor.truth_clock import truth_delay
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.simulation.scenarios import simulate
+from support import diagonal
 
 DRIVES = {
     "urban": simulate("urban", run=3, duration=120.0, imu_rate=50.0, gps="white-1m"),
@@ -26,8 +27,7 @@ def shifted(drive: Drive, seconds: float, *, move: float = 0.0) -> Drive:
     return replace(drive, truth=replace(truth, time=truth.time + seconds, x=truth.x + move))
 
 
-@pytest.mark.parametrize("name", DRIVES)
-@pytest.mark.parametrize("seconds", [50.0, 18.0, -18.0, 3600.0, -7.3])
+@pytest.mark.parametrize(("name", "seconds"), diagonal(DRIVES, [50.0, 18.0, -18.0, 3600.0, -7.3]))
 def test_a_wrong_clock_of_the_truth_is_found_and_repaired(name: str, seconds: float):
     drive = shifted(DRIVES[name], seconds)
     diagnosis = diagnose(drive)

@@ -29,7 +29,7 @@ from sigmaswarm.importing.proposal import (
 )
 from sigmaswarm.importing.source import TableChoice
 from sigmaswarm.simulation.scenarios import simulate
-from support import quickly, some
+from support import diagonal, quickly, some
 
 START = 1_700_000_000
 G = 9.80665
@@ -374,16 +374,18 @@ def test_columns_without_names_are_recognized_by_their_values(tmp_path: Path, or
 
 
 @pytest.mark.parametrize(
-    ("rates", "scale", "gravity"),
-    [
-        (("wx", "wy", "wz"), 1.0, 1.0),
-        (("gyro_x", "gyro_y", "gyro_z"), np.degrees(1.0), 1.0),
-        (("p", "q", "r"), 1.0, 1 / G),
-        (("gx [deg/s]", "gy [deg/s]", "gz [deg/s]"), np.degrees(1.0), 1.0),
-    ],
+    ("rates", "scale", "gravity", "together"),
+    diagonal(
+        [
+            (("wx", "wy", "wz"), 1.0, 1.0),
+            (("gyro_x", "gyro_y", "gyro_z"), np.degrees(1.0), 1.0),
+            (("p", "q", "r"), 1.0, 1 / G),
+            (("gx [deg/s]", "gy [deg/s]", "gz [deg/s]"), np.degrees(1.0), 1.0),
+        ],
+        [True, False],
+    ),
 )
 @pytest.mark.filterwarnings("ignore::sigmaswarm.errors.SigmaswarmWarning")  # notes of the import
-@pytest.mark.parametrize("together", [True, False])
 def test_x_y_z_next_to_rates_are_proposed_as_accelerations(
     tmp_path: Path, rates: tuple[str, str, str], scale: float, gravity: float, together: bool
 ):
