@@ -51,6 +51,7 @@ from sigmaswarm.tuning.defaults import with_default_guards
 from sigmaswarm.tuning.record import TuningRecord
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.tune import tune
+from sigmaswarm.wording import as_sentence
 from support import make_drive, quickly
 
 NASTY = '<img src=x onerror="alert(1)"></script><script>alert(2)</script> & \'Fri"day\''
@@ -228,7 +229,7 @@ def test_the_tuning_s_page_has_every_parameter_and_remark(folders: tuple[Path, P
     assert rows["r_y"][1:3] == (file["filter"]["measurement_noise"][1], "m2")
     for name, ends in file["within_1_percent_of_the_cost"].items():
         assert list(rows[name][3:5]) == ["at the bound" if e == "-" else e for e in ends]
-    assert report.remarks == tuple(Tuning.load(tuned).remarks)
+    assert report.remarks == tuple(map(as_sentence, Tuning.load(tuned).remarks))
     assert f"{file['result']['validation_cost']:.4f}" in report.lead[1]
     chart = next(s for s in report.sections if s.title == "Convergence").charts[0]
     assert len(figure_of(chart, size=(4, 3)).axes[0].get_lines()) == 4

@@ -44,7 +44,7 @@ from sigmaswarm.scoring.view import (
 )
 from sigmaswarm.tuning.record import NOT_VALIDATED_TEXTS, TuningRecord
 from sigmaswarm.tuning.view import TuningView
-from sigmaswarm.wording import sort_remarks
+from sigmaswarm.wording import as_sentence, sort_remarks
 
 # Verdicts on the consistency that the page shows as warnings.
 WARNING_VERDICTS = ("optimistic", "pessimistic", "alike", "lasting", "correlated", "unknown")
@@ -82,7 +82,8 @@ def evaluation_report(
     verdicts = view.verdicts()
     remarks = [*view.warnings(), *view.findings()]
     remarks += [verdicts[kind] for kind in WARNING_VERDICTS if kind in verdicts]
-    remarks += [r for r in (record.result.remarks if record.result else ()) if r not in NOT_VALIDATED_TEXTS]
+    of_tuning = record.result.remarks if record.result else ()
+    remarks += [as_sentence(remark) for remark in of_tuning if remark not in NOT_VALIDATED_TEXTS]
     return Report(
         title=f"Evaluation of {tuned.filter}",
         lead=(view.result(), *(view.coverage() if view.without_truth else ()), tuned.purpose),

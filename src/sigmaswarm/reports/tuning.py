@@ -25,6 +25,7 @@ from sigmaswarm.tuning.config import RENAMED, SWARM, TuneConfig, option_words
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, TuningRecord, history_of, load_history
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.view import RANGES, TuningView
+from sigmaswarm.wording import as_sentence
 
 # Options that the command of a page contains even if they have their default values.
 STATED_OPTIONS = (
@@ -91,7 +92,7 @@ def tuning_report(record: TuningRecord, history: pl.DataFrame | None = None) -> 
         title=f"Tuning of {view.filter}",
         lead=(view.purpose, *(f"{line[0].upper()}{line[1:]}." for line in (held_out, *view.larger_drifts))),
         figures=tuple(figures),
-        remarks=tuple(result.remarks),
+        remarks=tuple(map(as_sentence, result.remarks)),
         sections=(
             parameters_section(view),
             *([Section("Drifts without fixes", tables=(view.drifts,))] if view.drifts else []),
