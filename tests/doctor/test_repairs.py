@@ -194,7 +194,7 @@ def test_a_repair_that_makes_forecasts_worse_is_withheld(code: str, repair: Repa
     good = drive_of("simulated, short")
     wrong = Finding(code, "serious", "a false finding", "imu.csv", (0.0, 1.0), 0.999, "do not", repair)
     with pytest.warns(
-        sigmaswarm.SigmaswarmWarning, match=f"{code} not repaired, since a filter then predicts"
+        sigmaswarm.SigmaswarmWarning, match=f"{code} not repaired, since with the repair a filter predicts"
     ):
         kept = sigmaswarm.repair(good, Diagnosis(good.name, (wrong,)))
     np.testing.assert_array_equal(kept.imu.gz, good.imu.gz)

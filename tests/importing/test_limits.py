@@ -90,7 +90,7 @@ def test_a_chunk_that_becomes_gigabytes(tmp_path: Path, compression: str):
     assert log.stat().st_size < 100_000
     limits = Limits(unpacked_mb=3)
     with pytest.raises(
-        InputError, match=r"at least 4 MB would be unpacked at once, more than 3 MB; .* --max-unpacked-mb"
+        InputError, match=r"at least 4 MB would be in memory at once, more than 3 MB; .* --max-unpacked-mb"
     ):
         inspect_request(Request(log, limits=limits))
     data = log.read_bytes()
@@ -112,7 +112,7 @@ def test_an_lz4_chunk_that_does_not_say_its_size(tmp_path: Path, monkeypatch: py
     data = log.read_bytes()
     size = next(n for n in range(4_000_000, 4_010_000) if struct.pack("<Q", n) in data[:200])
     log.write_bytes(data.replace(struct.pack("<Q", size), struct.pack("<Q", 4096)))
-    with pytest.raises(InputError, match="at least 3 MB would be unpacked at once, more than 3"):
+    with pytest.raises(InputError, match="at least 3 MB would be in memory at once, more than 3"):
         inspect_request(Request(log, limits=Limits(unpacked_mb=3)))
     log.write_bytes(data)
     assert inspect_request(Request(log)).tables
@@ -137,7 +137,7 @@ def test_a_ros_bag_whose_chunks_become_gigabytes(tmp_path: Path, compression: st
         with open_log(tmp_path / "log.bag", None, limits) as source:
             return sum(len(rows) for _, rows, _ in source.batches({"/n": ["data"]}))
 
-    with pytest.raises(InputError, match="would be unpacked at once"):
+    with pytest.raises(InputError, match="would be in memory at once"):
         read(Limits(unpacked_mb=0))
     assert read(Limits(unpacked_mb=8)) == 4
 
@@ -176,6 +176,6 @@ def test_a_zip_whose_tables_become_gigabytes(tmp_path: Path):
         for name in ("Accelerometer", "Gyroscope", "Location"):
             archive.writestr(f"{name}.csv", "a,b\n" + "0,0\n" * 500_000)
     with pytest.raises(
-        InputError, match="at least 6 MB would be unpacked at once, more than 5 MB; unpack it yourself"
+        InputError, match="at least 6 MB would be in memory at once, more than 5 MB; raise --max-unpacked-mb"
     ):
         imported(tmp_path / "bomb.zip", limits=Limits(unpacked_mb=5))

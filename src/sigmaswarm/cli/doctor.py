@@ -49,9 +49,9 @@ def doctor(
 ) -> None:
     """Check drives for gaps and for wrong signs, units, axes, clocks and noise.
 
-    The doctor compares the IMU with the motion of the fixes. It does not use truth. The exit code is 0 if no drive has
-    a serious fault, 1 if a drive has a serious fault, and 2 if a drive can't be read. With --fix, exit codes 0 and 1
-    refer to the repaired copies.
+    The doctor compares the IMU with the motion of the fixes. If there is truth, it also checks the truth's clock, and
+    the errors and the delay of the fixes. The exit code is 0 if no drive has a serious fault, 1 if a drive has a
+    serious fault, and 2 if a drive can't be read. With --fix, exit codes 0 and 1 refer to the repaired copies.
 
     For example:
 

@@ -37,7 +37,7 @@ WORSE_STEP = (
     "then: tune on more or longer drives, and evaluate again (on these drives, a method without tuning is more "
     "accurate than the tuned filter)"
 )
-# %, excess of the outage drift over that of the filter of --against above which no export is proposed
+# %; if the outage drift exceeds that of the filter of --against by more, no export is proposed
 WORSE_THAN_OTHER = 1.0
 
 

@@ -34,8 +34,8 @@ class ExportOptions:
     Attributes
     ----------
     to
-        c99: a C library. filterpy: a Python script (planar models). robot_localization: YAML (the same filter only for
-        the model robot-localization).
+        c99: a C library. filterpy: a Python script (planar models). robot_localization: YAML (exact only for the
+        model robot-localization).
     out
         Folder of the export. --overwrite replaces an earlier export, removes the programs built from it, and keeps
         other files.
@@ -169,7 +169,7 @@ def _describe(check: "ExportCheck", lanes: int) -> str:
     )
     single = check.single
     if single is None:
-        return f"{line}; the filter fails in float"
+        return f"{line}; in float (single precision) the filter fails"
     return (
         f"{line}; in float the position differs by at most {1e3 * single.position:.2g} mm and the heading by "
         f"{math.degrees(single.heading):.1g} degrees"

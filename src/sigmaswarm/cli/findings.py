@@ -47,7 +47,7 @@ def print_diagnosis(
 
 
 def _problem(finding: "Finding", folder: "Location | None", *, part: bool) -> Remark:
-    """``part``: True for a part of a split drive, which is not repaired alone."""
+    """Convert a finding to a remark; ``part``: True for a part of a split drive, which is not repaired alone."""
     remedy = finding.remedy
     if folder is not None and finding.command:
         remedy = remedy.replace(finding.command, _with_names(finding.command, folder))

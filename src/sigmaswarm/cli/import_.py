@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 AXES_NOTE = (
     "the IMU's axes are assumed to be x forward, y left, z up; "
-    "if this is wrong, add --mount auto, or specify the mounting"
+    "if this is wrong, add --mount auto, or the mounting, for example --mount 90"
 )
 NOT_READY_NOTE = "The log cannot be imported yet: follow the notes above, and repeat --show"
 MAX_UNUSED_COLUMNS = 100  # unused columns that are named per table
@@ -106,7 +106,7 @@ class ImportOptions:
     max_columns
         Maximum number of columns of all tables together; 100,000 by default.
     max_unpacked_mb
-        Maximum unpacked size of a bag's chunk, or of all files in a zip, MB; 500 by default.
+        Maximum unpacked size, MB, of a bag's chunk, MATLAB variable, JSON file or zip; 500 by default.
     name
         Name of the drive; by default the name of the folder.
     """
@@ -338,7 +338,7 @@ def _print_inspection(inspection: "Inspection", options: ImportOptions) -> None:
         output.show(f"not used from {printable(table)}: {names}{more}")
     output.show(*_notes(inspection.notes))
     if inspection.proposal:
-        lacking = "" if inspection.works else " (not sufficient for a drive; the reason follows)"
+        lacking = "" if inspection.works else " (they do not suffice for a drive; the reason follows)"
         of_rows = re.search(r"\b(imu|gps)\.t=", inspection.proposal)
         output.show(
             f"\nTo read the other columns, add these options to the command{lacking}:",
@@ -356,7 +356,7 @@ def _print_inspection(inspection: "Inspection", options: ImportOptions) -> None:
 def _command(inspection: "Inspection", options: ImportOptions) -> str:
     typed = [word for word in sys.argv[1:] if word != "--show"]
     out = [] if options.out else ["--out", str(free_path("drive"))]
-    # A proposal for the IMU's columns is corrected to the drive's axes.
+    # The expressions that a proposal has for the IMU's columns already are in the drive's axes.
     corrected = inspection.proposal and re.search(r"\b[ag][xyz]=", inspection.proposal)
     out += ["--mount", inspection.mount] if inspection.mount and not corrected else []
     command = printable(shlex.join(["sigmaswarm", *typed, *out]), 4000)

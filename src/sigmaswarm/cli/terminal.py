@@ -38,7 +38,7 @@ def report_compilation() -> None:
 
 class _OnStderr(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
-        # StreamHandler would keep the stream of the time at which it was made
+        # a StreamHandler would keep the stream that was stderr when the handler was made
         print(f"sigmaswarm: {record.getMessage()}", file=sys.stderr)
 
 

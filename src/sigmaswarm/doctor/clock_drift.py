@@ -32,7 +32,7 @@ def clock_drift(evidence: Evidence) -> ClockDrift | None:
     """Fit a delay a + b t of the fixes, at which the gyro follows the course in all turns; None if b is insignificant.
 
     With the residual r of the course in windows and the yaw rate w at the delayed time, -r = w (da + t db + c / v). The
-    course of a point at a distance c before the rear axle leads the heading by w c / v, which is a delay of c / v: if
+    course of a point at a distance c ahead of the rear axle leads the heading by w c / v, which is a delay of c / v: if
     the speed v in turns rises or falls over a drive, this delay would otherwise appear as a drift.
     """
     course, fit, yaw, imu = evidence.course, evidence.yaw_fit, evidence.yaw, evidence.drive.imu

@@ -46,7 +46,7 @@ MAX_FIT_OFFSET = 2.3  # s, largest offset that the fit determines; the fit tries
 MIN_SEARCH_OFFSET = 0.3  # s, smallest offset that the search determines
 # s, largest usual delay of a receiver; a larger delay is accepted if the search finds no other offset
 MAX_USUAL_DELAY = 1.0
-# Reading of a gyro without faults; others are accepted only if no clock offset explains the data
+# Interpretation of a gyro without faults; others are accepted only if no clock offset explains the data
 AS_RECORDED = Yaw(known=True)
 # Smallest cosine of the angles between az and gravity, and between ax and forward, at which mirrored fixes can be
 # distinguished from an IMU with other axes.
@@ -141,7 +141,10 @@ def gather(drive: Drive) -> Evidence:
 
 
 def _clock_of_truth(evidence: Evidence) -> ClockOffset | None:
-    """If the fixes hardly show their delay, estimate it from the truth on their clock, whose errors are far smaller."""
+    """Estimate the delay of the fixes from the truth on their clock; None if the fixes alone determine the delay.
+
+    The truth determines the delay better, since its errors are far smaller than those of the fixes.
+    """
     clock = evidence.clock
     if evidence.moved or not MIN_OFFSET < clock.least < math.inf or (fit := evidence.truth_fit) is None:
         return None

@@ -13,7 +13,7 @@ from sigmaswarm.doctor.windows import Complex, regress, windows_of
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.drives.sensors import antenna_track
 
-WINDOW = 20.0  # s, in which errors of the fixes that last are about constant
+WINDOW = 20.0  # s; within this time, lasting errors of the fixes are about constant
 MIN_WINDOWS = 3
 # Longest interval of the truth that is interpolated: s, and usual intervals
 MAX_GAP, GAP_INTERVALS = 0.5, 1.5
@@ -37,7 +37,7 @@ class TruthFit:
 def fit_truth(drive: Drive, course: Course) -> TruthFit | None:
     """Fit the delay of the fixes to the truth's velocity; return None without enough truth.
 
-    In each window, a constant stands for errors of the fixes that last.
+    In each window, a constant represents lasting errors of the fixes.
     """
     if (truth := drive.truth) is None:
         return None

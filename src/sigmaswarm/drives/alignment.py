@@ -42,8 +42,8 @@ SLOW_BIAS_STD = np.radians(1.0)  # rad/s, standard deviation of the prior of the
 
 REPAIR_FINDINGS = "repair the findings of `sigmaswarm doctor`"
 STATE_HEADING = (
-    "write the heading at the first IMU sample to drive.toml, for example heading_deg = 90 (degrees counter-clockwise "
-    "from east), or import with --heading-from-north"
+    "write the heading at the first IMU sample (degrees counter-clockwise from east) at the top of drive.toml, for "
+    "example heading_deg = 90, or import with --heading-from-north"
 )
 STATED_HEADING_STD = np.radians(5.0)  # rad, smallest assumed standard deviation of a stated heading
 MAX_STATED_STD = np.radians(12.0)  # rad, largest stated standard deviation of a heading for a start

@@ -61,7 +61,7 @@ RECEIVER_LOGS = (
     ".ubx",
 )  # endings of files next to tables that are read only with --gps
 MAX_FAULTS = 3  # in one message
-# Rates, Hz, with which a counter is read for a comparison of the motion
+# Trial rates of a counter, Hz, with which the motion of IMU and fixes is compared
 TRIAL_RATES = (1e4, 1e5, 1e6, 1e7, 1e8, 1e3)
 
 
@@ -253,7 +253,7 @@ def _with_rate_of_ticks(
 
 
 def _trial(counter: Counter, request: Request, logs: Mapping[Path, Log], recipe: Recipe) -> str:
-    """Read a counter at the first rate with possible steps; return the remedy that follows; "" if there is none."""
+    """Import with the first trial rate that works; return the remedy that the resulting drive shows, or ""."""
     for trial in TRIAL_RATES:
         maps = [f"{r}.t={time_of_ticks(counter.text, trial)}" for r in ("imu", "gps")[: 1 + counter.shared]]
         plain = replace(recipe, roles=with_maps(recipe.roles, maps, {}), mount="")

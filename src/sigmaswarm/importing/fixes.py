@@ -55,8 +55,8 @@ def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.boo
         if not parts:
             there = list_names(log.tables)
             raise InputError(
-                f"{path}: no position fixes found in {there}; name the receiver's own log, or convert that "
-                "log to a drive with sigmaswarm import and name the drive"
+                f"{path}: no position fixes found in {there}; name the receiver's own log, or make a drive from "
+                "the receiver's log with sigmaswarm import and name this drive"
             )
         parts = [whole for part in parts for whole in complete_parts(part, log, "gps")]
         fixed = [replace(parts[0], columns={**parts[0].columns, "keep": guess.fixed})] if guess.fixed else []
@@ -83,6 +83,6 @@ def _placed(values: Values, time: Array, drive: Drive, path: Path, say: Say) -> 
     if "lat" in values and drive.origin is None:
         raise InputError(
             f"{path}: positions are in degrees, but the drive {drive.name} has no origin; write "
-            "origin = [lat, lon, alt] to its drive.toml"
+            "origin = [lat, lon, alt] at the top of its drive.toml"
         )
     return Gps(time, **placed_fixes(values, drive.origin, say)[0])

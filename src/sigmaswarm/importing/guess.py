@@ -170,7 +170,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
 def _other_tables(
     role: Role, best: str, others: Sequence[str], samples: Mapping[str, pl.DataFrame], *, ask: bool
 ) -> list[str]:
-    """Name the tables with the columns of the chosen one; if ``ask``, also others, and the options that read them.
+    """Return a note on unused tables with the same columns or, if ``ask``, with positions, and the options for them.
 
     Positions from wheels and estimates are not offered as fixes.
     """

@@ -30,7 +30,7 @@ from sigmaswarm.importing.times import column_numbers, time_of, time_of_rows
 from sigmaswarm.importing.unnamed import columns_by_values
 
 PREVIEW_ROWS = 5000  # number of first rows of a table from which ranges are computed
-# Largest number of rows that are read if the rows of tables alternate; tables without rows among these show no values
+# Largest number of rows that are read if the rows of tables alternate; later tables are shown without values
 MAX_SCANNED_ROWS = 25_000
 
 

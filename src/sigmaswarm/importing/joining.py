@@ -32,9 +32,9 @@ from sigmaswarm.wording import count_of, printable, rows_left_out
 MIN_STD = 1e-6  # m or rad; a standard deviation of at most this value counts as missing
 # Period of each angle column, rad or deg
 PERIODS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
-# Largest fraction of empty cells in an optional column: above it the column is left out, otherwise the rows
+# If a larger fraction of an optional column's cells is empty, the column is left out; otherwise the rows are left out
 MAX_EMPTY_SHARE = 0.1
-# Smallest share of rows with the previous stamp in a table whose stamps are spread over all rows, also empty ones
+# Stamps are spread over all rows, also those without a fix, only if a larger share of rows repeats the previous stamp
 MIN_SHARED = 0.5
 # Largest number of changes of the position within bursts, relative to the number of bursts, if each burst is one fix
 MAX_OTHER_SHARE = 0.1
@@ -64,7 +64,10 @@ def join(
         if left := int(np.count_nonzero(~inside)):
             say(f"{role}: {rows_left_out(left)}, since not all tables of the sensor cover their times")
         if not inside.any():
-            raise InputError(f"{role}: the tables do not overlap in time; convert them to one clock")
+            raise InputError(
+                f"{role}: the tables do not overlap in time; correct their times in a recipe (--show --save-recipe "
+                "FILE writes one), and import with --recipe"
+            )
         time, values = time[inside], {k: v[inside] for k, v in values.items()}
         at, known_at = ((t - other_time[0]) / SECOND for t in (time, other_time))
         for name, column in other.items():
@@ -198,16 +201,16 @@ def _copies(time: Nanoseconds, values: Values) -> NDArray[np.bool_] | None:
 
 
 def _same_position(values: Values) -> NDArray[np.bool_]:
-    """Mark rows but the first, (n - 1,), with the position, or else all values, of the previous row."""
+    """Mark the rows after the first, (n - 1,), that repeat the previous position or, without positions, all values."""
     names = [n for n in POSITIONS if n in values] or list(values)
     return np.all([np.diff(values[n]) == 0 for n in names], axis=0)
 
 
 def _messages(time: Nanoseconds, values: Values) -> NDArray[np.bool_]:
-    """Mark other messages of the same fix: rows that repeat the position of a row just before, if all do.
+    """Mark rows that are further messages of the previous fix: they repeat its position within a burst.
 
-    Rows at the time of the previous row in which other cells are filled may differ from it by rounding, or contain the
-    position that it lacks.
+    If rows have equal times but different filled cells, their positions may differ by rounding, or be missing in one of
+    them. No row is marked if the position often changes within bursts.
     """
     filled = np.array([np.isfinite(column) for column in values.values()], np.bool_).reshape(-1, len(time))
     other = (np.diff(time) == 0) & (np.diff(filled, axis=1).any(axis=0))

@@ -88,7 +88,7 @@ def with_magnetometer(
 ) -> Drive:
     if drive.gps.heading is not None:
         raise InputError(
-            "mag: the fixes already have a heading; omit the heading or the magnetometer with --map"
+            'mag: the fixes already have a heading; leave it out with --map "gps.heading=", or omit the magnetometer'
         )
     stamps, values = join(parts, "mag", ("mx", "my"), say, recording)
     zero = int(drive.metadata.get("time_origin_s", 0))

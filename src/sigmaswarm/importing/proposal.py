@@ -59,7 +59,7 @@ NO_PLACE = {
 }
 # Actions of repairs that can be written as expressions, in the order of application
 CORRECTED = ("rotate", "gyro", "tilt-rates", "accelerometer")
-# Largest difference of a rotation's elements from integers with which it counts as a signed permutation of axes
+# A rotation whose elements differ by less from integers counts as a signed permutation of the axes
 EXCHANGE_TOLERANCE = 0.2
 # Warnings of contradictory signs, axes or units
 CONTRADICTIONS = {"gyro-unit", "gyro-tilt", "accelerometer-unit", "accelerometer-up", "gravity-size"}

@@ -29,7 +29,7 @@ Batch = tuple[str, pl.DataFrame, float]
 class Limits:
     rows: int = 10_000_000  # of a table; 10 million are 28 hours at 100 Hz
     columns: int = 100_000  # of all tables of a log
-    # MB that are unpacked at once: a chunk, a MATLAB variable, or the required files of a zip
+    # MB in memory at once: a bag's chunk, a MATLAB variable, a JSON file, or the required files of a zip
     unpacked_mb: int = 500
 
     def check_rows(self, count: int, path: Path, table: str) -> None:
@@ -42,8 +42,8 @@ class Limits:
     def check_unpacked(self, count: int, path: Path) -> None:
         if count > self.unpacked_mb * 1_000_000:
             raise InputError(
-                f"{path}: at least {count / 1e6:.0f} MB would be unpacked at once, more than {self.unpacked_mb} MB; "
-                "unpack it yourself, or raise --max-unpacked-mb"
+                f"{path}: at least {count / 1e6:.0f} MB would be in memory at once, more than {self.unpacked_mb} MB; "
+                "raise --max-unpacked-mb, divide the log, or unpack a zip yourself and import its folder"
             )
 
     def first_columns(self, names: Iterator[str], path: Path) -> tuple[str, ...]:

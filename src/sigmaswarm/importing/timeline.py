@@ -44,8 +44,9 @@ MAX_REPEATED_SHARE = 0.02  # if a larger fraction of rows repeats the previous t
 # log with bursts
 MAX_BURST_STEP, MAX_BURST_INTERVAL, MIN_BURST_SHARE = 0.25, 1 / 400, 0.4
 MAX_ODD_SHARE = 0.2  # largest share of other groups in a log with two rows per measurement
-# If rows with coarse stamps are lost: smallest growth of the variance of the lateness over `WINDOW` stamps, rows^2 and
-# factor, largest share of lost rows of a stamp, and largest share of stamps with more lost rows or unusual steps
+# Rows with coarse stamps are lost if the variance of the lateness over `WINDOW` stamps, rows^2, exceeds MIN_WALK plus
+# MIN_GROWTH times that over one stamp. Largest share of lost rows of a stamp, and of stamps with more lost rows or
+# unusual steps
 MIN_WALK, MIN_GROWTH, MAX_LOST, MAX_UNEVEN_SHARE = 0.3, 1.5, 0.2, 0.1
 # Deviation of the steps of stamps, relative to a step, that rounding does not cause
 MIN_STEP_VARIATION = 0.005
@@ -248,14 +249,14 @@ def spread_stamps(
 
 
 def _lost(late: Array, apart: Nanoseconds, length: float) -> bool:
-    """Return whether rows are lost: the lateness of the stamps (m,), rows, then walks away from a straight line."""
+    """Return True if rows are lost, which increases the lateness of all later stamps; ``late`` (m,) is in rows."""
     paused = np.append(0, np.cumsum(apart > MAX_PAUSE * length))
 
-    def walk(k: int) -> float:
-        walks = (late[k:] - late[:-k])[paused[k:] == paused[:-k]]
-        return float(np.var(walks)) if len(walks) else 0.0
+    def growth(k: int) -> float:
+        changes = (late[k:] - late[:-k])[paused[k:] == paused[:-k]]
+        return float(np.var(changes)) if len(changes) else 0.0
 
-    return walk(min(WINDOW, max(len(late) // 3, 1))) > MIN_GROWTH * walk(1) + MIN_WALK
+    return growth(min(WINDOW, max(len(late) // 3, 1))) > MIN_GROWTH * growth(1) + MIN_WALK
 
 
 def _by_stamp(stamps: Nanoseconds, sizes: NDArray[np.intp]) -> Nanoseconds | None:

@@ -37,8 +37,8 @@ MIN_STEP, MIN_FIX_INTERVAL = 1e-4, 0.04
 FASTEST_IMU, SLOWEST_IMU = 4e-4, 0.15
 # Fraction of decreasing steps above which rows are unordered; a counter that wraps has fewer decreasing steps
 MAX_DECREASING_SHARE = 0.4
-# In bursts of up to 30 rows, this quantile of the steps exceeds the median by this ratio; pauses are rarer. Smallest
-# number of steps
+# If rows arrive in bursts (of up to 30), this quantile of the steps exceeds the median by this ratio; pauses are rarer.
+# Smallest number of steps for this test
 BURST_QUANTILE, MIN_BURST_RATIO, MIN_BURST_STEPS = 0.967, 10.0, 30
 # Smallest step of whole numbers that are read as ms; smaller steps may be row numbers, or 0.01 s
 MIN_COUNT_STEP = 4

@@ -129,7 +129,10 @@ def _measured(name: str, imu: Imu, gps: Gps | None) -> Noise:
             continue
         axes.append(_axis_noise(axis, values, interval, remarks))
     if not axes:
-        raise InputError(f"the noise can't be measured on any axis: {'; '.join(remarks)}")
+        raise InputError(
+            f"the noise can't be measured on any axis: {'; '.join(remarks)}. Check the sensor and its range, and log "
+            "all its digits"
+        )
     lengths = tuple((float(time[p.start]), (p.stop - p.start) * interval) for p in parts)
     general = [*on_stretches(stretches, [length for _, length in lengths]), *on_gravity(imu, parts[0])]
     remarks += on_gyro(axes)

@@ -50,7 +50,7 @@ def on_gravity(imu: Imu, part: slice) -> Iterator[str]:
     if not abs(force / STANDARD_GRAVITY - 1) < MAX_GRAVITY_ERROR:
         yield (
             f"the accelerometer measures {force:.3g} m/s2 at rest instead of {STANDARD_GRAVITY:.3g}: the unit looks "
-            'wrong (if the value is about 1, the unit is g); convert it with --map "ax=acc_x*9.80665"'
+            'wrong (if the value is about 1, the unit is g); convert each axis, as in --map "ax=acc_x*9.80665"'
         )
 
 
@@ -58,7 +58,7 @@ def on_gyro(axes: Sequence[AxisNoise]) -> Iterator[str]:
     if rough := [a.axis for a in axes if a.axis[0] == "g" and a.white.value > MAX_GYRO_NOISE]:
         yield (
             f"the noise of {', '.join(rough)} is as large as that of a gyro in deg/s: the unit looks wrong; convert "
-            'it with --map "gz=radians(gyro_z)"'
+            'each axis, as in --map "gz=radians(gyro_z)"'
         )
 
 

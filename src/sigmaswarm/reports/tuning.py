@@ -120,7 +120,7 @@ def read_tuning(folder: Path) -> tuple[TuningRecord, pl.DataFrame | None]:
     last = history.group_by("trial", maintain_order=True).last()
     if not np.array_equal(last["best_cost"], record.result.trial_costs):
         raise InputError(
-            f"{path}: does not belong to the {FILE} in this folder; repeat the command, or restore the original file"
+            f"{path}: does not belong to the {FILE} in this folder; delete it, or restore the original file"
         )
     return record, history
 

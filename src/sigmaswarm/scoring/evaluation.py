@@ -101,7 +101,7 @@ class EvaluationOptions:
         Noise parameters of the filter that uses only the fixes, as in ``tuning.fixes_alone``. By default, they are
         fitted to each evaluated drive, so the errors of this filter are too small.
     shown_std : float, optional
-        Standard deviation of the fixes, m per axis, that the truth of the training drives shows, for the baseline.
+        Standard deviation of the fixes for the baseline, m per axis, computed from the truth of the training drives.
     """
 
     against: FilterParameters | None = None

@@ -87,7 +87,7 @@ class AgainstRecord(BaseModel):  # another filter in the comparison
 
     @classmethod
     def of(cls, other: FilterParameters, given: FilterParameters | str | Path | None) -> Self:
-        """``given``: the filter's path, or its parameters."""
+        """Record a filter; ``given``: its path or its parameters."""
         source = "" if given is None or isinstance(given, FilterParameters) else str(given)
         return cls(kind=other.kind, model=other.model, source=source)
 

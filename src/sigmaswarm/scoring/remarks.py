@@ -168,7 +168,7 @@ def _without_truth(drive: str, consistency: Consistency, radius: RadiusRecord | 
 
 
 def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
-    """Return sentences that estimate a filter's position error on a drive without truth: two, and the evidence.
+    """Estimate a filter's position error on a drive without truth: two sentences, and then the evidence.
 
     The estimate is the RMS of the filter's position standard deviations. If the innovations are far smaller than
     expected, or smaller and correlated, the error may be as large as an innovation that the filter expects.

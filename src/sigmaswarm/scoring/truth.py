@@ -72,7 +72,7 @@ def truth_offset(drive: Drive) -> str:
     length = arm + body
     lever = (
         "if the antenna is not at the point to which the truth refers, write "
-        f"gps_lever_arm_m = [{length.real:.2f}, {length.imag:.2f}, 0.0] into drive.toml"
+        f"gps_lever_arm_m = [{length.real:.2f}, {length.imag:.2f}, 0.0] at the top of drive.toml"
     )
     causes = [
         cause

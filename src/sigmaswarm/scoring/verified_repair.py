@@ -89,8 +89,8 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
     if not withheld:
         return repaired
     message = (
-        f"{drive.name}: {', '.join(withheld)} not repaired, since a filter then predicts the fixes less accurately; "
-        "repair the log yourself if you know that it has this fault"
+        f"{drive.name}: {', '.join(withheld)} not repaired, since with the repair a filter predicts the fixes less "
+        "accurately; repair the log yourself if you know that it has this fault"
     )
     warnings.warn(SigmaswarmWarning(message), stacklevel=2)
     return replace(repaired, metadata={**repaired.metadata, "withheld": withheld})

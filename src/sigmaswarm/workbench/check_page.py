@@ -239,7 +239,9 @@ def _apply(drive: Drive, step: Step) -> Drive:
 def _try_repairs(drive: Drive, diagnosis: Diagnosis) -> Repaired:
     """Try each repair alone; return the results, see `Repaired`."""
     after: Repaired = {}
-    reason = "This repair is rejected, since a filter then predicts the fixes less accurately. Check the log."
+    reason = (
+        "This repair is rejected, since with it a filter predicts the fixes less accurately. Check the log."
+    )
     for code in dict.fromkeys(f.code for f in diagnosis.findings if f.repair is not None):
         repaired = sigmaswarm.repair(drive, diagnosis, only=[code])
         rejected = code in repaired.metadata.get("withheld", ())

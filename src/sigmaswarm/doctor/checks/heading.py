@@ -46,7 +46,8 @@ def check_heading(evidence: Evidence) -> Iterator[Finding]:
         way = "lags" if delay > 0 else "leads"
         what = f"the heading {way} the positions in the same rows by {abs(delay):.2f} s"
         remedy = (
-            "map the headings with their own times, or leave them out: a filter assumes one time for each row"
+            "leave the headings out, or map them with their own times: add a second [[gps]] for the same table to the "
+            "recipe, with a shifted t. A filter assumes one time for each row"
         )
         yield Finding("heading-delay", "warning", what, WHERE, evidence.span, 0.95, remedy)
 

@@ -130,9 +130,9 @@ def _place(evidence: Evidence) -> str:
 
 
 class _WrongStd(NamedTuple):
-    larger: bool  # whether the stated standard deviation is larger than that of the fixes
-    std: float  # of the fixes, m per axis
-    by_truth: bool  # whether the truth shows this
+    larger: bool  # True if the stated standard deviation is larger than that of the fixes
+    std: float  # standard deviation of the fixes, m per axis
+    by_truth: bool  # True if the truth shows this
     confidence: float
 
 

@@ -22,8 +22,9 @@ _STEP, _RANGE = 0.01, 0.1
 def with_points(rows: pl.LazyFrame) -> pl.LazyFrame:
     """Replace each column of points by two columns of numbers: longitude and latitude, or x and y in m.
 
-    The names of the new columns are that of the column with the axis instead of a word for points: geom, gt_geom. If
-    such a name has no meaning, the names of a single column of points are the axes, unless it is a truth.
+    A new name is the old name with the axis in place of a word for points: gt_geom becomes gt_x and gt_y. The axes
+    alone are the names if the table has only one column of points, which is not a truth, and its new names have no
+    meaning.
     """
     schema = rows.collect_schema()
     texts = [name for name, kind in schema.items() if kind == pl.String]

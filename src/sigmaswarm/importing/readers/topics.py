@@ -85,7 +85,9 @@ class Topics:
             t for t, table in self.tables.items() if "Odometry" in table.kind and t != fixes
         ):
             there = list_names(poses)
-            self.notes.append(f"no topic's name indicates truth; to use {there} as truth, add --truth-topic")
+            self.notes.append(
+                f"no topic's name indicates truth; to use {there} as truth, add --truth-topic TOPIC"
+            )
         other = re.compile(f"{_TRUTH.pattern}|{_RECEIVER.pattern}|cmd|command", re.IGNORECASE)
         counted = {t for t in self.tables if self._speed(t) and _WHEELS.search(t) and not other.search(t)}
         if wheels := self._topic("odometer", counted - {fixes, truth}):
