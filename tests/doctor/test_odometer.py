@@ -1,7 +1,7 @@
 """Findings of the doctor on the odometer, and the results of its repairs."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 
 import numpy as np
@@ -9,9 +9,11 @@ import pytest
 
 from sigmaswarm import Drive, Odometer, diagnose, read_drive, repair, simulate
 from sigmaswarm.doctor.checks import odometer as subject
+from sigmaswarm.doctor.checks import timing
 from sigmaswarm.doctor.evidence import Evidence, gather
 from sigmaswarm.doctor.findings import Diagnosis
 from sigmaswarm.drives.suggestion import suggest_filter
+from sigmaswarm.filters.parameters import FilterParameters
 from support import DRIVES, needs_shared, quickly
 
 Fault = Callable[[Odometer], Odometer]
@@ -133,6 +135,20 @@ def test_it_is_a_part_of_the_diagnosis_and_of_what_suits_a_log():
     assert "--use lateral standstill odometer" in use.what
     assert "odometer" in suggest_filter([evidence().drive]).use
     assert "odometer" not in suggest_filter([replace(evidence().drive, odometer=None)]).use
+
+
+def test_remedies_propose_a_tuning_only_within_the_bounds_of_its_search():
+    ranges = {
+        one.name: one.metadata["search"] for one in fields(FilterParameters) if "search" in one.metadata
+    }
+    names = "odometer_scale", "odometer_latency", "latency"
+    scale, wheels, fixes = ((ranges[name].lowest, ranges[name].highest) for name in names)
+    assert scale == subject.TUNED_SCALES
+    assert wheels == (0.0, subject.MAX_TUNED_LATENCY) and fixes == (0.0, timing.MAX_TUNED_LATENCY)
+    faults = (times(1.03), True), (times(1.2), False), (shifted(0.5), False), (shifted(-0.3), False)
+    for fault, tuned in faults:
+        (finding,) = found(planted(fault)).findings
+        assert ("let tune estimate" in finding.remedy) == tuned
 
 
 @needs_shared

@@ -350,7 +350,7 @@ def test_without_truth_the_page_says_what_can_be_told_and_has_no_empty_columns(
                 assert any(row[i] is not None for row in table.rows), column
     scores, spread = report.sections[1].tables
     assert any(" random placements; for a single placement it is" in text for text in report.sections[1].text)
-    titles = [title for s in (1, 5) for title in ("outages", f"{s} s outage drift", "a single placement")]
+    titles = [title for s in (1, 5) for title in ("outages", f"{s} s outage drift", "range over placements")]
     assert [c.title for c in spread.columns[2:]] == titles
     for row in spread.rows:
         for outages, drift, (low, high) in (row[2:5], row[5:8]):

@@ -27,7 +27,7 @@ def print_diagnosis(
     folder: "Location | None" = None,
     printed: "Diagnosis | None" = None,
 ) -> None:
-    """Print the findings about a drive, the notes as details.
+    """Print the findings about a drive; notes are printed only with ``--verbose``.
 
     ``folder``: folder of the drive, for commands in remedies. ``printed``: diagnosis of the original of a copy, whose
     findings are not printed again.

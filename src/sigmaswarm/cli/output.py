@@ -25,7 +25,7 @@ class Remark(NamedTuple):
 
     @classmethod
     def of(cls, text: str, label: str = "") -> "Remark":
-        """Read sentences on a fact, its consequence and the evidence; a text of `to_do` begins with the remedy."""
+        """Split a text into the fact, its consequence and the evidence; a text of `to_do` begins with the remedy."""
         remedy, _, why = text.partition(REASON) if text.startswith(TO_DO) else ("", "", text)
         label = "to do" if remedy else label
         # without a label the text is whole sentences, which may begin with the name of a drive

@@ -18,7 +18,7 @@ OVERLAP = 2.0  # each fix lies in two windows, so the variance is that of half a
 MIN_SIGMAS, MIN_DRIFT, MIN_CHANGE, MIN_NOISE_RATIO = 5.0, 2e-4, 0.4, 2.0
 MAX_DRIFT = 0.01  # the linear model of the delay does not determine a larger drift
 MIN_WINDOWS = 4.0  # smallest effective number of windows with turns
-MIN_SPEED = 1.0  # m/s, limit of the speed v in c / v
+MIN_SPEED = 1.0  # m/s, smallest assumed speed v in c / v
 
 
 @dataclass(frozen=True)

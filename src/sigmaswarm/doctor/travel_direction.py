@@ -21,7 +21,7 @@ from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Imu
 
 WINDOW, DEGREE = 20.0, 2  # s, duration of a window; degree of its polynomial in time
-NOISE_RATIO = 4.0  # ratio of the velocity's noise along and across the direction of travel
+NOISE_RATIO = 4.0  # ratio of the velocity's noise along the direction of travel to that across it
 ROUNDS = 2  # number of further fits; each uses the speed that the previous fit computes with the IMU
 MIN_STRAIGHTNESS = 0.5  # smallest assumed ratio of mean velocity to speed, which sharp turns lower
 

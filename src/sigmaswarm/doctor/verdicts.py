@@ -14,7 +14,7 @@ from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Imu
 
 DEGREE = math.pi / 180
-# A gain that differs from 1 or pi/180, with either sign, by less than this ratio is read as this factor
+# A gain within this ratio of 1 or pi/180, with either sign, is read as exactly 1 or pi/180
 FACTOR_TOLERANCE = 1.35
 # Smallest explained fraction of the course's changes if the gain is below `MIN_GAIN_SIGMAS` standard deviations
 MIN_EXPLAINED = 0.2

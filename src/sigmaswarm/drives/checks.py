@@ -27,7 +27,10 @@ GRAVITY = STANDARD_GRAVITY
 IMPOSSIBLE_RATE = 3.0  # rad/s; no car makes half a turn in a second
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # number per second
 _MAX_INTERVALS = (2.0, 60.0)  # s between samples and between fixes; longer intervals suggest another unit
-_USUAL_INTERVALS = (0.5, 20.0)  # s between samples and between fixes, longest in the right unit
+_USUAL_INTERVALS = (
+    0.5,
+    20.0,
+)  # s between samples and between fixes; in the right unit, intervals are not longer
 _JUMP = 3600.0  # s; a longer interval is due to a corrupt time stamp or to a clock that was set
 _WINDOW = 5.0  # s, window for speed and course: long enough for noise of meters, short enough for turns
 

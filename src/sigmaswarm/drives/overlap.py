@@ -28,7 +28,9 @@ Integers = NDArray[np.int64]
 
 TRAINING_DATA_FILE = "seen.npz"  # landmarks of the training drives of a tuning
 MICRO = 1_000_000
-TIME_TOLERANCE = 1000  # us, largest difference between the times of one landmark, after the clock offset
+TIME_TOLERANCE = (
+    1000  # us, largest difference between the times of a landmark in two drives, without the clock offset
+)
 POSITION_TOLERANCE = 3.0  # cm or 1e-7 deg (1.1 cm to the north), largest difference of one fix in two files
 RATE_TOLERANCE = 2e-4  # largest difference between ln of equal yaw rates with 8 decimals, in rad/s or deg/s
 MIN_SPEED = 1.5  # m/s, smallest speed between a landmark and a neighboring fix

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,8 +56,8 @@ def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.boo
         if not parts:
             there = list_names(log.tables)
             raise InputError(
-                f"{path}: no position fixes found in {there}; name the receiver's own log, or make a drive from "
-                "the receiver's log with sigmaswarm import and name this drive"
+                f"{path}: no position fixes found in {there}; name the receiver's own log, or import its fixes as a "
+                f"drive (sigmaswarm import IMU_LOG --gps {quote(str(path))} --map ... --out ...) and name this drive"
             )
         parts = [whole for part in parts for whole in complete_parts(part, log, "gps")]
         fixed = [replace(parts[0], columns={**parts[0].columns, "keep": guess.fixed})] if guess.fixed else []

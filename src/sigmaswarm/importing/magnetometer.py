@@ -139,7 +139,10 @@ def _reference(evidence: Evidence, time: Array, late: float) -> tuple[Array, NDA
     """Return the gyro's heading, rad, corrected by the course, and a mask of motion, at times (n,), s."""
     course, yaw, imu = evidence.course, evidence.yaw, evidence.drive.imu
     if course is None or not course.moving.any() or not yaw.known:
-        raise InputError("mag: the calibration needs a moving vehicle, and a gyro that follows its course")
+        raise InputError(
+            "mag: the calibration needs a moving vehicle and a gyro that follows the course of the fixes; correct the "
+            "IMU, import another drive, or omit the magnetometer"
+        )
     angle = integral(imu.time, yaw.factor * getattr(imu, yaw.column))
     seen, moving = course.time + evidence.moved - late, course.moving
     at = seen[moving]

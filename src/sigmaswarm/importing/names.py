@@ -176,7 +176,7 @@ def _stated(plain: str, unit: Unit | None) -> str | None:
     return next((w for d, w, pattern in _STATED if d == dimension and re.fullmatch(pattern, plain)), None)
 
 
-@lru_cache(4096)  # an import asks some 25 times for each name
+@lru_cache(4096)  # an import calls this about 25 times for each name
 def meaning_of_plain(plain: str) -> str | None:
     """Find the column of a drive that a name means, also with the prefix of a logger or the ".data" of a message."""
     bare = re.sub(r"_(?:data|value|cal(?:ib(?:rated)?)?)$", "", plain)

@@ -203,7 +203,7 @@ def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tup
     except SigmaswarmError as error:
         return (
             proposal,
-            f"the mapping follows from the columns' names and values alone and was not checked: {error}",
+            f"the mapping follows from the columns' names and values alone and could not be checked: {error}",
             False,
         )
     if corrected != proposal and _faults(last) >= _faults(first):

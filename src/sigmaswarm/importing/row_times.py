@@ -82,5 +82,5 @@ def gaps_by_distance(drive: Drive) -> str:
     return (
         f"gps: {count_of(len(gaps), 'step')} from fix to fix, for example after fix {gaps[0] + NEIGHBORS + 1}, "
         f"{'is' if len(gaps) == 1 else 'are'} much longer than the adjacent steps, so about {lost:.0f} fixes are "
-        "probably missing, and later times from row numbers are too early; use the receiver's time instead"
+        "probably missing, and later times from row numbers are too early; map the receiver's time as gps.t instead"
     )

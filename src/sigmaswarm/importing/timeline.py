@@ -43,7 +43,7 @@ MAX_REPEATED_SHARE = 0.02  # if a larger fraction of rows repeats the previous t
 # Largest step within a burst of rows, relative to the mean step and to `MAX_STEP`; smallest share of such steps in a
 # log with bursts
 MAX_BURST_STEP, MAX_BURST_INTERVAL, MIN_BURST_SHARE = 0.25, 1 / 400, 0.4
-MAX_ODD_SHARE = 0.2  # largest share of other groups in a log with two rows per measurement
+MAX_ODD_SHARE = 0.2  # largest share of stamps without exactly two rows in a log with two rows per measurement
 # Rows with coarse stamps are lost if the variance of the lateness over `WINDOW` stamps, rows^2, exceeds MIN_WALK plus
 # MIN_GROWTH times that over one stamp. Largest share of lost rows of a stamp, and of stamps with more lost rows or
 # unusual steps

@@ -24,7 +24,8 @@ MAX_ERROR_RATIO = 0.9
 MAX_LASTING_RATIO = 1.5
 COMMON_ERROR = "The estimate does not contain an error that all fixes have in common"
 
-# Properties of sensors, and their ratios to those of the training drives that show other sensors
+# Properties of sensors; a drive in which one exceeds that of all training drives by this ratio, or its inverse, has
+# other sensors
 SENSORS = ("IMU", "Hz", 1.5), ("standard deviation of the fixes", "m", 2.5)
 
 

@@ -92,7 +92,7 @@ class EvaluationView:
         known = [m for m in self.measures if any(m in by_measure for by_measure in drifts.values())]
         columns = [Column("drive"), Column("method")]
         for m in known:
-            columns += [Column("outages"), _column(self.measures[m]), Column("a single placement", "m")]
+            columns += [Column("outages"), _column(self.measures[m]), Column("range over placements", "m")]
         rows: list[tuple[Cell, ...]] = []
         for drive, by_measure in drifts.items():
             for method in (m for m in self.names if m not in NO_OUTAGES and m in self.scores.mean):
@@ -126,7 +126,8 @@ class EvaluationView:
         columns.append(Column("correlated fix error", "m"))
         if not self.without_truth:
             inside = [Column(f"in {level} radius", "%", "{:.1f}".format) for level in ("95%", "99.9%")]
-            columns += [Column("errors", number="{:.0f}".format), *inside, Column("own standard deviation")]
+            columns += [Column("number of errors", number="{:.0f}".format), *inside]
+            columns.append(Column("filter's standard deviation"))
 
         def cells(record: RadiusRecord) -> tuple[Cell, ...]:
             near, far, ratio = record.inside_95, record.inside_999, record.sigma_ratio

@@ -19,8 +19,9 @@ from sigmaswarm.geodesy import roll_pitch_yaw
 # Smallest change of gravity's direction if the IMU was moved: in rad, and in typical errors of a median. In fault-free
 # drives with 20 s of hard maneuvers at one end, the change was up to 16 degrees.
 MIN_MOVEMENT, MIN_MOVEMENT_RATIO = math.radians(18.0), 4.0
-# Of an IMU that was turned about the vertical: shortest part, s; smallest coherence of measured and expected
-# accelerations in each part; smallest angle, rad. In 84 fault-free drives and parts of 60 s, it was up to 19 deg.
+# An IMU was turned about the vertical if each part has at least this length, s, and this coherence of measured and
+# expected accelerations, and the angle is at least this large, rad. In 84 fault-free drives and parts of 60 s, the
+# angle was up to 19 deg.
 MIN_PART, MIN_COHERENCE, MIN_TURNED = 20.0, 0.7, math.radians(45.0)
 # m/s2, smallest RMS acceleration of the vehicle in each part; hills (RMS slope of 4%) have the same effect on ax
 MIN_MOTION = 0.4
@@ -29,7 +30,9 @@ BACKWARD = math.radians(150.0)
 # Largest relative deviation of the magnitude of the specific force from its median, for 90% of the intervals of 5 s. In
 # drives it is up to 0.04; if az is in g and ax, ay in m/s2, it is 0.2 or more.
 MAX_SIZE_CHANGE = 0.1
-MAX_SCATTER = 0.5  # rad, largest typical deviation of directions from their median that shows gravity
+MAX_SCATTER = (
+    0.5  # rad; directions with a larger typical deviation from their median are not those of gravity
+)
 MIN_DIFFERENCE = math.radians(0.5)  # smallest difference from the mounting of drive.toml that a note reports
 WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 

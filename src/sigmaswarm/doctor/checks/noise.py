@@ -166,14 +166,15 @@ def _wrongly_stated(evidence: Evidence, stated: float, wrong: _WrongStd) -> Find
         f"the stated standard deviation of the fixes ({stated:.2g} m) is {'larger' if larger else 'smaller'} than "
         f"their {compared} ({size:.2g} m per axis) by a factor of {max(stated / size, size / stated):.0f}"
     )
-    file, columns = _place(evidence).split(", ", 1)
-    remedy = f"state {size:.2g} m as {columns} in {file}"
+    typed = evidence.drive.gps.std_x is None
+    scaled = f"scale std_x and std_y in gps.csv to a median of {size:.2g} m"
+    remedy = f"set gps_std_m in drive.toml to {size:.2g} m" if typed else scaled
     repair, severity = Repair("state-noise", (size,)), "warning"
     if not by_truth:
         remedy += ", or more if you know of slow errors. A log without truth does not show slow errors"
     elif not larger:  # the lever arm of the antenna may be missing
         repair, remedy = None, f"check the lever arm of the antenna; if it is right, {remedy}"
-    if evidence.drive.gps.std_x is None:
+    if typed:
         what += ". A tuning without truth takes R from this value: with a smaller value the filter follows the fixes "
         what += "more closely, and with a larger value it trusts the IMU for longer"
         if larger and not by_truth:  # a user may know of slow errors

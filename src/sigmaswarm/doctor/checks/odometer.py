@@ -25,6 +25,8 @@ MAX_SCALE_RATIO = 1.25
 MIN_DELAY = 0.15  # s, smallest delay for a warning
 # s: largest delay, its step, averaging time of both accelerations
 MAX_LAG, STEP, AVERAGING_TIME = 3.0, 0.02, 0.4
+# Bounds of the scale, and largest latency, s, that `tune` tries with the option odometer; the smallest latency is 0
+TUNED_SCALES, MAX_TUNED_LATENCY = (0.9, 1.1), 0.3
 MIN_CORRELATION = 0.6  # smallest correlation of the accelerations at a delay
 
 MIN_STUCK_TIME = 4.0  # s, shortest constant reading that counts as stuck
@@ -158,7 +160,11 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
             f"the speed of the odometer is {abs(size - 1):.1%} {way} than that of the fixes "
             f"(standard deviation {unsure:.1%})"
         )
-        remedy = f"divide speed by {size:.4f}, or tune the scale with --use odometer"
+        remedy = f"divide speed by {size:.4f}"
+        if TUNED_SCALES[0] < size < TUNED_SCALES[1]:
+            remedy += (
+                ", or let tune estimate the scale: its default filter does so if all drives have an odometer"
+            )
         yield Finding(
             "odometer-scale", "warning", what, SPEED, span, 0.95, remedy, Repair("odometer", (1 / size,))
         )
@@ -207,7 +213,9 @@ def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
     if abs(delay) >= MIN_DELAY and alike[best] > max(MIN_CORRELATION, float(alike[len(lags) // 2]) + 0.05):
         way = "lags" if delay > 0 else "leads"
         what = f"the wheel speed {way} the acceleration by {abs(delay):.2f} s"
-        remedy = f"add {-delay:+.2f} s to the times of odometer.csv, or tune the latency with --use odometer"
+        remedy = f"add {-delay:+.2f} s to the times of odometer.csv"
+        if 0 < delay < MAX_TUNED_LATENCY:
+            remedy += ", or let tune estimate the latency: its default filter does so if all drives have an odometer"
         repair = Repair("shift-odometer", (-delay,))
         yield Finding(
             "odometer-clock", "warning", what, "odometer.csv, t", evidence.span, 0.9, remedy, repair

@@ -16,14 +16,15 @@ from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, GapSummary, gaps_in, unsh
 from sigmaswarm.drives.drive import Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 
-SERIOUS_OFFSET = 0.3  # s, clock offset above which errors are meters
-# s, GPS time minus UTC; largest difference of an offset from it that is the delay of a receiver
+SERIOUS_OFFSET = 0.3  # s; larger clock offsets cause errors of meters
+# s: GPS time minus UTC; an offset that differs from it by less is the sum of it and the delay of the receiver
 LEAP_SECONDS, MAX_LEAP_ERROR = 18.0, 0.3
-MIN_IMU_RATE = 8.0  # Hz, rate below which turns are lost between samples
+MAX_TUNED_LATENCY = 0.5  # s, largest latency of the fixes that `tune` tries; the smallest is 0
+MIN_IMU_RATE = 8.0  # Hz; at lower rates, turns are lost between samples
 MAX_INTERVAL_RANGE = 0.5  # largest range of the middle 90% of the intervals, relative to their median
 # if a larger fraction of the IMU samples is repeated, the sensor is slower than the log
 MAX_REPEATED_SHARE = 0.2
-LONG_GAP = 0.5  # s without IMU samples, above which a filter's step is inaccurate
+LONG_GAP = 0.5  # s without IMU samples; in longer gaps, a filter's step is inaccurate
 MIN_STALE_FIXES = 3
 MAX_UNUSED_SHARE = 0.5  # of the fixes, outside of the IMU's time span
 # Smallest excess of an interval between fixes, in usual intervals, that shows missing fixes
@@ -64,14 +65,18 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
         turns = fit is not None and fit.course_change > MIN_GAIN_TURN and fit.share > MIN_EXPLAINED
         clear = turns and abs(delay) > OFFSET_SIGMAS[1] * std
         grave = abs(delay) > max(SERIOUS_OFFSET, OFFSET_SIGMAS[2] * std)
+        remedy = f"{correction.format(size)}{'' if clear else ' if other drives also show this offset'}"
+        if 0 < delay < MAX_TUNED_LATENCY:
+            remedy += (
+                f". Alternatively, tune the delay ({_latency_option(evidence)}). The tuned delay is that with the "
+                "lowest cost, so it may differ from this offset by a few standard deviations"
+            )
         yield Finding(
             "clock-offset", ("serious" if grave else "warning") if clear else "note",
             f"the fixes {'are' if clear else 'may be'} {size} {way} relative to the IMU "
             f"(standard deviation {std:.2f} s)",
             where, span, confidence_of(delay / std),
-            f"{correction.format(size)}{'' if clear else ' if other drives also show this offset'}. Alternatively, "
-            f"tune the delay ({_latency_option(evidence)}). The tuned delay is that with the lowest cost, so it may "
-            "differ from this offset by a few standard deviations",
+            remedy,
             Repair("shift-fixes", (-delay, with_truth)) if clear else None,
         )  # fmt: skip
     elif evidence.drives:

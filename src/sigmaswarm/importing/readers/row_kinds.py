@@ -57,9 +57,10 @@ def _words(rows: Sequence[Sequence[str]]) -> set[str]:
 
 
 def _codes(rows: Sequence[Sequence[str]], place: int) -> set[str]:
-    """Return the words and numbers in a column if each has one number of cells, but not all have the same; else {}.
+    """Return the codes (words or numbers) in a column if they determine the lengths of the rows; else {}.
 
-    A row with only a code and a time is not a separate kind.
+    All rows with a code must have the same length, but not all codes. A row with only a code and a time is not a
+    separate kind.
     """
     sizes: dict[str, set[int]] = {}
     for row in rows:
@@ -74,7 +75,7 @@ def _codes(rows: Sequence[Sequence[str]], place: int) -> set[str]:
 
 
 def _are_cut(rows: Sequence[Sequence[str]], place: int) -> bool:
-    """Return True if rows whose flag means no fix are the first cells of the others: numbers in the range of theirs."""
+    """Return True if rows whose flag means no fix have only the first cells of the others, in the same ranges."""
     whole = [row for row in rows if len(row) > KIND_CELLS]
     flag = min(whole, key=len)[place].strip() if whole else ""
     kinds = [[row for row in whole if (row[place].strip() == flag) == cut] for cut in (True, False)]
