@@ -1,4 +1,4 @@
-"""Fixtures of all benchmarks: one core, one drive, and turns in which all benchmarks run one after the other."""
+"""Fixtures of all benchmarks: one core, one drive, and rounds in which all benchmarks run one after the other."""
 
 import os
 import sys

@@ -3,7 +3,7 @@
     python benchmarks/rival_pyswarms.py --seconds 5 --generations 2
 
 The parameters, their bounds, the coefficients of the swarm and the cost are those of `sigmaswarm tune`. The drive, its
-time line and the initial state come from sigmaswarm, so both programs have the same work.
+timeline and the initial state come from sigmaswarm, so both programs have the same work.
 """
 
 import argparse

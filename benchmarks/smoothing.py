@@ -190,7 +190,7 @@ def ten_hours() -> None:
         f"{samples:,} samples: {took:.1f} s ({cpu:.1f} s of processor time, {cpu / samples * 1e6:.2f} us a sample)"
     )
     print(
-        f"peak of the process: {peak():.2f} GiB, {before:.2f} GiB of it before, with the drive and its time line"
+        f"peak of the process: {peak():.2f} GiB, {before:.2f} GiB of it before, with the drive and its timeline"
     )
 
 

@@ -34,16 +34,16 @@ CROWDED = {
     "test_batch_crowded": "**sigmaswarm's compiled batch of 32, a fix at every IMU sample, with scores**",
 }
 CAPTIONS = (
-    "**Filters.** Processor time on one core per parameter set and IMU sample. The ratio to the last row is given as "
-    "median; lowest value over the turns.",
+    "**Filters.** Processor time on one core per parameter set and IMU sample. Each ratio to the last row is given as "
+    "two values: the median and the lowest value over the seven rounds.",
     "**A fix at every IMU sample**, since kalman-py needs a measurement at every step. Columns as above.",
     "**Models and filter types** in the compiled batch. The ratio to planar5's UKF is the median [lowest, highest].",
-    "**One tuning run**: 30 particles, 50 generations, ten minutes at 100 Hz. The ratio is given as median; lowest "
-    "value.",
+    "**One tuning run**: 30 particles, 50 generations, ten minutes at 100 Hz. The ratio is given as the "
+    "median and the lowest value.",
     "**Two cores.** Wall time in ms to score parameter sets over the drive, if both cores were idle before.",
-    "**Live filters.** Time of one call from Python in us: median; 99.9% quantile. A fix is processed with the next "
-    'sample, so "sample with fix" is the time of both calls. A ratio is FilterPy\'s time, with the same filter or with '
-    "planar5's UKF, divided by the time in the same row (sample without a fix; sample with a fix).",
+    "**Live filters.** Time of one call from Python in us: the median and the 99.9% quantile. A fix is processed with "
+    'the next sample, so "sample with fix" is the time of both calls. A ratio is FilterPy\'s time, with the same filter '
+    "or with planar5's UKF, divided by the time in the same row (sample without a fix; sample with a fix).",
 )
 TUNINGS = {
     "test_tuning_pyswarms_filterpy": "PySwarms + FilterPy",
@@ -68,7 +68,7 @@ def main() -> None:
 
 
 def by_turn(benchmarks: list[dict]) -> dict[str, list[dict]]:
-    """Return the records of all turns, in order, by name: `test_kind[turn0-planar5 ekf]` is `test_kind planar5 ekf`."""
+    """Return the records of all rounds in order, by name: `test_kind[turn0-planar5 ekf]` is `test_kind planar5 ekf`."""
     turns = defaultdict(list)
     for benchmark in benchmarks:
         turns[re.sub(r"\[turn\d+-?(.*)\]", r" \1", benchmark["name"]).strip()].append(benchmark)
@@ -76,7 +76,7 @@ def by_turn(benchmarks: list[dict]) -> dict[str, list[dict]]:
 
 
 def seconds(record: dict) -> float:
-    """Return the time (s) of the median round of a turn, scaled to the whole job."""
+    """Return the median time (s) of a benchmark in a round, scaled to the whole job."""
     return record["stats"]["median"] * record["extra_info"]["times"]
 
 
@@ -86,7 +86,7 @@ def per_unit(record: dict) -> float:
 
 
 def ratio(rival: list[dict], ours: list[dict], measure) -> str:
-    """Format the median and the lowest ratio over the turns; within a turn, the load of the machine is similar."""
+    """Format the median and the lowest ratio over the rounds; within a round, the load of the machine is similar."""
     ratios = [measure(a) / measure(b) for a, b in zip(rival, ours, strict=True)]
     return f"{rounded(statistics.median(ratios))}; {rounded(min(ratios))}"
 
@@ -128,7 +128,7 @@ def kinds(measured: dict) -> Iterator[str]:
 
 
 def spread(records: list[dict], ours: list[dict]) -> str:
-    """Format median, lowest and highest ratio over the turns."""
+    """Format median, lowest and highest ratio over the rounds."""
     ratios = [per_unit(a) / per_unit(b) for a, b in zip(records, ours, strict=True)]
     return f"{statistics.median(ratios):.2f} [{min(ratios):.2f}, {max(ratios):.2f}]"
 
@@ -147,7 +147,7 @@ def tunings(measured: dict) -> Iterator[str]:
 
 
 def cores(measured: dict) -> Iterator[str]:
-    """Yield the table of two cores, without turns in which other jobs used a core."""
+    """Yield the table of two cores, without rounds in which other jobs used a core."""
     yield "| parameter sets | one core | two cores | ratio: median [lowest, highest] |"
     yield "|---:|---:|---:|---:|"
     for name in (name for name in measured if name.startswith("test_cores ")):
@@ -182,7 +182,7 @@ def live(measured: dict) -> Iterator[str]:
 
 
 def faster(rival: list[dict], ours: list[dict]) -> str:
-    """Format the ratios of the times per sample, without and with a fix: medians over the turns."""
+    """Format the ratios of the times per sample, without and with a fix: medians over the rounds."""
     return "; ".join(
         "{:.1f}".format(
             statistics.median(

@@ -127,7 +127,7 @@ def test_tuning_pyswarms_filterpy(measure, part):
 
 @pytest.mark.benchmark(group="tuning")
 def test_tuning_sigmaswarm(measure, drive, replayer):
-    """Measure the whole job: alignment, time line, 30 x 50 filters over ten minutes, and the optimizer."""
+    """Measure the whole job: alignment, timeline, 30 x 50 filters over ten minutes, and the optimizer."""
     samples = int((drive.imu.time > replayer.initial[0].time).sum())
     measure(
         lambda: tune(drive, **PAPERS_FILTER, optimizer="pso", particles=PARTICLES, generations=GENERATIONS),

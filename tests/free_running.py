@@ -49,7 +49,7 @@ def free_run(
 def compiled_run(
     timeline: Timeline, initial: InitialState, p: FilterParameters
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Means and covariances of the compiled filter over the whole time line."""
+    """Means and covariances of the compiled filter over the whole timeline."""
     run = FilterRun(FilterPass(timeline, initial, Targets.none(timeline)), p).whole()
     assert run.sound.all(), "the compiled filter failed"
     return run.mean, run.covariance

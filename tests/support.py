@@ -128,7 +128,7 @@ def _heading_and_rate(velocity: np.ndarray, acceleration: np.ndarray):
 
 
 def timeline_of(drive: Drive, start: float, *, as_recorded: bool = False) -> Timeline:
-    """Build the time line of all fixes that are not stale, after ``start`` (s)."""
+    """Build the timeline of all fixes that are not stale, after ``start`` (s)."""
     kinds = np.zeros(len(drive.gps)) if as_recorded else classify_fixes(drive.gps)
     return build_timeline(drive, start, kinds, as_recorded=as_recorded)
 

@@ -86,7 +86,9 @@ def test_an_import_and_a_look_take_the_settings_of_the_command_line(tmp_path):
     assert drive.frame == "wgs84"
     with pytest.raises(sigmaswarm.InputError, match="'offset'"):
         sigmaswarm.import_log(tmp_path / "log.csv", offset=0.5)
-    outside = "log.csv: gps: 600 of 2000 fixes lie outside of .*; the IMU's first 12 s have no fixes"
+    outside = (
+        "log.csv: gps: 600 of 2000 fixes lie outside of .*; there are no fixes during the IMU's first 12 s"
+    )
     with pytest.warns(sigmaswarm.SigmaswarmWarning, match=outside):
         sigmaswarm.import_log(tmp_path / "log.csv", gps_offset_s=12.0)
     notes: list[str] = []

@@ -170,9 +170,9 @@ def evaluate(
         A second filter of any model, or the path of an ekf.yaml of robot_localization.
     **options
         ``outage_length`` (s), ``outage_seed``, ``as_recorded``, ``smooth``, ``bank`` (also evaluate a filter bank),
-        ``seen`` (landmarks that identify the training drives), ``fixes_alone`` (noise parameters of the filter that
-        uses only the fixes), ``cluster``. ``shown_std``: accuracy of the fixes that the truth of the training drives
-        shows. ``as_recorded``, ``seen``, ``fixes_alone`` and ``shown_std`` are by default those of the tuning.
+        ``fixes_alone`` (noise parameters of the filter that uses only the fixes), ``cluster``. ``seen``: landmarks
+        (positions and yaw rates) by which copies of the training drives are recognized. ``shown_std``: standard
+        deviation of the fix errors, computed from the truth of the training drives, m per axis. ``as_recorded``, ``seen``, ``fixes_alone`` and ``shown_std`` are by default those of the tuning.
 
     Returns
     -------

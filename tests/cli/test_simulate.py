@@ -140,7 +140,7 @@ def test_labels_of_one_friction_are_said_to_be_so(sigmaswarm, here: Path):
     shared = sigmaswarm(
         "simulate", "--out", "a", "--maneuver", "brake", "--environment", "clear", "fog", "--runs", 1
     )
-    assert "drives in clear, night and fog differ only in random numbers" in shared.out
+    assert "drives in the environments clear, night and fog differ only in their random numbers" in shared.out
     apart = sigmaswarm(
         "simulate", "--out", "b", "--maneuver", "brake", "--environment", "clear", "rain", "--runs", 1
     )

@@ -180,7 +180,9 @@ def test_fixes_outside_of_the_imus_time_are_counted(begin: float, end: float, en
 )
 def test_long_parts_of_the_imu_without_fixes_are_named(begin: float, end: float, said: str):
     drive = without(without(make_drive(), "gps", -1.0, begin), "gps", end, 99.0)
-    assert only(drive).startswith(f"imu.csv: the IMU's {said} have no fixes; a filter starts after the first")
+    assert only(drive).startswith(
+        f"imu.csv: there are no fixes during the IMU's {said}; a filter starts after the first"
+    )
 
 
 def test_short_ends_without_the_other_sensor_are_no_fault():

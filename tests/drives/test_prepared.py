@@ -1,4 +1,4 @@
-"""A prepared drive: aligned once, each time line built once, IMU columns shared."""
+"""A prepared drive: aligned once, each timeline built once, IMU columns shared."""
 
 from dataclasses import replace
 

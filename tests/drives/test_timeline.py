@@ -1,4 +1,4 @@
-"""The merged time line, compared with a loop over all times."""
+"""The merged timeline, compared with a loop over all times."""
 
 from dataclasses import dataclass, field, replace
 

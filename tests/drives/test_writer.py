@@ -128,7 +128,10 @@ def test_a_failure_while_writing_leaves_the_old_drive_and_no_litter(
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"metadata": {"note": None}}, r"drive.toml: the metadata can't be written as TOML: .*; change it"),
+        (
+            {"metadata": {"note": None}},
+            r"drive.toml: the metadata can't be written as TOML: .*; change this value",
+        ),
         ({"frame": "wgs84"}, r"needs gps.lat, gps.lon and origin; set them"),
     ],
 )

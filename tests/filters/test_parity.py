@@ -168,7 +168,7 @@ def test_filters_that_weigh_fixes_take_the_oracles_steps(model: str, kind: str, 
 
 
 def straying(timeline: Timeline) -> np.ndarray:
-    """The time line's fixes with outliers of all sizes, and a jump that lasts to its end: some filters recover."""
+    """The timeline's fixes with outliers of all sizes, and a jump that lasts to its end: some filters recover."""
     fixes, n = timeline.fixes.copy(), len(timeline.fixes)
     fixes[::5, 0] += 60.0 * np.sin(np.arange(0, n, 5))
     fixes[timeline.fix_time > timeline.end[-1] - 8.0, 1] += 200.0

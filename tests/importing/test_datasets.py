@@ -277,7 +277,7 @@ def test_broken_data_set(tmp_path: Path, write, damage: str):
 @pytest.mark.parametrize(
     ("edit", "said"),
     [
-        (lambda text: text[: len(text) * 2 // 3], "numbers as in the header"),
+        (lambda text: text[: len(text) * 2 // 3], "numbers of the header's columns"),
         (
             lambda text: text.replace("latitude(deg) longitude(deg)", "x-ecef(m) y-ecef(m)"),
             "latitude, longitude",

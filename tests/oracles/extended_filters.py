@@ -99,7 +99,7 @@ class JacobianForm:
 
 
 class ExtendedCar:
-    """Filters of one kind, model and choice of measurements on a drive's time line, one per parameter set.
+    """Filters of one kind, model and choice of measurements on a drive's timeline, one per parameter set.
 
     Attributes
     ----------
@@ -157,7 +157,7 @@ class ExtendedCar:
         self.since = Extended(0)
 
     def step(self, i: int, happens: int, z: np.ndarray | None, wheels: np.ndarray | None = None) -> None:
-        """The time line's step i: predict, then absorb what ``happens`` says there is at its end.
+        """The timeline's step i: predict, then absorb what ``happens`` says there is at its end.
 
         ``wheels`` is what the odometer says there: the mean of readings, their age, and what is added to R.
         """

@@ -1,4 +1,4 @@
-"""FilterPy 2.0.0's filters on a time line of sigmaswarm."""
+"""FilterPy 2.0.0's filters on a timeline of sigmaswarm."""
 
 from collections.abc import Callable
 from typing import Any
@@ -91,7 +91,7 @@ class FilterPyCar:
         self.filter.x, self.filter.P = mean.copy(), covariance.copy()
 
     def step(self, i: int, happens: int, z: np.ndarray | None) -> None:
-        """The time line's step i: predict, then absorb what ``happens`` says there is at its end."""
+        """The timeline's step i: predict, then absorb what ``happens`` says there is at its end."""
         p, line, gz = self.p, self.line, self.line.gz[i]
         self._predict(i)
         self._first, none = True, np.zeros(2)

@@ -1,4 +1,4 @@
-"""`evaluate --out` computes each thing once: starts, time lines, runs of filters."""
+"""`evaluate --out` computes each thing once: starts, timelines, runs of filters."""
 
 import sys
 from collections import Counter
@@ -51,7 +51,7 @@ def test_an_evaluation_with_pictures_computes_each_thing_once(
     aligned, lines, reckoned = (
         count_calls(monkeypatch, f) for f in (initial_state, build_timeline, run_imu_only)
     )
-    steps: Counter[int] = Counter()  # of the kernel, by the time line's number of steps
+    steps: Counter[int] = Counter()  # of the kernel, by the timeline's number of steps
     lanes = run.run_lanes
 
     def counted(model, drive, rows, cursor, stop, *written):

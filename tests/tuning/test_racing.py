@@ -115,7 +115,7 @@ def test_if_all_finished_candidates_fail_no_dropped_candidate_wins():
 
 
 def test_steps_are_counted_as_a_naive_count_does(monkeypatch: pytest.MonkeyPatch):
-    """Every step of every filter that is run, over passes, from the time lines themselves."""
+    """Every step of every filter that is run, over passes, from the timelines themselves."""
     config = TuneConfig(objective="truth-pose", racing=True, **SMALL)
     problem = car_problem(DRIVES, config)
     single = car_problem(DRIVES, TuneConfig(objective="truth-rmse")).steps

@@ -89,7 +89,8 @@ app.command(completion, name="--completion")
 def main() -> NoReturn:
     """Run the command line and exit.
 
-    Exit codes: 0 success, 1 serious faults of a drive (doctor), 2 wrong input, 3 unexpected error, 130 interrupted.
+    Exit codes: 0 success, 1 serious faults found in a drive (doctor), 2 wrong input, 3 unexpected error,
+    130 interrupted.
     """
     warnings.showwarning = _show_warning
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # suppress the message about its cache folder

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from sigmaswarm.drives.reader import Location
 
 Remedy = tuple[str, Path | None]
-"""Command that repairs or shows the faults of a drive; folder of the repaired copy, or None if there is no copy."""
+"""Command that repairs or shows the faults in a drive; folder of the repaired copy, or None if there is no copy."""
 
 
 def print_diagnosis(

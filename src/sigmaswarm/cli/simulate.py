@@ -126,7 +126,8 @@ def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
     lines = [f"wrote {count_of(written, 'drive')} to {out}" + (f", kept {len(kept)}" if kept else "")]
     if len({"clear", "night", "fog"} & set(environments)) > 1:
         lines.append(
-            "note: without --gnss-degradation, drives in clear, night and fog differ only in random numbers"
+            "note: without --gnss-degradation, drives in the environments clear, night and fog differ only in their "
+            "random numbers"
         )
     content = {"drives": [str(out / name) for name in names], "written": written, "kept": len(kept)}
     print_result(options.json, content, *lines, f"next: sigmaswarm plot {out / names[0]}")

@@ -87,7 +87,10 @@ def _parts(
 
 
 def _longest_part(whole: "sigmaswarm.Drive", at: list[float]) -> "sigmaswarm.Drive | None":
-    """Return the longer of the parts before and after two times; None if it is too short for a drive."""
+    """Return the longer of two parts, before the first time and after the second.
+
+    None if that part is too short for a drive.
+    """
     late = float(whole.imu.time[-1]) - at[1] > at[0] - float(whole.imu.time[0])
     with warnings.catch_warnings(), suppress(sigmaswarm.InputError):
         warnings.simplefilter("ignore")  # about the other part

@@ -135,7 +135,7 @@ def tune(
         command, repaired = remedies[0]
         then = "tune on the repaired copy" if repaired else "correct the log, and tune again"
         output.next(
-            f"next: {command}", f"      (then {then}, since the faults of the log distort this filter)"
+            f"next: {command}", f"      (then {then}, since the faults in the log distort this filter)"
         )
     elif unusable:
         check = f"sigmaswarm doctor {join(map(str, drives))}"

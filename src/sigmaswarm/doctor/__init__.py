@@ -1,4 +1,4 @@
-"""The doctor finds faults of a log before tuning, and repairs some of them.
+"""The doctor finds faults in a log before tuning, and repairs some of them.
 
 The doctor compares the motion of the fixes with the IMU. Many findings are disagreements that disappear when a column
 is rotated, scaled or shifted in time. Other findings concern sampling, noise, and quantities that the log does not

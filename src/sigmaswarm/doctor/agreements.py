@@ -104,8 +104,15 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
     yield _turning(drive, course, moving)
     gain, sideways = np.gradient(speed, at), speed * smoothed(imu.time, imu.gz, at, course.span)
     for key, title, name, values, follows, expected in (
-        ("forward", "Forward: ax and the change of speed", "ax", imu.ax, "change of speed", gain),
-        ("sideways", "Sideways: ay and speed times yaw rate", "ay", imu.ay, "speed x gz", sideways),
+        (
+            "forward",
+            "Longitudinal: ax compared with the change of speed",
+            "ax",
+            imu.ax,
+            "change of speed",
+            gain,
+        ),
+        ("sideways", "Lateral: ay compared with speed times yaw rate", "ay", imu.ay, "speed x gz", sideways),
     ):
         means = smoothed(imu.time, values, at, course.span)
         measured, motion = {name: (at[moving], means[moving])}, {follows: (at[moving], expected[moving])}

@@ -46,7 +46,7 @@ _cache: dict[tuple[str, str], Diagnosis] = {}
 
 
 def diagnose(drive: Drive) -> Diagnosis:
-    """Find the faults of a drive. The truth is used only to check its clock, and the delay and errors of the fixes.
+    """Find the faults in a drive. The truth is used only to check its clock, and the delay and errors of the fixes.
 
     Parameters
     ----------

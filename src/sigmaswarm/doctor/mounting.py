@@ -350,7 +350,7 @@ def _confidence(seen: _Round) -> tuple[Confidence, str]:
     uncertain = f"its standard deviation is {math.degrees(total):.0f} deg"
     for fault, reason in (
         (seen.yaw_fit.course_change < MIN_GAIN_TURN, "the course hardly changes"),
-        (not _follows(seen.yaw_fit), "the gyro does not follow the course"),
+        (not _follows(seen.yaw_fit), "the gyro's yaw rate does not match the rate of change of the course"),
         (seen.spread > MAX_GRAVITY_CHANGE, "the direction of gravity is not constant"),
         (seen.mirrored > MIN_LEAD, "the accelerometers' axes form a left-handed system"),
         (

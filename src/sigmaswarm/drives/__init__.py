@@ -1,1 +1,1 @@
-"""Drives: the class `Drive`, its folder on disk, splitting, GPS outages, time line and alignment."""
+"""Drives: the class `Drive`, its folder on disk, splitting, GPS outages, timeline and alignment."""

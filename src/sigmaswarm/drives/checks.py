@@ -226,7 +226,7 @@ def unshared_times(imu: Array, gps: Array) -> Remark | None:
     if max(-early, -late) > max(MIN_UNSHARED_TIME, MIN_UNSHARED_SHARE * (imu[-1] - imu[0])):
         ends = [(-early, "first"), (-late, "last")]
         parts = [f"{which} {length:.0f} s" for length, which in ends if length > MIN_UNSHARED_TIME]
-        alone = f"the IMU's {' and '.join(parts)} have no fixes"
+        alone = f"there are no fixes during the IMU's {' and '.join(parts)}"
     if max(early, late) > MIN_UNSHARED_TIME:
         count = np.count_nonzero((gps < imu[0]) | (gps > imu[-1]))
         ends = [(early, "before its first sample"), (late, "after its last sample")]

@@ -1,6 +1,6 @@
 """Determine the events at the ends of a filter's steps. These events depend on the data alone.
 
-`sample_events` is the rule for an IMU sample. `events_of` applies this rule to a time line for `run_filter`,
+`sample_events` is the rule for an IMU sample. `events_of` applies this rule to a timeline for `run_filter`,
 `compiled.live` applies it to each new sample, and `exports.c_rules` translates it to C.
 """
 
@@ -38,7 +38,7 @@ NO_READINGS = np.empty((0, 2))
 
 
 class Events(NamedTuple):
-    """The events of a time line.
+    """The events of a timeline.
 
     ``flags`` (k,): the bits FIX to HEADING at the end of each step. ``wheels`` (o, 3): odometer measurements at the
     steps with the bit ODOMETER, see `drives.odometer`.

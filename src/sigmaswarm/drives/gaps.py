@@ -1,7 +1,7 @@
-"""Find gaps in the IMU and in truth.
+"""Find gaps in the IMU data and in truth.
 
-A gap in the IMU is an interval that is long relative to earlier intervals, since a live filter does not know later
-intervals.
+A gap in the IMU data is an interval that is long compared with the preceding intervals; only these are used, since a
+live filter does not know later ones.
 """
 
 import numpy as np

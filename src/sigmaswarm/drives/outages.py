@@ -59,7 +59,7 @@ def random_windows(
 def balanced_windows(start: float, end: float, rng: np.random.Generator) -> Array:
     """Draw outages of 3 to 5 s between two times (s): one in each interval of about 12 s. The shape is (k, 2).
 
-    Each outage begins at least 5 s after the start or the previous outage.
+    Each outage begins at least 5 s after ``start`` and after the end of the previous outage.
     """
     apart = 5.0
     # one slot for each window; the remaining time extends all slots

@@ -1,8 +1,8 @@
 """Find the part of a drive that other drives contain, even if they are renamed, cut or repaired copies.
 
-Landmarks are positions with the receiver's noise, and yaw rates with the gyro's noise; they are equal in all copies of
-a drive, and differ in all other drives. Each pair of equal landmarks votes for an offset between the clocks of two
-drives (as in Wang, "An Industrial-Strength Audio Search Algorithm", ISMIR 2003). A copy keeps the yaw rates if fixes
+Landmarks are positions and yaw rates of a drive. Because of the sensors' noise they are equal in copies of the
+drive and differ in other drives. Each pair of equal landmarks votes for an offset between the clocks of two drives
+(as in Wang, "An Industrial-Strength Audio Search Algorithm", ISMIR 2003). A copy keeps the yaw rates if fixes
 are left out, shifted or replaced, and the fixes if the IMU is rotated or interpolated.
 """
 

@@ -1,4 +1,4 @@
-"""A drive prepared for filters: the initial state and the time lines, computed once."""
+"""A drive prepared for filters: the initial state and the timelines, computed once."""
 
 from dataclasses import replace
 from functools import cached_property
@@ -16,7 +16,7 @@ MAX_CACHED_STEPS = 500_000  # largest number of steps that `forget` keeps: 80 mi
 
 
 class PreparedDrive:
-    """A drive with the initial state and the time lines that filters need.
+    """A drive with the initial state and the timelines that filters need.
 
     By default, the alignment finds ``initial``. With ``as_recorded``, for diagnosis and the paper's protocol, stale
     fixes are used, and IMU gaps are ordinary steps.
@@ -46,10 +46,10 @@ class PreparedDrive:
         return self.kinds >= STALE
 
     def timeline(self, hidden: NDArray[np.bool_] | None = None, *, removed: bool = False) -> Timeline:
-        """Return the cached time line without updates by the fixes that the mask ``hidden`` (number of fixes,) marks.
+        """Return the cached timeline without updates by the fixes that the mask ``hidden`` (number of fixes,) marks.
 
         If ``removed`` is True, no step ends at a hidden fix. Otherwise, filters can predict hidden fixes, and the time
-        line shares arrays with the time line of all fixes.
+        line shares arrays with the timeline of all fixes.
         """
         if hidden is None or not hidden.any():
             hidden, removed = np.zeros(len(self.drive.gps), dtype=np.bool_), False
@@ -70,9 +70,9 @@ class PreparedDrive:
         return self._timelines[key]
 
     def forget(self) -> None:
-        """Drop the time lines, each of which needs 0.25 GB for ten hours at 100 Hz.
+        """Drop the timelines, each of which needs 0.25 GB for ten hours at 100 Hz.
 
-        A small time line of all fixes is kept, since the other time lines are derived from it.
+        A small timeline of all fixes is kept, since the other timelines are derived from it.
         """
         self._timelines = {
             (hidden, removed): line

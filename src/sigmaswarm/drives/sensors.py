@@ -56,8 +56,8 @@ class LogProperties:
         courses; headings
     driven : time between the last fix and the first fix that is more than 20 m from the start, s; 0 if there is none
     fixes : number of fixes within the IMU's time span
-    noise, true_std : white noise of the fixes, and their standard deviation from the truth (NaN without truth), m per
-        axis; ``true_std`` is used only with objectives that use truth
+    noise, true_std : white noise of the fixes, and standard deviation of their errors (NaN without truth), m per axis;
+        ``true_std`` is used only with objectives that use truth
     mounting : mounting of the IMU, deg; None if the drive states none
     """
 

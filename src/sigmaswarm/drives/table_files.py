@@ -232,7 +232,7 @@ def _plain_numbers(path: Path) -> pl.DataFrame | None:
 
 
 def _has_lone_quote(path: Path) -> bool:
-    """Return True if a cell is a single quotation mark, for which polars prints a trace."""
+    """Return True if a cell consists of one double quotation mark; polars prints a stack trace for such a cell."""
     if path.stat().st_size == 0:
         return False
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:

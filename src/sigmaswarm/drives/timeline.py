@@ -1,4 +1,4 @@
-"""The merged time line: the steps of a filter, and the measurements at their ends.
+"""The merged timeline: the steps of a filter, and the measurements at their ends.
 
 The IMU sample at t_k drives the filter from t_(k-1) to t_k. A fix between these times splits the step into two steps,
 both driven by this sample, and updates the filter at the time of the fix. The second of two fixes with equal times,
@@ -42,7 +42,7 @@ class Timeline:
     steps : (k, 3) columns DT, Q_SCALE and GAP: see `dt`, `q_scale` and `gap`
     sample : (k,) int, index of the IMU sample that drives each step
     driving : (n, 3) or (n, 6) inputs of the steps up to each IMU sample, in the order of `AXES`, m/s2 and rad/s; the
-        time lines of a drive share this array
+        timelines of a drive share this array
     updates : (k,) bool, True if a fix updates the filter at the step's end
     hides : (k,) bool, True if a fix at the step's end is hidden from the filter, which predicts it
     sampled : (k,) bool, True if the step ends at the time of an IMU sample
@@ -139,7 +139,7 @@ class Timeline:
         return Alignments(self.drive, usable=self.kinds < STALE)
 
     def hiding(self, hidden: Mask) -> "Timeline":
-        """Return this time line with fixes hidden where ``hidden`` (g,) is True; the two time lines share arrays."""
+        """Return this timeline with fixes hidden where ``hidden`` (g,) is True; the two timelines share arrays."""
         hides = np.zeros(len(self.end), dtype=np.bool_)
         hides[self.updates] = hidden[_usable(self.drive, self.start, self.kinds)]
         seen = replace(self.drive, gps=self.drive.gps.select(~hidden))
@@ -154,7 +154,7 @@ def build_timeline(
     """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out.
 
     ``kinds`` (g,): kinds of the fixes. ``as_recorded``: treat IMU gaps as ordinary steps. ``driving``: the array of
-    another time line of the same IMU samples, to save memory.
+    another timeline of the same IMU samples, to save memory.
     """
     imu = drive.imu
     fixes = drive.gps.select(_usable(drive, start, kinds))

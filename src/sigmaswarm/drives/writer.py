@@ -102,7 +102,7 @@ def _contents(drive: Drive, folder: Path, form: Form) -> dict[str, bytes]:
         contents = {"drive.toml": tomli_w.dumps(about).encode()}
     except TypeError as error:
         raise DriveError(
-            f"{folder / 'drive.toml'}: the metadata can't be written as TOML: {error}; change it"
+            f"{folder / 'drive.toml'}: the metadata can't be written as TOML: {error}; change this value"
         ) from None
     for name, table in drive.tables.items():
         unwritten = {"x", "y"} if wgs84 and name == "gps" else set[str]()

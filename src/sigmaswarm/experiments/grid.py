@@ -2,7 +2,7 @@
 
 Each task saves its results in a folder, so an interrupted experiment can continue. Forked processes need 75% of the
 time of threads, since a tuning run spends 25% of its time in the Python interpreter. Forked processes also inherit
-drives and prepared time lines without copying.
+drives and prepared timelines without copying.
 """
 
 import os

@@ -67,7 +67,7 @@ NUMBERS = {
     "REAR_AXLE": "m: distance from the rear axle forward to the IMU",
     "TIRE_SLIP": "s2/m: slip angle of the rear tires (rad) per lateral acceleration (m/s2)",
     "PER_ODOMETER_SCALE": "true speed / reading",
-    "ODOMETER_LATENCY": "s: delay of a reading: its time stamp minus the time at which its value was true",
+    "ODOMETER_LATENCY": "s: latency of a reading: its time stamp minus the time of its measurement",
 }
 """Comments in the definitions of the numbers that a template may use."""
 

@@ -166,7 +166,7 @@ HEADING_VARIANCE = (1e-10, 1e-1)
 With a larger Q, a filter would determine the heading from the fixes alone. If the receiver smooths its fixes, such a
 filter may have the highest likelihood.
 """
-CITY_VARIANCE = (1e-5, 1e3)  # bounds of R: between high buildings, fixes have errors of tens of meters
+CITY_VARIANCE = (1e-5, 1e3)  # bounds of R: between tall buildings, fixes have errors of tens of meters
 BIAS_WALK = (1e-16, 1e-4)  # bounds of Q for the random walks of the biases
 
 

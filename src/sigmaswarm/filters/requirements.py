@@ -21,7 +21,7 @@ def require_odometer(drive: Drive) -> None:
     if drive.odometer is None:
         raise InputError(
             f"{drive.name}: the filter uses the wheel speed (odometer_noise), but the drive has no odometer.csv; "
-            "use a filter that was tuned without odometer"
+            "use a filter that was tuned without an odometer"
         )
 
 

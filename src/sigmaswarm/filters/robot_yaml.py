@@ -79,7 +79,10 @@ def _loaded(path: Path) -> Any:
     try:
         return yaml.safe_load(read_toml_text(path))
     except OSError as error:
-        raise InputError(f"{path}: can't be read ({error.strerror}); name an ekf.yaml") from None
+        raise InputError(
+            f"{path}: can't be read ({error.strerror}); pass the path of a "
+            "robot_localization parameter file (ekf.yaml)"
+        ) from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise InputError(f"{path}: is not valid YAML ({printable(reason, 160)}); correct this file") from None

@@ -158,7 +158,7 @@ def _reference(evidence: Evidence, time: Array, late: float) -> tuple[Array, NDA
 
 
 def _turned(heading: Array) -> int:
-    """Return the number of degrees of the circle that headings (n,), rad, cover."""
+    """Return how many degrees of the circle are covered by the headings (shape (n,), rad)."""
     bins = (np.degrees(heading) % 360 // BIN).astype(np.int64)
     return int(np.count_nonzero(np.bincount(bins, minlength=1) >= MIN_SAMPLES)) * BIN
 

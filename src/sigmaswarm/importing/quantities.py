@@ -102,7 +102,7 @@ class Columns:
         return f"where({text} > 32767, {text} - 65536, {text})" if self._is_unsigned(what) else text
 
     def _is_unsigned(self, what: str) -> bool:
-        """Return True for signed words of 16 bits that were written without a sign: -1 is 65535.
+        """Return True for signed 16-bit words that were written without a sign: -1 is 65535.
 
         The axes of a sensor have the same form; gravity on a negative axis is not near -1.
         """

@@ -58,7 +58,8 @@ MAX_PAUSE, WINDOW, MAX_BAND, MIN_EVEN_SHARE = 2.5, 20, 1.25, 0.9
 def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
     """Convert times of day with digits hhmmss (115959.98) to seconds; return the times, and a sentence or "".
 
-    The digits are recognized by an additional step of 40 s at each minute.
+    This format is recognized because the numbers, read as seconds, increase by an additional 40 at each change of the
+    minute (59 to 100).
     """
     whole = time // SECOND
     if len(time) < 3 or int(whole.min()) < 10_000 or int(whole.max()) >= 240_000:

@@ -151,7 +151,7 @@ def time_of_rows(
 def _pasted(frame: pl.DataFrame, keys: Collection[str]) -> dict[int, list[str]]:
     """Return the columns of each table that was pasted next to others, by number of rows; {} for other tables.
 
-    The rows of such a table are the first ones, and each table has a time. ``keys``: a column of each role.
+    Such a table fills the first rows of its columns, and has its own time column. ``keys``: a column of each role.
     """
     counts = {name: frame[name].count() for name in frame.columns}
     tables = {counts[key]: [n for n, count in counts.items() if count == counts[key]] for key in keys}
@@ -263,7 +263,7 @@ def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> TimeExpress
 
 
 def _words(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> TimeExpression | None:
-    """Find a time of 64 bits in two columns of 32 bits: time_hi and time_lo."""
+    """Find a 64-bit time that is split into two 32-bit columns: time_hi and time_lo."""
     for high, low in product(names, names):
         known = is_time("_".join(high.words[:-1])) and high.words[:-1] == low.words[:-1]
         if not known or high.words[-1:] not in _HIGH or low.words[-1:] not in _LOW:
@@ -274,7 +274,7 @@ def _words(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> TimeExpres
             second = f"where({second} < 0, {second} + {WORD}, {second})"
         both = values[0] * WORD + values[1].set(values[1] < 0, None).fill_null(values[1] + WORD)
         found = _of_numbers(both, f"({first}*{WORD} + {second})", role)
-        note = f"the time is {high.column} and {low.column}, two words of 32 bits"
+        note = f"the time is {high.column} and {low.column}, two 32-bit words"
         return found if found.fault else TimeExpression(found.expression, note)
     return None
 

@@ -70,7 +70,7 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
 def _ratio(
     time: Array, values: Values, speed: Array, begin: NDArray[np.int64], end: NDArray[np.int64]
 ) -> float:
-    """Return the median ratio of a speed to the speed from the positions; 1 if the ratio is not constant."""
+    """Return the median ratio of the logged speed to the speed computed from the positions; 1 if it varies too much."""
     sums = np.concatenate([[0.0], np.cumsum(np.abs(speed))])
     stated = (sums[end + 1] - sums[begin]) / (end + 1 - begin)
     moved = np.hypot(*(values[n][end] - values[n][begin] for n in ("x", "y"))) / (time[end] - time[begin])

@@ -115,7 +115,7 @@ def fit(
                 state = state.restored(saved[0])
             except (LookupError, ValueError):
                 raise InputError(
-                    f"{checkpoint}: is not a checkpoint of this training; delete it to repeat the training"
+                    f"{checkpoint}: does not belong to this training run; delete it to start the training again"
                 ) from None
         count = len(problem.examples[0])
         size = min(schedule.batch, count)

@@ -23,7 +23,7 @@ def save_comparison(comparison: Comparison, folder: Path) -> list[Path]:
 
 
 def comparison_table(comparison: Comparison) -> Table:
-    """Tabulate medians with intervals, worst runs and tests of each optimizer."""
+    """Tabulate each optimizer's medians with confidence intervals, its worst runs and its significance tests."""
     # With the objective truth-rmse, the cost is the RMSE.
     same = all(c.config.objective == "truth-rmse" for c in comparison.contenders)
     shown = [m for m in comparison.measures if not (same and m == "held_out_cost")]

@@ -51,9 +51,9 @@ WARNING_VERDICTS = ("optimistic", "pessimistic", "alike", "lasting", "correlated
 BANK_TEXT = (
     "A filter bank has sixteen filters with different parameters. The weight of a filter in the estimate depends on "
     "how well this filter predicted the fixes of the last minute. While the vehicle moves, the filters with the lowest "
-    "weights are replaced every 10 s by the result of a search over the last minute and by changed copies of good "
-    "filters. If the parameters move far from the tuned values, the vehicle, its sensors or its surroundings differ "
-    "from those of the tuning. One decade is a factor of ten in a variance."
+    "weights are replaced every 10 s by the result of a search over the last minute and by randomly changed copies "
+    "of good filters. If the parameters move far from the tuned values, the vehicle, its sensors or its surroundings "
+    "probably differ from those of the training drives. One decade is a factor of ten in a variance."
 )
 
 

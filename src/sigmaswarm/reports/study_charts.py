@@ -172,7 +172,8 @@ def _draw_course(ax: Axes, results: Results, course: Convergence, *, alone: bool
     low, middle, high = ([inf if v is None else v for v in values] for values in quantiles)
     x, theirs = range(1, len(middle) + 1), results.paper["figure_2"]["stable_generation"]
     if whole:
-        band(ax, x, low, high, Look(color, opacity=0.15), "10 to 90% of the trials" if alone else "")
+        spread = "10th to 90th percentile of the trials" if alone else ""
+        band(ax, x, low, high, Look(color, opacity=0.15), spread)
     name = "median" if alone else results.label(course.method) if whole else course.group
     curve(ax, x, middle, Look(color, 2.0), name)
     diamond = Look(color, 1.2, NO_LINE, "D", 6.75).line

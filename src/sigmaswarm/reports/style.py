@@ -10,7 +10,7 @@ from sigmaswarm.scoring.methods import AGAINST, BASELINE, FIXES, METHODS, OPTION
 class Look:
     """Style of a line, with line style and marker of matplotlib; sizes are in points.
 
-    ``visible``: True if pictures contain the line, and a page shows the line when the page opens.
+    ``visible``: True if static plots contain the line and a page shows it initially.
     """
 
     color: str

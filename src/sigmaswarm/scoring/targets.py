@@ -1,4 +1,4 @@
-"""Passes over a drive for scoring: the time line, and the truth along the drive or at the ends of outages."""
+"""Passes over a drive for scoring: the timeline, and the truth along the drive or at the ends of outages."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,6 +114,6 @@ def _truth_targets(truth: Truth | None, timeline: Timeline) -> Targets:
 
 
 def _end(timeline: Timeline, times: Array) -> NDArray[np.int32]:
-    """Return the number of target times up to the end of each step of the time line."""
+    """Return the number of target times up to the end of each step of the timeline."""
     done = np.searchsorted(times, timeline.imu_time, side="right")
     return np.concatenate([[0], done]).astype(np.int32)[np.cumsum(timeline.sampled, dtype=np.int32)]

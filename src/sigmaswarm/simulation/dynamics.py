@@ -339,8 +339,8 @@ def run_open_loop(car: Vehicle, friction: float, start: Array, steer: Array, ped
 def _steer(s: Array, path: Array, spacing: float, nearest: int, car: Vehicle) -> tuple[float, int, float]:
     """Return the desired steering angle (rad), the index of the nearest point, and the distance along the path, m.
 
-    The angle is the sum of a feedforward from the curvature ahead and a feedback. The feedback makes an offset from the
-    path decay like a damped oscillation of frequency speed / 5 m, at most 1.5 rad/s.
+    The angle is the sum of a feedforward from the curvature ahead and a feedback. The feedback makes a lateral
+    offset from the path decay like a damped oscillator with the angular frequency speed / (5 m), limited to 1.5 rad/s.
     """
     while nearest < len(path) - 2:
         dx, dy = s[X] - path[nearest + 1, 0], s[Y] - path[nearest + 1, 1]

@@ -46,7 +46,8 @@ STEP = {"forward": 0.1, "left": 0.1, "latency": 0.01, "rear_axle": 0.1, "tire_sl
 DOF = 8.0  # degrees of freedom of Student's t, which reduces the weight of outliers
 BLOCK_LENGTH = 20.0  # s, length of a block; fix errors may be correlated within a block
 STD_FACTOR = 1.2
-"""Factor on the standard deviations, since the noise is fitted to the same fixes, and tire slip is not exactly linear.
+"""Factor by which the standard deviations are enlarged, because the noise is fitted to the same fixes, and tire slip is
+not exactly linear.
 
 Without this factor, 93% of the errors on 65 simulated drives were within 1.96 standard deviations.
 """

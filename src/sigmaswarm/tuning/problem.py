@@ -163,7 +163,10 @@ class CarProblem(Problem[FilterParameters]):
 
     @property
     def shown_std(self) -> float | None:
-        """Standard deviation of the fixes from the truth, m per axis; None if the objective does not use the truth."""
+        """Standard deviation of the fix errors (fix minus truth), m per axis, median over the drives.
+
+        None if the objective does not use truth.
+        """
         std = float(np.median([one.true_std for one in self.sensors]))
         return std if self.objective.needs_truth and np.isfinite(std) else None
 

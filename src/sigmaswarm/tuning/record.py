@@ -149,7 +149,10 @@ def tuning_file(path: Path) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class TunedFilter:
-    """A filter, the record of its tuning, and the landmarks of the training drives, by which they are recognized."""
+    """A filter, the record of its tuning, and the landmarks by which copies of the training drives are recognized.
+
+    Landmarks are positions and yaw rates of a drive: see `drives.overlap`.
+    """
 
     parameters: FilterParameters
     record: TuningRecord = field(default_factory=lambda: TuningRecord(filter={}))

@@ -6,7 +6,7 @@ The folder contains
     checkpoint-000.npz   complete state of an unfinished trial after its latest generation
     trial-000/           result.json and history.npz of a finished trial
     tuning.toml          filter of the best trial, after all trials
-    seen.npz             landmarks that identify the training drives (`drives.overlap`)
+    seen.npz             landmarks: positions and yaw rates by which copies of the training drives are recognized
 """
 
 import json

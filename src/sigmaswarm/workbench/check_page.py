@@ -88,7 +88,7 @@ class CheckPage(Page):
             plan |= dict.fromkeys((whole, whole + CHECKED), LEFT_OUT)
             self._open(names[0])
             wrote = " and ".join(f"drives/{name}" for name in names)
-            self.done = f"wrote {wrote}; check both. Tunings will not use {whole}"
+            self.done = f"wrote {wrote}; check both. Tuning will not use {whole}"
         self.refresh()
 
     def _set_state(self, checked: CheckState | None) -> None:

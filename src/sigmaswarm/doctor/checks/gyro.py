@@ -54,8 +54,8 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
     if fit is None or course is None or not yaw.known:
         if impossible_rate(imu.gz - np.median(imu.gz)):
             what = (
-                f"the yaw rate gz exceeds {IMPOSSIBLE_RATE:g} rad/s, so it is probably in deg/s. The fixes show no "
-                "course that confirms this unit"
+                f"the yaw rate gz exceeds {IMPOSSIBLE_RATE:g} rad/s, so it is probably in deg/s. The unit can't be "
+                "confirmed from the course of the fixes"
             )
             remedy = "look up the unit; multiply gx, gy, gz by pi/180 if the unit is deg/s"
             yield Finding("gyro-unit", "warning", what, "imu.csv, gz", span, 0.9, remedy)

@@ -1,7 +1,7 @@
 """Networks of a study. Each network is trained on the training drives of a trial, for the filter of this trial.
 
 Each network has a folder in learned/, in the format of `sigmaswarm learn`. Networks are trained one after the other, so
-that the processor time of each training can be measured.
+that the processor time of each training run can be measured.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -123,7 +123,7 @@ def training_drives(design: Design, trial: int, minutes: float) -> TrainingDrive
 
 
 def trainings(design: Design) -> list[Training]:
-    """List the trainings of every trial, and the trainings for the learning curves of the first trial."""
+    """List the training runs of every trial, and those for the learning curves of the first trial."""
     if not design.config.rivals:
         return []
     trials = range(design.config.trials)
@@ -137,7 +137,7 @@ def trainings(design: Design) -> list[Training]:
 def train_all(
     design: Design, parameters: Filters, folder: Path, progress: Callable[[int, Task], None]
 ) -> dict[Training, TrainedNetwork]:
-    """Run, continue or read all trainings, one after the other.
+    """Perform, continue or read all training runs, one after the other.
 
     ``progress`` is called with the number of finished generations and epochs, and with the task.
     """

@@ -122,14 +122,14 @@ def run_study(
     resume : bool
         Continue the study in ``out``. The result is the same as without interruption.
     executor : concurrent.futures.Executor, optional
-        Runs the tunings; by default forked processes on Linux, otherwise threads.
+        Performs the tuning runs; by default forked processes on Linux, otherwise threads.
     workers : int, optional
         Number of processes or threads; by default the number of cores. The result does not depend on this number.
     cluster : distributed.Client, optional
         Dask cluster whose workers simulate or read the drives and run the filters. On processors of one type, the
         result is the same as without a cluster. Not available with rivals, since networks are trained locally.
     progress : callable, optional
-        Called with a `StudyProgress` as tunings and trainings advance.
+        Called with a `StudyProgress` as tuning and training runs advance.
 
     Raises
     ------

@@ -294,7 +294,10 @@ def _store_reading(m, z):
 
 @_plain
 def _process_in_order(m, sample):
-    """Process an IMU sample with an accepted time; in a gap before it, use the mean of the samples around the gap."""
+    """Process an IMU sample whose time was accepted.
+
+    If a gap precedes it, predict across the gap with the mean of the samples before and after it.
+    """
     v, counts = m.filter_state, m.counts
     t, last, gap = sample[0], v[SAMPLE], 0.0
     if last[0] > -math.inf:

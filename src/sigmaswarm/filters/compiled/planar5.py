@@ -2,9 +2,9 @@
 
 The process is linear in all states except theta: u' = u + dt g(theta), x' = x + (u + u') dt/2, theta' = theta + dt yaw
 rate, with position x, velocity u, and g the acceleration in the local frame. Sigma points may use any square root of P;
-here theta is the first state of the root. Then only the two sigma points of the first column change theta, by +-d with
-d = gamma sigma_theta and gamma^2 = n + lambda = alpha^2 (n + kappa). All other points have the acceleration of the
-center, g0 = g(theta). With J a turn by 90 degrees, and s the state,
+here P is factored with theta as the first state. Then only the two sigma points of the first column change theta, by
++-d with d = gamma sigma_theta and gamma^2 = n + lambda = alpha^2 (n + kappa). All other points have the acceleration
+of the center, g0 = g(theta). With J the rotation by 90 degrees, and s the state vector,
 
     g(theta +- d) = g0 cos d +- J g0 sin d
     e         = (cos d - 1) / gamma^2 = -(2 / gamma^2) sin^2(d/2)    (second form: without cancellation)

@@ -1,4 +1,4 @@
-"""Compiled run of up to `most_lanes` filters over one time line, with scores."""
+"""Compiled run of up to `most_lanes` filters over one timeline, with scores."""
 
 import hashlib
 import math
@@ -318,7 +318,7 @@ def logging_kernel(model):
 def run_lanes(
     model: str, drive: DriveArrays, rows: Array, cursor: Array, stop: int, record: Array, innovations: Array
 ) -> None:
-    """Run up to `most_lanes` filters over steps of one time line, from the step at which the last call stopped.
+    """Run up to `most_lanes` filters over steps of one timeline, from the step at which the last call stopped.
 
     A run in pieces has the same results as one call if each piece, except the last, ends after a step with the flag
     IMU.

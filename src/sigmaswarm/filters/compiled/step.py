@@ -47,7 +47,7 @@ def _step(
     """Predict, and update with the measurements.
 
     ``u`` (DT ... GY of a step), ``z`` (a row of `Timeline.fixes`) and ``wheels`` (a row of `Events.wheels`) are tuples.
-    ``events`` contains the bits of `drives.events`, ``lever`` is the lever arm of the time line (m) and ``since`` is
+    ``events`` contains the bits of `drives.events`, ``lever`` is the lever arm of the timeline (m) and ``since`` is
     the time since the last fix, in nominal steps.
     """
     dt, gap = u[DT], u[GAP]

@@ -1,7 +1,7 @@
 """Log of each step of the compiled filter for a smoother: the state, the prediction and the coefficients of A.
 
-A is the transition of the step: see transition.py. If a fading factor or a run of outliers inflates P, the prediction
-includes this inflation.
+A is the state transition matrix of the step: see transition.py. If a fading factor or a run of outliers inflates P, the
+prediction includes this inflation.
 """
 
 import numpy as np

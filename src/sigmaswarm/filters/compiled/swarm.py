@@ -34,7 +34,7 @@ EVIDENCE_LASTS = 60.0  # s, time constant of the decay of evidence
 LARGEST_NIS = 200.0
 """Upper limit of a fix's NIS in the evidence, so that no single fix determines the weights.
 
-Student's t would give too much weight to a lane with a small R, since fixes between high buildings seem accurate until
+Student's t would give too much weight to a lane with a small R, since fixes between tall buildings seem accurate until
 they jump.
 """
 EVIDENCE_COUNTS = 0.1  # weight of the evidence: errors of fixes are correlated, so ten fixes count as one

@@ -215,7 +215,7 @@ class _Writer(ast.NodeTransformer):
         return self._spliced(kernel.written, call.args) if isinstance(kernel, Kernel) else node
 
     def _spliced(self, written: ParsedFunction, arguments: list[ast.expr]) -> list[ast.stmt]:
-        """Return the statements of a kernel, with unique names, in place of a call."""
+        """Inline a call of a kernel: return the kernel's statements, whose variables get unique names."""
         self.calls += 1
         definition = _copied(written.definition)
         parameters = [argument.arg for argument in definition.args.args]

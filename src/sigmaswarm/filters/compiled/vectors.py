@@ -121,7 +121,10 @@ def _hash(body: list[ast.stmt], names: Names) -> str:
 
 
 def _as_intrinsic(loop: _Loop) -> Any:
-    """Return the function ``called(w, (shared ...))`` for Numba. It calls the loop, generated if necessary."""
+    """Return the function ``called(w, (shared ...))`` for Numba.
+
+    It calls the compiled loop, which is generated first if it does not exist yet.
+    """
 
     def call(typing_context, w, numbers):
         def generate(context, builder, signature, arguments):

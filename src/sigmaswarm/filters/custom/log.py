@@ -1,4 +1,4 @@
-"""A log of sensors for a user's model, and the steps of a filter at the merged times."""
+"""Sensor log for a user's model, and the steps of the filter at the merged times of inputs and measurements."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

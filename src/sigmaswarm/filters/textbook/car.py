@@ -33,7 +33,7 @@ from sigmaswarm.geodesy import wrap_angle
 
 
 class Car:
-    """Filter on a drive's time line, in textbook form; the exported script for FilterPy contains this class.
+    """Filter on a drive's timeline, in textbook form; the exported script for FilterPy contains this class.
 
     ``filter`` has the interface of `GaussianFilter`; its ``mean`` and ``covariance`` may be set before a step.
     ``noise`` has the current diagonals of Q and R. ``measured``: see `requirements.measured_by`.
@@ -148,7 +148,7 @@ class Car:
 
 
 class TextbookCar(Car):
-    """Textbook filter on a drive's time line. ``heading_first``: see `run_textbook`."""
+    """Textbook filter on a drive's timeline. ``heading_first``: see `run_textbook`."""
 
     def __init__(
         self,

@@ -80,8 +80,8 @@ def _rows(path: Path, width: int, gps: bool) -> Iterator[tuple[tuple[float, ...]
                 time, values = 0.0, []
             if len(values) != width:
                 raise InputError(
-                    f"{path}, row {number}: {line.strip()[:40]!r}... does not have {width} numbers as in the header; "
-                    "delete the row"
+                    f"{path}, row {number}: {line.strip()[:40]!r}... does not have the {width} numbers of the header's "
+                    "columns; delete the row"
                 )
             yield (time, *values), min(read / size, 1.0)
 

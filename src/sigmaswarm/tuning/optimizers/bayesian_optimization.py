@@ -39,7 +39,7 @@ class BayesianOptimization(AskTell):
     batch: int = 1
     """Number of points that are evaluated between two fits of the Gaussian process.
 
-    A larger number needs less time for fits, but more evaluations for the same cost.
+    A larger batch needs less time for fits, but more evaluations to reach the same value of the objective.
     """
     candidates: int = 2000
     searches: int = 3

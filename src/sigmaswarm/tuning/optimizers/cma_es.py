@@ -79,7 +79,7 @@ class CmaEs(AskTell):
         return self.mean + self.step * (z * np.sqrt(variances)) @ axes.T  # (39, 40)
 
     def _penalized(self, costs: Array) -> Array:
-        """Add a penalty to each cost for the distance of its sample from the bounds.
+        """Add to each cost a penalty for the distance by which its sample lies outside the bounds.
 
         The penalty is the squared distance, divided by the variance of the samples, times the interquartile range of
         the costs.
