@@ -224,7 +224,7 @@ def known(out: Path) -> dict[tuple[str, str, str, int], list[float]]:
 
 
 def tables(done: dict[tuple[str, str, str, int], list[float]]) -> None:
-    """Print the table of all tunings, and the comparisons of filters."""
+    """Print the table of all tuning runs, and the comparisons of filters."""
     median: dict[tuple[str, str, str], np.ndarray] = {}
     for name, label, objective, _ in done:
         every = [row for key, row in done.items() if key[:3] == (name, label, objective)]

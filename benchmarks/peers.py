@@ -67,7 +67,7 @@ def main() -> None:
     )
     parser.add_argument("drives", type=Path)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--seeds", type=int, default=3, help="number of seeds of our tunings")
+    parser.add_argument("--seeds", type=int, default=3, help="number of seeds of our tuning runs")
     parser.add_argument(
         "--evaluations", type=int, default=100, help="number of evaluations of GTSAM's noise parameters"
     )

@@ -83,7 +83,7 @@ def main() -> None:
         "--out",
         type=Path,
         required=True,
-        help="folder of the tunings and of a file with one line of JSON per run",
+        help="folder of the tuning runs and of a file with one line of JSON per run",
     )
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--only", nargs="+", help="parts of the names of groups")

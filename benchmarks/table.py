@@ -42,8 +42,8 @@ CAPTIONS = (
     "median and the lowest value.",
     "**Two cores.** Wall time in ms to score parameter sets over the drive, if both cores were idle before.",
     "**Live filters.** Time of one call from Python in us: the median and the 99.9% quantile. A fix is processed with "
-    'the next sample, so "sample with fix" is the time of both calls. A ratio is FilterPy\'s time, with the same filter '
-    "or with planar5's UKF, divided by the time in the same row (sample without a fix; sample with a fix).",
+    'the next sample, so "sample with fix" is the time of both calls. A ratio is FilterPy\'s time, with the same '
+    "filter or with planar5's UKF, divided by the time in the same row (sample without a fix; sample with a fix).",
 )
 TUNINGS = {
     "test_tuning_pyswarms_filterpy": "PySwarms + FilterPy",

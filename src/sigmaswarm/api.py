@@ -131,7 +131,8 @@ def run(
     Returns
     -------
     Estimate
-        Times (n,), means (n, n_states) and covariances (n, n_states, n_states) at the IMU samples from the start on.
+        Times (n,), means (n, n_states) and covariances (n, n_states, n_states) at the IMU samples from the start of the
+        filter on.
 
     Raises
     ------
@@ -172,7 +173,8 @@ def evaluate(
         ``outage_length`` (s), ``outage_seed``, ``as_recorded``, ``smooth``, ``bank`` (also evaluate a filter bank),
         ``fixes_alone`` (noise parameters of the filter that uses only the fixes), ``cluster``. ``seen``: landmarks
         (positions and yaw rates) by which copies of the training drives are recognized. ``shown_std``: standard
-        deviation of the fix errors, computed from the truth of the training drives, m per axis. ``as_recorded``, ``seen``, ``fixes_alone`` and ``shown_std`` are by default those of the tuning.
+        deviation of the fix errors, computed from the truth of the training drives, m per axis. ``as_recorded``,
+        ``seen``, ``fixes_alone`` and ``shown_std`` are by default those of the tuning.
 
     Returns
     -------

@@ -36,7 +36,7 @@ from sigmaswarm.tuning.tune import tune
 
 MAX_STD = 0.1  # m per axis, largest standard deviation of the truth
 HIDDEN_DURATIONS = (2.0, 20.0)  # s, range of windows' lengths; in 2 s, cars' IMUs drift by a decimeter
-HIDDEN_FIRST = 10.0  # s from the start to the first window, and between two windows
+HIDDEN_FIRST = 10.0  # s from the start of the filter to the first window, and between two windows
 PLACEMENTS = 3  # number of random sets of hidden windows
 COVERAGE = 0.95, 1.96  # fraction of hidden fixes within an interval, per axis, and half its width in sigmas
 OBJECTIVE = "innovation-t"

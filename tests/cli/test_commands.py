@@ -540,7 +540,7 @@ def test_run_says_why_the_beginning_is_missing_and_writes_its_fixes(sigmaswarm, 
         f"the first {earlier:.1f} s have no estimate, since a filter starts at the first fix with a heading, or"
         in said
     )
-    assert f"wrote f.csv: {len(pl.read_csv('f.csv'))} fixes before the start" in said
+    assert f"wrote f.csv: {len(pl.read_csv('f.csv'))} fixes before the start of the filter" in said
     assert sigmaswarm("run", tuned, "s", "--out", "e.csv", "--before", "f.tum").code == 2
 
 

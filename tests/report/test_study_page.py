@@ -200,7 +200,7 @@ def test_a_filter_that_does_not_know_its_errors_is_named(study: Study, copy: Pat
         for r in remarks
     )
     assert any(
-        "PSO-UKF (tuned with truth): the training costs of the tunings range from 1 to 2 m" in r
+        "PSO-UKF (tuned with truth): the training costs of the tuning runs range from 1 to 2 m" in r
         for r in remarks
     )
 

@@ -59,8 +59,8 @@ def compare(
     """Compare optimizers with the same budget on the same drives.
 
     Each optimizer tunes the filter with several seeds. The command writes to OUT: comparison.md (a table with intervals
-    and paired tests), comparison.csv, runs.csv, curves.csv, comparison.png, times.csv and all tunings. The intervals
-    describe the spread between seeds on these drives, not the spread between drives.
+    and paired tests), comparison.csv, runs.csv, curves.csv, comparison.png, times.csv and all tuning runs. The
+    intervals describe the spread between seeds on these drives, not the spread between drives.
 
     For example:
 
@@ -85,7 +85,7 @@ def compare(
         read, held_out = read_datasets(drives, options.validation or [], cluster=client)
         sensors = [*read.map(log_properties), *held_out.map(log_properties)]
         chosen = default_filter_options(config, sensors)[1]
-        with progress_bar("comparing", "tunings, remaining") as show:
+        with progress_bar("comparing", "tuning runs, remaining") as show:
             comparison = sigmaswarm.compare(read, validation=held_out, progress=show, **run, **config)
     written = save_comparison(comparison, out)
     content = {"comparison": comparison.frame.to_dicts(), "written": [str(path) for path in written]}

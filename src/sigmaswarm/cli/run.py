@@ -197,9 +197,11 @@ def _lines(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixe
         yield from (f"wrote {summary['swarm']}", f"wrote {summary['settled']}")
     earlier = first - float(drive.imu.time[0])
     if earlier > 5.0:  # s; a start in motion usually needs less
-        written = f"wrote {options.before}: {fixes} fixes before the start"
+        written = f"wrote {options.before}: {fixes} fixes before the start of the filter"
         yield f"the first {earlier:.1f} s have no estimate, since a filter starts at {START_RULE}"
-        yield written if options.before else "--before NAME.csv writes the fixes before the start"
+        yield (
+            written if options.before else "--before NAME.csv writes the fixes before the start of the filter"
+        )
 
 
 def _bank_files(out: Path) -> tuple[Path, Path]:

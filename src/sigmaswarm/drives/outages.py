@@ -33,7 +33,7 @@ def random_windows(
 ) -> Array:
     """Draw outages (k, 2) between two times (s), uniformly among all placements with the required distances.
 
-    ``length`` (s) is fixed or a range. The first outage begins at least ``first_after`` s after the start; outages are
+    ``length`` (s) is fixed or a range. The first outage begins at least ``first_after`` s after ``start``; outages are
     at least ``apart`` s apart. ``count`` is the number of outages, by default one per 15 s but at least one; fewer are
     returned if the time is too short.
     """

@@ -220,7 +220,7 @@ class SavedLandmarks(Sequence[Landmarks]):
 
 
 def load_landmarks(path: Path) -> list[Landmarks] | None:
-    """Load a file of `save_landmarks`; return None if the file is missing, as in tunings of early versions."""
+    """Load a file of `save_landmarks`; return None if the file is missing, as after tuning with early versions."""
     if not path.exists():
         return None
     try:

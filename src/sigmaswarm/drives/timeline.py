@@ -67,7 +67,7 @@ class Timeline:
 
     @cached_property
     def imu_time(self) -> Array:
-        """Times of the IMU samples after the start, (n,) s."""
+        """Times of the IMU samples after the start of the filter, (n,) s."""
         time = self.drive.imu.time
         return time[np.searchsorted(time, self.start, side="right") :]
 

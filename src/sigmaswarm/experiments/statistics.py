@@ -1,4 +1,4 @@
-"""Statistics of repeated tunings: intervals of means and medians, paired tests, and correction for multiple tests.
+"""Statistics of repeated tuning runs: intervals of means and medians, paired tests, and correction for multiple tests.
 
 Scores are arrays of shape (trials, drives); they are NaN if a trial did not test on a drive. The bootstrap draws n - 1
 of n values (J. N. K. Rao and C. F. J. Wu, J. American Statistical Association 83, 1988). With n draws, the variance of

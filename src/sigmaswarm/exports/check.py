@@ -124,7 +124,7 @@ def _shared_object(folder: Path, name: str, *flags: str) -> Path:
 def _replay(
     folder: Path, library: Path, parameters: FilterParameters, events: Sequence[tuple[str, list[float]]]
 ) -> Array:
-    """Return the means (k, n) that the exported Python module computes after each sample later than the start."""
+    """Return the means (k, n) that the exported Python module computes after each sample that follows the start."""
     spec = importlib.util.spec_from_file_location("ins_gps", folder / "ins_gps.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -49,7 +49,7 @@ class Innovations:
     Attributes
     ----------
     time : ndarray, shape (f,)
-        Times of the fixes after the start, s.
+        Times of the fixes after the start of the filter, s.
     innovation : ndarray, shape (f, 2)
         nu, m east and north.
     covariance : ndarray, shape (f, 2, 2)

@@ -173,8 +173,8 @@ class LiveFilter:
     def predict(self, t: float, imu: Sequence[float]) -> None:
         """Process an IMU sample; ignore a sample whose time is not after that of the last sample.
 
-        A sample more than 10 s ahead waits: see `LiveFilter`. Samples before the start do not change the state; they
-        are used only to detect gaps, standstills and divergence.
+        A sample more than 10 s ahead waits: see `LiveFilter`. Samples before the start of the filter do not change the
+        state; they are used only to detect gaps, standstills and divergence.
 
         Parameters
         ----------
@@ -228,7 +228,8 @@ class LiveFilter:
         Returns
         -------
         bool
-            False if the fix was ignored (before the start, too late, or a repetition) or waits for confirmation.
+            False if the fix was ignored (before the start of the filter, too late, or a repetition) or waits for
+            confirmation.
 
         Raises
         ------

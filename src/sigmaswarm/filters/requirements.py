@@ -30,7 +30,7 @@ def require_accuracy(line: Timeline) -> None:
         raise InputError(
             f"{line.drive.name}: the filter weights each fix by the accuracy that the receiver states "
             "(accuracy_scale), but gps.csv does not contain std_x and std_y for all fixes; use a filter that "
-            "was tuned without accuracy"
+            "was tuned without the option accuracy"
         )
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Estimates of a filter at each IMU sample after the start; each estimate uses all fixes up to its time.
+    """Estimates of a filter at each IMU sample after its start; each estimate uses all fixes up to its time.
 
     Attributes
     ----------
@@ -165,7 +165,9 @@ def whole_pass(
     timeline = ready.timeline()
     if not len(timeline.imu_time):
         name, start = ready.drive.name, ready.initial.time
-        raise InputError(f"{name}: no IMU sample after the start at {start:g} s; start earlier")
+        raise InputError(
+            f"{name}: no IMU sample after the start of the filter at {start:g} s; use an earlier start"
+        )
     return FilterPass(timeline, ready.initial, Targets.none(timeline))
 
 

@@ -1,4 +1,4 @@
-"""Mean and covariance at the start of a drive, shared by all implementations of a filter."""
+"""Mean and covariance at the start of a filter, shared by all implementations of a filter."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ from sigmaswarm.filters.tilted import add_tilt_evidence
 
 
 def start_of(initial: InitialState, p: FilterParameters) -> tuple[Array, Array]:
-    """Return mean (n,) and covariance (n, n) at the start of a drive."""
+    """Return mean (n,) and covariance (n, n) at the start of a filter on a drive."""
     mean, covariance = starts_of([initial], FILTERS[p.kernel], start_std(p)[np.newaxis])
     return mean[0, 0], covariance[0, 0]
 

@@ -103,7 +103,8 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
         if "heading" not in what or np.abs(angle).max(initial=0.0) < 7.0:
             return angle
         say(
-            f"{what} is read as degrees clockwise from north, but the fixes show no course that confirms this unit"
+            f"{what} is read as degrees clockwise from north, but the unit can't be confirmed from the course of "
+            "the fixes"
         )
         return np.asarray(wrap_angle(np.pi / 2 - np.radians(angle)))
     conventions = (

@@ -3,8 +3,8 @@
 tuning.toml, seen.npz   files of the filter, from its tuning
 learned.toml            type of network, settings, and training data
 weights.npz             weights
-learned_seen.npz        landmarks that identify the training drives
-timings.json            processor time of the training; the only file that differs between two runs
+learned_seen.npz        landmarks by which copies of the training drives are recognized
+timings.json            processor time of the training run; the only file that differs between two runs
 """
 
 from collections.abc import Mapping

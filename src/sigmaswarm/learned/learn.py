@@ -61,7 +61,7 @@ prepares the input of `fit`. ``finish`` returns the weights of the best network,
 
 @dataclass(frozen=True, eq=False)
 class LearnConfig:
-    """Type of network, filter, data and options of a training; saved as config.json.
+    """Type of network, filter, data and options of a training run; saved as config.json.
 
     Attributes
     ----------

@@ -113,13 +113,13 @@ def _remarks(results: Results, protocol: str) -> Iterable[str]:
     mine = [t for t in results.tunings if (t.protocol, t.method) == (protocol, MAIN_METHOD)]
     if touching := sum(bool(t.touched_bounds) for t in mine):
         yield (
-            f"{main}: {touching} of {len(mine)} tunings ended at a bound, "
+            f"{main}: {touching} of {len(mine)} tuning runs ended at a bound, "
             "so the optimum may be outside of the search space"
         )
     costs = [t.cost for t in mine]
     if costs and max(costs) > MAX_COST_RATIO * min(costs):
         yield (
-            f"{main}: the training costs of the tunings range from {min(costs):.3g} to {max(costs):.3g} m; "
+            f"{main}: the training costs of the tuning runs range from {min(costs):.3g} to {max(costs):.3g} m; "
             "tune several times and use the best result"
         )
     nis = results.summary(protocol, MAIN_METHOD, "nis")

@@ -26,7 +26,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.sensors import receiver_std, white_noise
 from sigmaswarm.filters.parameters import FilterParameters
 
-DOF = 7.0  # degrees of freedom, chosen on parts of development drives that the tunings (seed 0) did not use
+DOF = 7.0  # degrees of freedom, chosen on parts of development drives that tuning (seed 0) did not use
 LEVELS = 0.95, 0.999  # probabilities
 TRACKING = "tracking"  # key of the radii with all fixes
 MIN_COVERAGE = 0.85  # fraction of errors inside the 95% radius below which a warning is given

@@ -21,7 +21,7 @@ FORECAST_LENGTHS = (SHORT_OUTAGE_LENGTH, OUTAGE_LENGTH, LONG_OUTAGE_LENGTH)
 Seed = int | tuple[int, ...]
 TARGET_OUTAGES = 200  # outages per drive; with this number the drift is accurate to about 10%
 MAX_PLACEMENTS = 8  # largest number of sets of outages; more sets would hide the same fixes again
-OUTAGE_FIRST_AFTER = 10.0  # s, shortest time from the start to the first outage
+OUTAGE_FIRST_AFTER = 10.0  # s, shortest time from the start of the filter to the first outage
 
 
 def tracking_pass(ready: PreparedDrive) -> FilterPass:

@@ -382,7 +382,7 @@ def explained_scores(view: EvaluationView) -> str:
     return (
         f"Lower is better. Outages last {SHORT_OUTAGE_LENGTH:g}, {view.setup.outage_length_s:g} and "
         f"{LONG_OUTAGE_LENGTH:g} s.{drifts}{rmse} "
-        'The method "IMU only" uses no fixes after the start, so it has no outage drift.'
+        'The method "IMU only" uses no fixes after the start of the filter, so it has no outage drift.'
     )
 
 

@@ -37,7 +37,7 @@ SEEDS = 20
 """Default number of runs of each optimizer in a comparison."""
 
 
-class SharedOptions(TypedDict, total=False):  # the same in all tunings of a comparison
+class SharedOptions(TypedDict, total=False):  # the same in all tuning runs of a comparison
     objective: str
     worst: float
     particles: int

@@ -62,7 +62,7 @@ class Workbench:
 
     @property
     def drives(self) -> list[str]:
-        """Names of the drives for tunings; a checked copy replaces the drive of which it is a copy."""
+        """Names of the drives for tuning; a checked copy replaces the drive of which it is a copy."""
         names = self.drive_names
         return [name for name in names if name + CHECKED not in names]
 

@@ -1,4 +1,4 @@
-"""Step 3: start, watch, stop, resume and compare tunings."""
+"""Step 3: start, watch, stop, resume and compare tuning runs."""
 
 from collections.abc import Callable
 from functools import partial
@@ -253,7 +253,7 @@ class TunePage(Page):
                 for i, trial in enumerate(t.trials)
             }
             if costs:
-                show_plot("Convergence of the tunings", "generation", "lowest cost", lines(costs))
+                show_plot("Convergence of the tuning runs", "generation", "lowest cost", lines(costs))
             for name, tuning in reversed(tunings.items()):
                 with ui.expansion(f"{name}: parameters and remarks").classes("card"):
                     for remark in tuning.remarks:

@@ -27,7 +27,7 @@ ProtocolName = Literal["paper", "honest"]
 
 
 class Protocol(BaseModel):
-    """Objective and scale of a study's tunings."""
+    """Objective and scale of a study's tuning runs."""
 
     model_config = ConfigDict(frozen=True)
 

@@ -1,4 +1,4 @@
-"""Design of a study: drives and their conditions, training and test drives of each trial, and all tunings."""
+"""Design of a study: drives and their conditions, training and test drives of each trial, and all tuning runs."""
 
 import hashlib
 import warnings

@@ -10,7 +10,7 @@ results.json contains (unknown numbers are null):
     measures       {name: meaning and unit}
     summary        `VariantSummary` of every variant and measure, for all conditions together and for each condition
     comparisons    `PairedComparison` of pso-ukf with every other method, by protocol
-    tunings        `TrialTuning` of every tuning and trial
+    tunings        `TrialTuning` of every tuning run and trial
     convergence    `Convergence` of every tuned variant and group
     paper          the paper's results
     rivals         `RivalResults`, only in a study with rivals

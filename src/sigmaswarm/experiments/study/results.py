@@ -1,4 +1,4 @@
-"""Statistics of the scores, tunings and networks of a study."""
+"""Statistics of the scores, tuning runs and networks of a study."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 

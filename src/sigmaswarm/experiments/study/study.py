@@ -11,7 +11,7 @@ The folder of a study contains
     elsewhere/           only with rivals: scores.csv of drives with other sensors, and of drives with another car
     tracks.npz           tracks of a few test drives of the best trial
     best/                parameter file of the best trial of each tuning
-    timings.json         durations of the study and of filters; with rivals, also in the folder of each tuning and
+    timings.json         durations of the study and of filters; with rivals, also in the folder of each tuning run and
                          training; only these files and the tables of durations differ between two runs
 """
 

@@ -45,7 +45,7 @@ class LiveModel:
     parameters : mapping of str to float
         See `run_model`.
     time : float
-        Time of the start, s.
+        Time of the start of the filter, s.
     mean, covariance : array_like, shapes (n,), (n, n)
         State estimate at the start.
     n_inputs : int
@@ -123,7 +123,8 @@ class LiveModel:
         Returns
         -------
         bool
-            False if the measurement was ignored: too late, before the start, a repetition, or without a value.
+            False if the measurement was ignored: too late, before the start of the filter, a repetition, or without a
+            value.
 
         Raises
         ------
