@@ -157,7 +157,7 @@ def run(
 def evaluate(
     drives: Sequence[Drive] | Drive, parameters: Filter, *, against: Filter | None = None, **options: Any
 ) -> "Evaluation":
-    """Compare a filter with the baseline and a filter without IMU; with truth, also with raw GPS and dead reckoning.
+    """Compare a filter with the baseline and a filter without an IMU; with truth, also with raw GPS and dead reckoning.
 
     Parameters
     ----------

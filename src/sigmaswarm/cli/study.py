@@ -49,7 +49,7 @@ def study(*, out: Path, options: Annotated[StudyOptions, FIELDS] = StudyOptions(
 
     Each trial tunes on a random 70% of the drives and evaluates all methods on the other drives. The methods are:
 
-    - IMU only, raw GPS, and a constant-velocity filter without IMU;
+    - IMU only, raw GPS, and a constant-velocity filter without an IMU;
     - three filters, each with two manual parameter sets: EKF, adaptive UKF, UKF;
     - the UKF with the paper's optimum, and the paper's PSO-UKF;
     - three filters tuned with the budget of the PSO-UKF: EKF, adaptive UKF, planar8;

@@ -26,7 +26,7 @@ FIRST_GUESS = (0.0, 0.0)  # log10 of the two noise parameters at the start of th
 
 @dataclass(frozen=True)
 class MotionNoise:
-    """Noise parameters of the filter without IMU."""
+    """Noise parameters of the filter without an IMU."""
 
     acceleration: float  # m2/s3, spectral density on each axis
     fix: float  # factor of the fixes' stated variances, or of 2.1^2 m2 if some are not stated

@@ -6,7 +6,7 @@ SMOOTHED = "smoothed"  # the tuned filter, smoothed
 BANK = "swarm"  # a filter bank of the tuned filter
 LEARNED = ("outage-lstm", "noise-gru")
 AGAINST = "against"  # another filter, given by the user
-FIXES = "fixes_alone"  # a constant-velocity filter without IMU
+FIXES = "fixes_alone"  # a constant-velocity filter without an IMU
 BASELINE = "untuned"  # the tuned filter's model with typical noise parameters
 
 METHODS = {
@@ -17,7 +17,7 @@ METHODS = {
     "imu_only": "IMU only",
 }
 """Display names of the rows of every comparison."""
-LEGEND = "baseline: the same model with typical noise; fixes alone: a filter without IMU"
+LEGEND = "baseline: the same model with typical noise; fixes alone: a filter without an IMU"
 FIXES_ALONE_NOTE = (
     'The method "fixes alone" is a constant-velocity filter without the IMU. '
     "Its noise parameters are fitted to {}"

@@ -32,7 +32,7 @@ from sigmaswarm.tuning.receiver import StdCheck
 from sigmaswarm.wording import count_of, to_do
 
 MAX_NAMED_DRIVES = 3  # largest number of drives that a message names, and that are checked for drift
-MONITORED_TIME = 3600.0  # s after a filter's start with a divergence check; longer times need more memory
+MONITORED_TIME = 3600.0  # s; divergence is checked up to this time after the filter's start, to save memory
 MAX_DRIFT_RATIO = 1.5  # ratio to the baseline's drift above which a warning is given
 FIRST_SETS = 2  # sets of outages that are checked first
 RECHECK_RATIO = 1.2
