@@ -143,5 +143,5 @@ def _turning(drive: Drive, course: Course, moving: Mask) -> Agreement:
     ends = np.flatnonzero(np.diff(piece)) + 1
     placed = np.insert(np.degrees(track - shifts[piece]), ends, np.nan)
     measured, expected = (at, np.degrees(turned)), (np.insert(at, ends, at[ends]), placed)
-    title = "Turning: the integral of gz, and the course"
+    title = "Turning: the integral of gz compared with the course"
     return Agreement("turning", title, "deg", {"gz": measured}, {"course": expected})
