@@ -36,8 +36,8 @@ def recorded(nis: float, next_one: float) -> Consistency:
         (2.0, 0.4, "0.5 m RMS or more, estimated by the filter"),
         (3.0, 0.0, "more than the 0.5 m RMS that the filter estimates. The fixes, with their own errors,"),
         (1.7, 0.0, "about 0.5 m RMS, estimated by the filter"),
-        (1.7, 0.4, "unknown, since there is no truth. It may be as large as the 1.5 m RMS by which the filter"),
-        (0.2, 0.0, "unknown, since there is no truth. It may be as large as the 1.5 m RMS by which the filter"),
+        (1.7, 0.4, "unknown, since there is no truth. It may be as large as 1.5 m RMS, the difference between"),
+        (0.2, 0.0, "unknown, since there is no truth. It may be as large as 1.5 m RMS, the difference between"),
     ],
 )  # fmt: skip
 def test_the_stated_position_error_without_truth_is_checked_with_the_fixes(

@@ -182,8 +182,8 @@ def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
     alike = consistency.autocorrelation[0] > MAX_CORRELATION
     if consistency.mean_nis < low and (alike or consistency.mean_nis < MIN_INFORMATIVE_NIS):
         guess = (
-            f". It may be as large as the {expected:.2g} m RMS by which the filter expects its predictions and the "
-            "fixes to differ"
+            f". It may be as large as {expected:.2g} m RMS, the difference between prediction and fix that the filter "
+            "expects"
             if expected > own
             else ""
         )
