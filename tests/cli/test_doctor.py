@@ -4,6 +4,7 @@ import json
 import re
 import shlex
 import shutil
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -86,7 +87,8 @@ def test_a_rejected_repair_ends_in_no_circle(sigmaswarm, sick: Path, monkeypatch
     assert "-> no action is needed: the repair was tried, but then a filter predicts" in ended.out
     assert "repair it yourself: change the sign of gz" in " ".join(ended.out.split())
     remedies: list[tuple[str, Path | None]] = []
-    with pytest.warns(SigmaswarmWarning, match=r"the log makes the filter less accurate \(gyro-sign\)"):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # no action is needed
         read_datasets(["mended/urban-clear-00"], remedies=remedies)
     assert not remedies
 

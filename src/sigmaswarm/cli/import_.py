@@ -233,7 +233,7 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
         print_json(_summary(imported, out) | {"doctor": diagnosis.to_dict()})
         return
     output = Output(verbose=options.verbose)
-    output.show(_written(imported.drive, out))
+    output.show(_written(imported.drive, out, diagnosis))
     # the remedy of a finding about the axes replaces the note on the assumed axes
     axes = imported.assumed or (() if imported.recipe.mount else (AXES_NOTE,))
     output.show(*_notes([*imported.notes, *(() if affects_axes(diagnosis) else axes)]))
@@ -281,12 +281,13 @@ def _summary(imported: "ImportResult", out: Path) -> dict[str, Any]:
     }
 
 
-def _written(drive: "Drive", out: Path) -> str:
+def _written(drive: "Drive", out: Path, diagnosis: "Diagnosis") -> str:
     truth = f", {len(drive.truth)} rows of truth" if drive.truth else ", no truth"
     wheels = f", {len(drive.odometer)} odometer samples" if drive.odometer else ""
     first, last = drive.imu.time[[0, -1]]
     outside = sum((drive.gps.time < first) | (drive.gps.time > last))
-    unused = f" ({outside} outside of the IMU's time span are not used)" if outside else ""
+    warned = any(f.code == "gps-outside" and f.severity == "warning" for f in diagnosis.findings)
+    unused = f" ({outside} outside of the IMU's time span are not used)" if outside and not warned else ""
     samples = f"{len(drive.imu)} IMU samples ({1 / drive.nominal_interval:.3g} Hz)"
     return f"wrote {out}: {drive.duration:.1f} s, {samples}, {len(drive.gps)} fixes{unused}{wheels}{truth}"
 
