@@ -132,7 +132,7 @@ def test_a_drift_larger_than_the_baseline_s_names_a_safe_step(particles: int, in
         data=[DriveRecord(name="a", duration_s=60.0)],
     )
     (said,) = _larger_drifts(TuningView(record))
-    assert "drifts MORE than the baseline" in said.what and said.remedy == remedy
+    assert "drifts MORE than the baseline" in said.what and said.remedy.endswith(remedy)
     record.forecasts = forecasts[:1]
     assert not [*_larger_drifts(TuningView(record))]
 

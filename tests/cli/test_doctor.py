@@ -65,7 +65,8 @@ def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
         what == "  SERIOUS  [gyro-sign] The yaw rate has the wrong sign: it must be positive in a left turn."
     )
     assert consequence == ["           A filter turns left where the car turns right."]
-    assert remedy == "           -> change the sign of gz (sigmaswarm doctor --fix tests and applies this)"
+    tested = "(sigmaswarm doctor --fix tests this, and applies it if it helps)"
+    assert remedy == f"           -> change the sign of gz {tested}"
     assert "the integral of gz" not in ended.out
     assert f"\nnext: sigmaswarm doctor {sick} --fix mended\n" in ended.out
     verbose = " ".join(sigmaswarm("doctor", sick, "--verbose").out.split())
@@ -313,7 +314,7 @@ def test_the_copy_is_mended_and_the_original_is_not(sigmaswarm, good, sick: Path
     before = {file.name: file.read_bytes() for file in sick.iterdir()}
     ended = sigmaswarm("doctor", sick, "--fix", "mended")
     assert ended.code == 0  # nothing serious is left
-    assert "wrote mended/urban-clear-00, a copy with repairs of gyro-sign\n" in ended.out
+    assert "wrote mended/urban-clear-00, a repaired copy (gyro-sign)\n" in ended.out
     assert {file.name: file.read_bytes() for file in sick.iterdir()} == before
     copy = read_drive(here / "mended" / good.name)
     assert copy.imu.gz.tobytes() == good.imu.gz.tobytes()
@@ -384,7 +385,7 @@ def test_the_lever_arm_is_one_line_and_goes_into_the_copy(sigmaswarm, good, here
     assert line.startswith(f"lever arm: antenna {forward} m ")
     assert f") and {left} m " in line
     assert copy.metadata["repaired"] == ["lever-arm"]
-    assert "a copy with repairs of lever-arm\n" in ended.out
+    assert "a repaired copy (lever-arm)\n" in ended.out
 
 
 @pytest.mark.long

@@ -3,9 +3,12 @@
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 
 from fuzzing.seeds import SEEDS
+from importing.logs import a_drive, imported
+from sigmaswarm.errors import InputError
 from sigmaswarm.importing.formats import READERS
 from support import quickly
 
@@ -32,3 +35,27 @@ def test_the_third_axes_are_kept(name: str, tmp_path: Path):
         assert np.median(imu.az) == pytest.approx(9.8, abs=0.1)
         assert 0.005 < np.std(imu.gx) < 0.02
         assert 0.005 < np.std(imu.gy) < 0.02
+
+
+@pytest.mark.parametrize("turned", [(0, 1, 2), (1, 2, 0), (2, 0, 1)])
+def test_an_exchanged_accelerometer_and_gyro_are_refused_and_the_remedy_helps(
+    tmp_path: Path, turned: tuple[int, int, int]
+):
+    """Tables of x, y and z, whose names alone show the sensor; gravity may be on any axis."""
+    drive = a_drive(20.0)
+    imu, axes = drive.imu, ("x", "y", "z")
+
+    def write(force: str, rate: str) -> Path:
+        folder = tmp_path / force
+        folder.mkdir()
+        for name, letter in ((force, "a"), (rate, "g")):
+            values = {c: getattr(imu, letter + axes[k]) for c, k in zip(axes, turned, strict=True)}
+            pl.DataFrame({"time": imu.time, **values}).write_csv(folder / f"{name}.csv")
+        gps = {"time": drive.gps.time, "lat": drive.gps.lat, "lon": drive.gps.lon}
+        pl.DataFrame(gps).write_csv(folder / "gps.csv")
+        return folder
+
+    with pytest.raises(InputError, match=r"accelerometer and gyro are exchanged; exchange their names$"):
+        imported(write("gyroscope", "accelerometer"))
+    right = imported(write("accelerometer", "gyroscope")).drive.imu
+    np.testing.assert_allclose(right.az, getattr(imu, "a" + axes[turned[2]]))

@@ -110,7 +110,7 @@ def _repair(
     repaired += ["lever-arm"] if arm and any(arm.observable) else []
     remaining = sigmaswarm.diagnose(copy)
     if repaired:
-        output.show(f"wrote {folder}, a copy with repairs of {', '.join(repaired)}")
+        output.show(f"wrote {folder}, a repaired copy ({', '.join(repaired)})")
         print_diagnosis(output, remaining, folder, printed=diagnosis)
     else:
         worse = "with the repairs a filter predicts the fixes less accurately"

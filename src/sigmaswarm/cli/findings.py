@@ -37,6 +37,8 @@ def print_diagnosis(
     new = [f for f in faults if (f.code, f.what) not in known]
     serious = sum(f.severity == "serious" for f in faults)
     summary = count_of(serious, "SERIOUS fault") if serious else "no serious fault"
+    if not serious and "no-start" in {f.code for f in faults}:
+        summary = "NO FILTER CAN START"
     summary += f", {count_of(len(faults) - serious, 'warning')}"
     if known_faults := len(faults) - len(new):
         summary += f" ({f'{known_faults} ' if new else ''}printed above)"
@@ -54,7 +56,11 @@ def _problem(finding: "Finding", folder: "Location | None", *, part: bool) -> Re
     (what, *evidence), (remedy, *more) = sentences(finding.what), sentences(remedy)
     start, end = finding.span
     place = f"({finding.where}; t = {start:.1f} to {end:.1f} s; confidence {100 * finding.confidence:.3g}%)"
-    fixed = " (sigmaswarm doctor --fix tests and applies this)" if finding.repair and not part else ""
+    fixed = (
+        " (sigmaswarm doctor --fix tests this, and applies it if it helps)"
+        if finding.repair and not part
+        else ""
+    )
     return Remark(
         finding.severity,
         f"[{finding.code}] {as_sentence(what)}",
@@ -242,6 +248,7 @@ def next_steps(diagnosis: "Diagnosis", out: Path, drive: "Drive") -> Iterator[st
     from sigmaswarm.drives.split import part_of
 
     part, ready, repair = part_of(drive), out, ""
+    no_start = next((finding for finding in diagnosis.findings if finding.code == "no-start"), None)
     if cut := split_command(diagnosis, out):
         yield from (f"next: {cut}", f"then: sigmaswarm doctor {free_path('parts')} --fix mended")
         return
@@ -254,7 +261,10 @@ def next_steps(diagnosis: "Diagnosis", out: Path, drive: "Drive") -> Iterator[st
     elif diagnosis.serious or has_repairable(diagnosis):
         repair, copy = exchanging(diagnosis, out) or repair_command(diagnosis, out)
         repair, ready = (repair, copy) if copy else ("correct the serious faults in the log", out)
-    elif no_start := next((finding for finding in diagnosis.findings if finding.code == "no-start"), None):
+        if no_start:
+            yield from (f"next: {repair}", "      (then a filter may be able to start)")
+            return
+    elif no_start:
         yield f"next: {no_start.remedy}"
         return
     elif part != "test" and (short := too_short_for_outages(drive)):

@@ -339,7 +339,7 @@ def _print_inspection(inspection: "Inspection", options: ImportOptions) -> None:
         output.show(f"not used from {printable(table)}: {names}{more}")
     output.show(*_notes(inspection.notes))
     if inspection.proposal:
-        lacking = "" if inspection.works else " (they do not suffice for a drive; the reason follows)"
+        lacking = "" if inspection.works else " (other columns are still missing, see below)"
         of_rows = re.search(r"\b(imu|gps)\.t=", inspection.proposal)
         output.show(
             f"\nTo read the other columns, add these options to the command{lacking}:",

@@ -78,7 +78,7 @@ def study(*, out: Path, options: Annotated[StudyOptions, FIELDS] = StudyOptions(
     Parameters
     ----------
     out
-        Folder for scores, tables, figures and the tuning runs of all trials. It must not contain a study, except with
+        Folder for scores, tables, figures and tuning runs of all trials. It must not contain a study, except with
         --resume.
     """
     from sigmaswarm.experiments.study.study import run_study

@@ -205,7 +205,12 @@ def _larger_drifts(view: "TuningView") -> Iterator[Remark]:
     config, usual = view.record.config, TuneConfig.model_fields
     all_evaluations = usual["particles"].default * usual["generations"].default
     few = config["particles"] * config["generations"] < all_evaluations
-    remedy = "tune with the default --particles and --generations" if few else "tune on more or longer drives"
+    remedy = (
+        "tune with the default --particles and --generations"
+        if few
+        else "evaluate the filter on data that the tuning did not use; if it drifts more there, too, tune on more or "
+        "longer drives"
+    )
     yield from (Remark("warning", as_sentence(text), remedy=remedy) for text in view.larger_drifts)
 
 

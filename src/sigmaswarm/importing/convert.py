@@ -15,7 +15,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import REQUIRED, assemble, assemble_imu
 from sigmaswarm.importing.formats import unsupported_format
 from sigmaswarm.importing.gather import ROW, PartColumns, complete_parts, gather
-from sigmaswarm.importing.gravity import impossible_rates, wrong_scale
+from sigmaswarm.importing.gravity import impossible_rates, require_gravity_in_force, wrong_scale
 from sigmaswarm.importing.long_tables import describe_kinds
 from sigmaswarm.importing.magnetometer import with_magnetometer
 from sigmaswarm.importing.mounting import AUTO, find_mount
@@ -89,6 +89,7 @@ def import_drive(
         parts = recipe.roles["imu"]
         if fault := wrong_tick(drive, counter, recipe, other_rate):
             raise InputError(fault)
+        require_gravity_in_force(drive.imu)
         impossible = {} if raw else impossible_rates(drive.imu, parts)
         unit = unit_of_rates(drive, recipe.roles, unitless | impossible)
         scales = [] if raw else wrong_scale(drive.imu, parts, {} if unit.fault else impossible)

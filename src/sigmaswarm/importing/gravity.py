@@ -19,9 +19,26 @@ from sigmaswarm.importing.times import column_numbers, median_of
 
 FORCES, RATES = ("ax", "ay", "az"), ("gx", "gy", "gz")
 MIN_TILT = math.radians(20.0)  # larger than the slopes of roads
+MAX_GRAVITY_ERROR = 0.5  # m/s2
 MAX_DEVIATION = 0.3  # relative deviation of the median specific force from gravity
 # m/s2, largest median magnitude of a vehicle's specific force; rad/s, largest range of common gyros
 MAX_FORCE, MAX_RATE = 3 * GRAVITY, math.radians(2000.0)
+
+
+def require_gravity_in_force(imu: Imu) -> None:
+    """Refuse an IMU whose angular rates have the constant magnitude of gravity, which its accelerations lack."""
+    force, rate = (imu.ax, imu.ay, imu.az), (imu.gx, imu.gy, imu.gz)
+    if any(v is None for v in (*force, *rate)):
+        return
+    quartiles = np.quantile(np.linalg.norm(rate, axis=0), [0.25, 0.5, 0.75])
+    if np.median(np.linalg.norm(force, axis=0)) > GRAVITY / 2:
+        return
+    for low, middle, high in (quartiles, np.degrees(quartiles)):  # the import may have assumed deg/s
+        if abs(middle - GRAVITY) < MAX_GRAVITY_ERROR and high - low < 2 * MAX_GRAVITY_ERROR:
+            raise InputError(
+                f"gx, gy and gz contain gravity (median magnitude {middle:.3g}), and ax, ay and az do not, so the "
+                "columns or files of accelerometer and gyro are exchanged; exchange their names"
+            )
 
 
 def impossible_rates(imu: Imu, parts: Sequence[Part]) -> dict[str, str]:

@@ -188,7 +188,7 @@ def _without_unit(columns: Columns, what: str, role: Role) -> TimeExpression:
         usual = {a: median_of(v.filter(v > 0)) for a, v in values.items()}
         # like gravity; accelerations without gravity are small at rest
         steady = high <= MAX_QUARTILE_RATIO * low
-        if steady and (0.8 < usual.get("az", 0.0) < 1.2 or 0.9 < size < 1.12):
+        if steady and (0.9 < size < 1.12 or (0.8 < usual.get("az", 0.0) < 1.2 and size < 5.0)):
             return TimeExpression(
                 f"{text}*9.80665", "accelerations are read as g, since gravity has a value of about 1"
             )
