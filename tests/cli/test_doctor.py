@@ -163,6 +163,14 @@ def test_no_tuning_is_proposed_if_no_filter_can_start(sigmaswarm, good, here: Pa
     ended = sigmaswarm("doctor", "parked")
     assert "[no-start]" in ended.out and "tune" not in ended.out.splitlines()[-1]
     assert "\nnext: use a longer or a faster drive (" in ended.out
+    assert "urban-clear-00: NO FILTER CAN START, " in ended.out
+    imu = replace(good.imu, az=-good.imu.az)
+    write_drive(replace(good, imu=imu, gps=parked, truth=None), here / "down")
+    ended = sigmaswarm("doctor", "down")
+    assert ": NO FILTER CAN START, " in ended.out
+    assert ended.out.endswith(
+        "\nnext: sigmaswarm doctor down --fix mended\n      (then a filter may be able to start)\n"
+    )
 
 
 def test_the_remedies_of_start_and_bias_name_neither_doctor_nor_a_chosen_model(sigmaswarm, good, here: Path):
