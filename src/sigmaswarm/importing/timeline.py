@@ -84,7 +84,9 @@ def unwrap(time: Nanoseconds, tick: float = 0.0) -> tuple[Nanoseconds, int, str]
         return time, 0, ""
     usual = float(np.median(ahead))
     fitting: list[tuple[float, int, str]] = []
-    of_ticks = {round(2**bits * tick * SECOND): f"a counter of 2^{bits} ticks" for bits in BITS if tick > 0}
+    of_ticks = {
+        round(2**bits * tick * SECOND): f"a counter of 2^{bits} ticks" for bits in BITS if 0 < tick <= 1
+    }
     for period, name in (of_ticks | dict(WRAPS)).items():
         wraps = steps < -0.5 * period
         # After a wrap, the times continue by about a usual step, unlike after two exchanged rows of a short log.
