@@ -209,6 +209,7 @@ def test_files_that_continue_each_other_are_joined(tmp_path: Path, name: str, pa
         (("Acceleration x (m/s^2)", "Acceleration y (m/s^2)", "Gyroscope z (rad/s)"), (1, 1, 1), "names"),
         (("acc_x_g", "acc_y_g", "gyro_z_dps"), (1 / G, 1 / G, 180 / np.pi), "units in names"),
         (("AccX", "AccY", "yaw_rate"), (1, 1, 1), "small letters"),
+        (("acc x in g", "acc y in g", "yaw rate in °/s"), (1 / G, 1 / G, 180 / np.pi), "units after in"),
         (
             ("linear_acceleration.x", "linear_acceleration.y", "angular_velocity.z"),
             (1, 1, 1),

@@ -392,7 +392,15 @@ PLACES: dict[str, tuple[str, Callable[[float], str], Callable[[float], str]]] = 
         lambda a: str(round(a * 1e7)),
         lambda b: str(round(b * 1e7)),
     ),
+    "semicircles of FIT": (
+        "t,position_lat,position_long",
+        lambda a: str(round(a * 2**31 / 180)),
+        lambda b: str(round(b * 2**31 / 180)),
+    ),
     "ddmm.mmmm": ("t,lat,lon", ddmm, ddmm),
+    "degrees, with names of FIT": ("t,position_lat,position_long", repr, repr),
+    "microdegrees in the name": ("t,lat_udeg,lon_udeg", lambda a: repr(a * 1e6), lambda b: repr(b * 1e6)),
+    "ddmm.mmmm in the name": ("t,lat_ddmm,lon_dddmm", ddmm, ddmm),
     "ddmm.mmmm, named": ("t,lat [ddmm.mmmm],lon [dddmm.mmmm]", ddmm, ddmm),
     "0 to 360": ("t,lat,lon", repr, lambda b: repr(b % 360)),
     "hemispheres": ("t,lat,lat_dir,lon,lon_dir", lambda a: f"{abs(a)!r},N", lambda b: f"{abs(b)!r},W"),
@@ -469,6 +477,20 @@ def test_letters_of_other_languages_are_refused_and_the_remedy_helps(tmp_path: P
         imported(tmp_path)
     got = imported(tmp_path, maps=maps_in(str(caught.value))).drive.gps
     np.testing.assert_allclose([got.lat, got.lon], [GPS.lat, -GPS.lon], atol=1e-7)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("x g", G), ("10^-3 g", G / 1e3), ("N/kg", 1.0)])
+def test_the_remedy_for_an_unknown_unit_of_accelerations_is_the_one_that_gravity_shows(
+    tmp_path: Path, unit: str, factor: float
+):
+    head = ["t", *(f"{a} [{unit}]" if a[0] == "a" else a for a in AXES)]
+    rows = imu_rows(dict.fromkeys(AXES[:3], 1 / factor))
+    (tmp_path / "imu.csv").write_text(table([",".join(head), *joined(rows)]))
+    write_fixes(tmp_path)
+    with pytest.raises(InputError, match="is not known") as caught:
+        imported(tmp_path)
+    got = imported(tmp_path, maps=maps_in(str(caught.value)))
+    assert_close(got.drive.imu, IMU, "time ax ay az gx gy gz", 1e-9)
 
 
 @pytest.mark.parametrize("scale", [1e3, 100.0])
@@ -772,6 +794,7 @@ def test_truth_in_metres_beside_fixes_in_degrees(tmp_path: Path, shift: tuple[fl
         "ft/s²",
         "milli-g",
         "deg/hr",
+        "cmss",
     ],
 )
 def test_spellings_of_units(text: str):

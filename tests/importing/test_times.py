@@ -132,6 +132,9 @@ NAMED: dict[str, tuple[str, Cells]] = {
     "millis": ("millis", lambda t: str(round((t + 3) * 1e3))),
     "time since start in ms": ("time since start in ms", lambda t: str(round(t * 1e3))),
     "Time since start (us)": ("Time since start (us)", lambda t: str(round(t * 1e6))),
+    "TimeUS": ("TimeUS", lambda t: str(round((t + 3) * 1e6))),
+    "usec": ("usec", lambda t: str(round((t + 3) * 1e6))),
+    "msec since boot": ("msec since boot", lambda t: str(round((t + 3) * 1e3))),
     "seconds_elapsed": ("seconds_elapsed", repr),
     "time [min]": ("time [min]", lambda t: repr(t / 60)),
     "time (h)": ("time (h)", lambda t: repr(t / 3600)),
@@ -165,6 +168,7 @@ def test_names_of_times(tmp_path: Path, form: str):
         ("millis", 1e3, 2**16),
         ("t_us", 1e6, 2**32),
         ("tow_ms", 1e3, 604_800_000),
+        ("GPS_SecondsOfWeek", 1, 604_800),
         ("time_of_day", 1, 86400),
     ],
 )
@@ -201,9 +205,11 @@ def test_days(tmp_path: Path, form: str):
     assert any("days" in note for note in imported(tmp_path).notes)
 
 
-@pytest.mark.parametrize("scale", [3600.0, 86400.0])
-def test_a_unit_that_can_not_be_known_is_refused_and_the_remedy_helps(tmp_path: Path, scale: float):
-    write(tmp_path, "time", lambda t: f"{t / scale:.14f}")
+@pytest.mark.parametrize(("scale", "begin"), [(3600.0, 0.0), (86400.0, 0.0), (86400.0, 1 - 5 / 86400)])
+def test_a_unit_that_can_not_be_known_is_refused_and_the_remedy_helps(
+    tmp_path: Path, scale: float, begin: float
+):
+    write(tmp_path, "time", lambda t: f"{(begin + t / scale) % 1:.14f}")
     with pytest.raises(InputError, match="too short for seconds") as caught:
         imported(tmp_path)
     time = re.search(r'--map "imu\.t=([^"]+)\*86400"', str(caught.value))[1]
@@ -680,11 +686,12 @@ def test_fixes_whose_clock_does_not_start_anew_get_the_remedy_of_an_offset(tmp_p
     assert not any("--gps-offset" in note for note in imported(tmp_path, part=1).notes)
 
 
-def test_the_remedy_of_an_unknown_time_names_the_column_that_increases(tmp_path: Path):
-    write(tmp_path, "n,beats", lambda t: f"{7 - t % 2},{t!r}", "t", repr)
+@pytest.mark.parametrize("beats", [repr, lambda t: str(round(t * 1e9) % 2**32)])
+def test_the_remedy_of_an_unknown_time_names_the_column_that_increases(tmp_path: Path, beats: Cells):
+    write(tmp_path, "n,beats", lambda t: f"{7 - t % 2},{beats(t)}", "t", repr)
     with pytest.raises(InputError, match="no column is recognized as the time") as caught:
         imported(tmp_path)
-    assert apart(tmp_path, maps=maps_in(str(caught.value))[:1]) < 1e-9
+    assert apart(tmp_path, maps=maps_in(str(caught.value))[:1]) < 2e-9
 
 
 @pytest.mark.parametrize("order", ["reversed", "random"])

@@ -6,9 +6,9 @@ from shlex import quote
 
 import polars as pl
 
-from sigmaswarm.importing.names import read_names
+from sigmaswarm.importing.names import is_time, read_names
 from sigmaswarm.importing.source import Log, first_bytes
-from sigmaswarm.importing.times import column_numbers, is_time
+from sigmaswarm.importing.times import column_numbers
 from sigmaswarm.wording import printable
 
 MAX_KINDS = 20

@@ -11,22 +11,22 @@ from sigmaswarm.importing.units import COUNTS, PARTS_OF_SECONDS, Unit, UnitDimen
 
 LONGEST_NAME = 200
 
+_PARTS = "|".join(PARTS_OF_SECONDS)
 TIME = (
-    "t|ts|time|time_?stamps?|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|(?:unix|posix)(?:_?time)?|utc|"
-    "millis(?:econds)?|micros(?:econds)?|nanos(?:econds)?|ms|us|ns|interval|"
-    "(?:time|secs?|seconds|millis(?:econds)?|micros(?:econds)?)_since_\\w{1,20}|since_start|loggingtime|logging_time"
+    f"t|ts|time|time_?stamps?|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|(?:unix|posix)(?:_?time)?|utc|{_PARTS}|"
+    f"interval|(?:time|secs?|seconds|{_PARTS})_since_\\w{{1,20}}|since_start|loggingtime|logging_time"
 )
-# Names of times, for tables without a more usual name
-CLOCK = (
-    "received|boot|date|cts|(?:esp_)?timer|up_?time|ticks?|sample_?time_?fine|time_?(?:startup|imu|gps|gnss|fix|utc|boot)|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
-    "datenum|t_?(?:imu|gps|gnss|acc|gyro?|truth|ref|gt)|(?:imu|gps|gnss|fix|truth)_?t|(?:(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|utc|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed|offset)_?){1,2}(?:time|clock|stamp)"
-)
-STAMP = "(?:.*_)?header_(?:time_?)?stamp"  # ROS header stamps, in tables converted from bags
-WEEK = "(?:gps|gnss)?_?(?:week|wnc?|weeks)(?:_?(?:no|num|number))?"
 TIME_OF_WEEK = (
     "(?:gps|gnss)?_?(?:i?tow|sow|wsec|(?:time|secs?|seconds|ms)_?(?:of|in|into)_?(?:the_)?week|"
     "week_(?:secs?|seconds|time))"
 )
+# Names of times, for tables without a more usual name
+CLOCK = (
+    rf"received|boot|date|cts|(?:esp_)?timer|up_?time|ticks?|sample_?time_?fine|time_?(?:startup|imu|gps|gnss|fix|utc|boot)|elapsed|tod|sod|{TIME_OF_WEEK}|(?:time|sec|secs|seconds)_of_(?:the_)?day|"
+    "datenum|t_?(?:imu|gps|gnss|acc|gyro?|truth|ref|gt)|(?:imu|gps|gnss|fix|truth)_?t|(?:(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|utc|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed|offset)_?){1,2}(?:time|clock|stamp)"
+)
+STAMP = "(?:.*_)?header_(?:time_?)?stamp"  # ROS header stamps, in tables converted from bags
+WEEK = "(?:gps|gnss)?_?(?:week|wnc?|weeks)(?:_?(?:no|num|number))?"
 
 _ACCELERATION = (
     "a|acc|accl|accel|acceleration|accelerometer|accelerometer_acceleration|lin(?:ear)?_?acc(?:el|eleration)?|specific_force|"
@@ -43,13 +43,13 @@ NAMES: tuple[tuple[str, str], ...] = (
     *((f"a{i}", f"(?:{_ACCELERATION})_?{i}") for i in "xyz"),
     *((f"g{i}", f"(?:{_RATE})_?{i}") for i in "xyz"),
     *((axis, f"{turn}_?rate") for turn, axis in TURNS.items()),
-    ("lat", "lat|latitude|gps_coord_x"),
-    ("lon", "lon|lng|long|longitude|gps_coord_y"),
+    ("lat", "lat|latitude|gps_coord_x|(?:pos_)?lla_x"),
+    ("lon", "lon|lng|long|longitude|gps_coord_y|(?:pos_)?lla_y"),
     ("ns", "n_s|ns_indicator|(?:lat|latitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ns|n_s)|north_south"),
     ("ew", "e_?w|ew_indicator|(?:lon|lng|longitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ew|e_w)|east_west"),
-    ("alt", "alt|altitude|height|elevation|ele"),
-    ("x", "x|ecef_?x|x_ecef|east|easting|e|pos(?:ition)?_?x|utm_?(?:x|e|east|easting)|x_utm"),
-    ("y", "y|ecef_?y|y_ecef|north|northing|n|pos(?:ition)?_?y|utm_?(?:y|n|north|northing)|y_utm"),
+    ("alt", "alt|altitude|height|elevation|ele|(?:pos_)?lla_z"),
+    ("x", "x|ecef_?x|x_ecef|east|easting|e|pos(?:ition)?_?[xe]|utm_?(?:x|e|east|easting)|x_utm"),
+    ("y", "y|ecef_?y|y_ecef|north|northing|n|pos(?:ition)?_?[yn]|utm_?(?:y|n|north|northing)|y_utm"),
     ("z", "z|ecef_?z|z_ecef"),
     ("q", "w|qw|q_w"),
     ("vx", "vx|ve|v_?east|east_?vel(?:ocity)?|vel(?:ocity)?_?e(?:ast)?"),
@@ -189,6 +189,10 @@ def meaning_of_plain(plain: str) -> str | None:
     return None
 
 
+def is_time(plain: str) -> bool:
+    return meaning_of_plain(plain) == "t" or re.fullmatch(CLOCK, plain) is not None
+
+
 def read_names(columns: Sequence[str]) -> list[Name]:
     """Interpret the names of a table's columns, without a shared prefix as in "Car.ax" and "vehicle/imu/ax".
 
@@ -265,7 +269,7 @@ def read_name(column: str) -> Name:
     if name.meaning is not None or split == text:
         return name
     again = _read(column, split)
-    timed = re.fullmatch(CLOCK, again.plain) is not None
+    timed = is_time(again.plain) and again.plain != "t"  # tMin may be a temperature
     # a last letter after a split is not a unit: LatG, LatD
     stated = timed or again.unit is None or split[-1] in ")]" or len(again.unit.text) > 3
     stated = stated or (again.unit is not None and again.unit.text == "e7")
@@ -297,8 +301,11 @@ def _read(column: str, text: str) -> Name:
     plain = "_".join(words)
     if plain in _MAVLINK:
         return Name(column, _MAVLINK[plain][0], parse_unit(_MAVLINK[plain][1]))
-    if len(words) > 2 and words[-2] == "in":
-        return Name(column, "_".join(words[:-2]), parse_unit(words[-1]))
+    if stated := re.fullmatch(r"(?i)(.{1,100}?)[\W_]in[\W_](.+)", text):
+        unit, after = parse_unit(stated[2]), plain_words(stated[2])
+        unit = unit if unit is None or unit.known else unit_of(after)
+        if unit is None or unit.known or len(after) == 1:
+            return Name(column, "_".join(plain_words(stated[1])), unit)
     if plain in PARTS_OF_SECONDS:
         return Name(column, plain, parse_unit(plain))
     if meaning_of_plain(plain) is not None:
@@ -318,10 +325,10 @@ def _with_unit(column: str, words: list[str], axis: str = "") -> Name:
     for count in (3, 2, 1):
         unit = unit_of(words[-count:]) if len(words) > count else None
         rest = "_".join([*words[:-count], *axis])
-        counts = not axis and {*words[-1:]} & {*COUNTS} - {"raw"}
-        timed = not axis and re.fullmatch("|".join((CLOCK, TIME_OF_WEEK, STAMP)), rest)
-        known = timed or meaning_of_plain(rest) or _stated(rest, unit)
-        if unit is not None and (unit.known or counts) and known:
+        known = words and not axis and ({*words[-1:]} & {*COUNTS} - {"raw"} or re.match("dd?dm", words[-1]))
+        timed = not axis and (is_time(rest) or re.fullmatch(STAMP, rest))
+        named = timed or meaning_of_plain(rest) or _stated(rest, unit)
+        if unit is not None and (unit.known or known) and named:
             return Name(column, rest, unit)
     return Name(column, "_".join([*words, *axis]))
 

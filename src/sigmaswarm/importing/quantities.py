@@ -153,7 +153,11 @@ def quantity(columns: Columns, what: str, role: Role) -> TimeExpression:
         return TimeExpression(in_si(name.unit, text))
     if name.unit.text.strip().lower() in COUNTS and dimension in ("acceleration", "rate"):
         return TimeExpression("", fault=_raw_counts(columns, what, role))
-    sentence = unknown_unit(name, what, dimension, role)
+    likely = ""
+    if dimension == "acceleration":  # gravity shows the unit
+        bare = {w: replace(n, unit=None) if n.unit == name.unit else n for w, n in columns.names.items()}
+        likely = _without_unit(replace(columns, names=bare), what, role).expression
+    sentence = unknown_unit(name, what, dimension, role, likely)
     return (
         TimeExpression("", fault=sentence)
         if what in REQUIRED
@@ -411,6 +415,10 @@ def _place_form(columns: Columns, role: Role) -> TimeExpression:
         note = "latitude and longitude are read as degrees and minutes, ddmm.mmmm"
         other = f"; if they are arcminutes, write {_maps(columns, role, both, '{}/60')}"
         return TimeExpression("ddmm({})", note + other * (low <= 5400 and high <= 10800))
+    if [columns.names[what].plain for what in both] == ["position_lat", "position_long"] and low > 1e6:
+        return TimeExpression(
+            "{}*180/2147483648", "latitude and longitude are read as semicircles, as in FIT files"
+        )
     if low <= 9e8 and high <= 36e8 and (low > 90e6 or high > 180e6):
         other = f"; if they are milliarcseconds, write {_maps(columns, role, both, '{}/3.6e6')}"
         note = "latitude and longitude are read as 1e-7 degrees"

@@ -21,7 +21,7 @@ from sigmaswarm.importing.names import (
     TIME_OF_WEEK,
     WEEK,
     Name,
-    meaning_of_plain,
+    is_time,
     read_names,
     split_words,
 )
@@ -169,12 +169,14 @@ def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
 def rising_time(frame: pl.DataFrame, role: Role) -> str:
     """Return the first column without a known name that increases from row to row, as text in s; else "COLUMN".
 
-    A counter of rows, which increases by 1, is not a time.
+    A counter may wrap. A counter of rows, which increases by 1, is not a time.
     """
-    for name in read_names(frame.columns):
-        steps = column_numbers(frame[name.column]).diff().drop_nulls()
-        if name.meaning is None and len(steps) and (steps > 0).all() and not (steps == 1).all():
-            return column_time(name, frame, role).expression or quoted_column(name.column)
+    names = [name for name in read_names(frame.columns) if name.meaning is None]
+    steps = [column_numbers(frame[name.column]).diff().drop_nulls() for name in names]
+    for falls in (0.0, 0.01):
+        for name, of in zip(names, steps, strict=True):
+            if len(of) and (of <= 0).sum() <= falls * len(of) and not (of == 1).all():
+                return column_time(name, frame, role).expression or quoted_column(name.column)
     return "COLUMN"
 
 
@@ -277,10 +279,6 @@ def _words(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> TimeExpres
         note = f"the time is {high.column} and {low.column}, two 32-bit words"
         return found if found.fault else TimeExpression(found.expression, note)
     return None
-
-
-def is_time(plain: str) -> bool:
-    return meaning_of_plain(plain) == "t" or re.fullmatch(CLOCK, plain) is not None
 
 
 def _week(names: Sequence[Name], frame: pl.DataFrame) -> TimeExpression | None:
@@ -387,13 +385,14 @@ def column_time(name: Name, frame: pl.DataFrame, role: Role) -> TimeExpression:
     return TimeExpression("", fault=unknown_unit(name, "t", "time", role))
 
 
-def unknown_unit(name: Name, column: str, dimension: str, role: Role) -> str:
+def unknown_unit(name: Name, column: str, dimension: str, role: Role, likely: str = "") -> str:
+    """Describe a unit that is not known; ``likely``: the likely expression in SI units, for the remedy."""
     known = name.unit is not None and name.unit.known
     kind = f"a unit of {name.unit.dimension}, not of {dimension}" if name.unit and known else "not known"
     message = (
         f"column {quoted(name.column)}: the unit {quoted(name.unit.text if name.unit else '')} is {kind}"
     )
-    text = f"{quoted_column(name.column)}*1.0"
+    text = likely or f"{quoted_column(name.column)}*1.0"
     if name.unit and name.unit.dimension == "angle" and dimension == "rate":
         text = in_si(name.unit, quoted_column(name.column))
     return f'{message}; specify the factor to SI units, for example --map "{role}.{column}={text}"'

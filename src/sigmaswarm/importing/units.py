@@ -32,7 +32,13 @@ _BASE_WORDS = {
     },
     "A": {
         **{1.0: "rad radian radians", 1e-3: "mrad", 1e-6: "urad", _DEGREE: "deg degs degree degrees"},
-        **{_DEGREE / 1e3: "mdeg", _DEGREE / 100: "cdeg", _DEGREE / 60: "arcmin", _DEGREE / 3600: "arcsec"},
+        **{
+            _DEGREE / 1e3: "mdeg",
+            _DEGREE / 100: "cdeg",
+            _DEGREE / 1e6: "udeg microdeg",
+            _DEGREE / 60: "arcmin",
+            _DEGREE / 3600: "arcsec",
+        },
         **{_DEGREE / 3.6e6: "mas", 2 * math.pi: "rev revolutions turn turns", math.pi / 200: "gon"},
     },
 }
@@ -58,7 +64,7 @@ _MORE: tuple[tuple[UnitDimension, float, str], ...] = (
     ("acceleration", G / 1e6, "ug micro-g"),
     ("acceleration", 0.01, "gal gals"),
     ("acceleration", 1e-5, "mgal"),
-    ("acceleration", 0.01, "cms2 cmps2"),
+    ("acceleration", 0.01, "cms2 cmps2 cmss"),
     ("acceleration", 1.0, "mps2 ms2 mpss ms-2 ms^-2 mpersec2"),
     ("acceleration", 0.3048, "fps2"),
     ("rate", _DEGREE, "dps degps degs degsec degpersec"),
