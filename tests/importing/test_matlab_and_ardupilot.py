@@ -32,6 +32,10 @@ def write_mat(path: Path) -> Path:
         {"log": {"imu": {"time": IMU.time, "acc": FORCE, "gyro": RATE}, "gps": {"time": GPS.time, **PLACE}}},
         {"t": IMU.time, "acc": FORCE, "gyro": RATE, "gps": {"t": GPS.time, **PLACE}},
         {
+            "imu": [{"t": t, "acc": a, "gyro": w} for t, a, w in zip(IMU.time, FORCE, RATE, strict=True)],
+            "gps": {"t": GPS.time, "lla": np.column_stack([GPS.lat, GPS.lon, GPS.alt])},
+        },
+        {
             "imu": {
                 "t": IMU.time,
                 "accel_x": IMU.ax,
@@ -203,6 +207,7 @@ def test_the_formats_that_are_not_read_are_named_with_the_way(tmp_path: Path):
         ("f.tlog", "mavlogdump"),
         ("x.rtcm3", "RTKLIB"),
         ("a.csv.gz", "unpack it"),
+        ("a.feather", "Parquet or CSV"),
         ("run.vbo", "Racelogic"),
         ("can.blf", "DBC"),
         ("b.mtb", "MT Manager"),
