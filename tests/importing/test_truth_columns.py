@@ -45,6 +45,7 @@ def one_table(path: Path, fixes: tuple[str, str], truth: tuple[str, str]) -> Pat
         (("x", "y"), ("gt.x", "gt.y")),
         (("gps_x", "gps_y"), ("x_gt", "y_gt")),
         (("gps_x", "gps_y"), ("ground_truth_x", "ground_truth_y")),
+        (("gps_x", "gps_y"), ("truth_pos_e", "truth_pos_n")),
     ],
 )
 def test_prefixes_separate_fixes_and_truth(tmp_path: Path, fixes: tuple[str, str], truth: tuple[str, str]):
@@ -75,6 +76,16 @@ def test_the_note_on_a_possible_setpoint_tells_how_to_read_a_truth(tmp_path: Pat
     assert truth is not None
     np.testing.assert_allclose(truth.x, TRUE["x"], atol=1e-6)
     np.testing.assert_allclose(truth.y, TRUE["y"], atol=1e-6)
+
+
+def test_a_table_of_truth_that_is_not_read_is_named(tmp_path: Path):
+    one_table(tmp_path / "log.csv", ("gps_x", "gps_y"), ("u", "v"))
+    placed({"u": GPS.x, "v": GPS.y}).write_csv(tmp_path / "truth.csv")
+    assert any("truth.csv is not used as truth" in note for note in imported(tmp_path).notes)
+    maps = ["truth.t=t", "truth.x=u", "truth.y=v"]
+    got = imported(tmp_path, maps=maps, choice=TableChoice({"truth": "truth.csv"}))
+    assert got.drive.truth is not None
+    assert not any("is not used as truth" in note for note in got.notes)
 
 
 def test_copies_of_the_fixes_are_no_truth(tmp_path: Path):

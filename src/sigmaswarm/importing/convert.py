@@ -36,7 +36,7 @@ from sigmaswarm.importing.tick_evidence import rate_by_duration, rate_by_motion,
 from sigmaswarm.importing.ticks import Counter, describe_rate, time_of_ticks
 from sigmaswarm.importing.times import UNKNOWN_TICK, of_one_table
 from sigmaswarm.importing.unnamed import header_by_values
-from sigmaswarm.wording import list_names
+from sigmaswarm.wording import list_names, printable
 
 
 @dataclass(frozen=True)
@@ -143,6 +143,11 @@ def _read(
         metadata = {key: value for guess in guesses.values() for key, value in guess.metadata.items()}
         notes, assumed = notes_of(request, logs, guesses, recipe), assumed_mounting(guesses, recipe)
         notes += gaps_by_clock(gathered)
+        if "truth" in roles and "truth" not in recipe.roles:
+            named = [t for t in logs[request.source].tables if "truth" in t.lower()]
+            used = {part.table for parts in recipe.roles.values() for part in parts}
+            what = "is not used as truth, since no columns are recognized as positions; name them with --map"
+            notes += [f"{printable(table)} {what}" for table in named if table not in used]
         mapped = {entry.partition("=")[0].strip().removeprefix("imu.") for entry in request.maps}
         guessed = {name: text for name, text in unitless.items() if name not in mapped}
         return recipe, gathered, notes, assumed, metadata, guessed, guessed_counter(request, guesses)
