@@ -626,7 +626,7 @@ def test_a_first_fix_far_from_the_rest_is_left_out(tmp_path: Path, place: tuple[
     assert any("km from the others is left out, including the first" in note for note in got.notes)
 
 
-@pytest.mark.parametrize("value", ["-999", "1e10", "9999", "nan"])
+@pytest.mark.parametrize("value", ["-999", "1e10", "9999", "nan", "-32768", "3.4028235e38"])
 def test_placeholders_of_the_imu_are_no_samples(tmp_path: Path, value: str):
     rows = [[*r[:3], value, *r[4:]] if k in (5, 6, 500) else r for k, r in enumerate(ROWS)]
     (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(rows)]))

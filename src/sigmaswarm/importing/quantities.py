@@ -16,7 +16,10 @@ from sigmaswarm.wording import quoted
 _ARCS = {60.0: "60", 1.0: "3600"}
 # Texts for a missing number: without letters and digits (---.---), or written by a C library or a spreadsheet
 NO_NUMBER = r"^[^0-9A-Za-z]*$|#(?:IND|QNAN|SNAN|INF|N/A|NUM!|VALUE!|DIV/0!)"
-PLACEHOLDERS = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, 1e10, -1e10)
+PLACEHOLDERS = (
+    *(-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, 1e10, -1e10),
+    *(32767.0, -32768.0, 2147483647.0, -2147483648.0, 3.4028235e38, -3.4028235e38),
+)
 NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-", "invalid", *("*" * n for n in range(1, 20)))
 DIMENSIONS: dict[str, UnitDimension] = {
     **dict.fromkeys(("ax", "ay", "az"), "acceleration"),
