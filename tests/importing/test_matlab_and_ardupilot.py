@@ -30,7 +30,13 @@ def write_mat(path: Path) -> Path:
         {"imu": {"t": IMU.time, "fb": FORCE, "wb": RATE}, "gnss": {"t": GPS.time, **PLACE}},
         {"imu": {"t": IMU.time, "fb": FORCE.T, "wb": RATE.T}, "gnss": {"t": GPS.time[:, None], **PLACE}},
         {"log": {"imu": {"time": IMU.time, "acc": FORCE, "gyro": RATE}, "gps": {"time": GPS.time, **PLACE}}},
-        {"t": IMU.time, "acc": FORCE, "gyro": RATE, "gps": {"t": GPS.time, **PLACE}},
+        {
+            "t": IMU.time,
+            "acc": FORCE,
+            "gyro": RATE,
+            "gps": {"t": GPS.time, **PLACE},
+            "empty": np.zeros((0, 0)),
+        },
         {
             "imu": [{"t": t, "acc": a, "gyro": w} for t, a, w in zip(IMU.time, FORCE, RATE, strict=True)],
             "gps": {"t": GPS.time, "lla": np.column_stack([GPS.lat, GPS.lon, GPS.alt])},

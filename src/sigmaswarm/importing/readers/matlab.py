@@ -161,6 +161,7 @@ def _tables(content: Mapping[str, Any], name: str, depth: int) -> Iterator[tuple
             yield from _tables(inner, f"{name}.{field}" if name else field, depth + 1)
         elif (
             isinstance(value, np.ndarray)
+            and value.size
             and all(hasattr(v, "_fieldnames") for v in value.flat)
             and depth < MAX_DEPTH
         ):
