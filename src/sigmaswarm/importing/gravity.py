@@ -27,12 +27,11 @@ MAX_FORCE, MAX_RATE = 3 * GRAVITY, math.radians(2000.0)
 
 def require_gravity_in_force(imu: Imu) -> None:
     """Refuse an IMU whose angular rates have the constant magnitude of gravity, which its accelerations lack."""
-    force, rate = (imu.ax, imu.ay, imu.az), (imu.gx, imu.gy, imu.gz)
-    if any(v is None for v in (*force, *rate)):
+    if imu.az is None or imu.gx is None or imu.gy is None:
         return
-    quartiles = np.quantile(np.linalg.norm(rate, axis=0), [0.25, 0.5, 0.75])
-    if np.median(np.linalg.norm(force, axis=0)) > GRAVITY / 2:
+    if np.median(np.linalg.norm((imu.ax, imu.ay, imu.az), axis=0)) > GRAVITY / 2:
         return
+    quartiles = np.quantile(np.linalg.norm((imu.gx, imu.gy, imu.gz), axis=0), [0.25, 0.5, 0.75])
     for low, middle, high in (quartiles, np.degrees(quartiles)):  # the import may have assumed deg/s
         if abs(middle - GRAVITY) < MAX_GRAVITY_ERROR and high - low < 2 * MAX_GRAVITY_ERROR:
             raise InputError(

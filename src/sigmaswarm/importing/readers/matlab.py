@@ -165,7 +165,9 @@ def _tables(content: Mapping[str, Any], name: str, depth: int) -> Iterator[tuple
             and all(hasattr(v, "_fieldnames") for v in value.flat)
             and depth < MAX_DEPTH
         ):
-            rows = {f: [getattr(v, f, None) for v in value.flat] for f in value.flat[0]._fieldnames}
+            rows: dict[str, list[Any]] = {
+                f: [getattr(v, f, None) for v in value.flat] for f in value.flat[0]._fieldnames
+            }
             alike = {f: np.array(v) for f, v in rows.items() if len({np.shape(each) for each in v}) == 1}
             yield from _tables(alike, f"{name}.{field}" if name else field, depth + 1)
         elif isinstance(value, np.ndarray):
