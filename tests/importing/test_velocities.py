@@ -8,6 +8,7 @@ import polars as pl
 import pytest
 
 from importing.logs import imported
+from sigmaswarm.simulation.scenarios import simulate
 from support import some
 
 T = np.arange(0, 60, 0.2)
@@ -203,3 +204,18 @@ def test_the_velocity_of_a_truth_that_its_positions_contradict_is_replaced(tmp_p
         assert any("vx=vx, vy=vy are left out, since the speed is 1e+03 times" in n for n in got.notes) == (
             scale > 1
         )
+
+
+@pytest.mark.parametrize("factor", [1.0, 3.6, 1 / 1.609])
+def test_a_short_drive_with_stops_shows_the_unit_of_the_speed(tmp_path: Path, factor: float):
+    """Slow parts are many rows, but a short way."""
+    kept = 0
+    for run in range(5):
+        drive = simulate("urban", run=run, duration=40.0, imu_rate=50.0, gps="white-1m")
+        gps, truth = drive.gps, drive.truth
+        speed = np.interp(gps.time, truth.time, np.hypot(truth.vx, truth.vy))
+        folder = tmp_path / str(run)
+        folder.mkdir()
+        fixes = {"t": gps.time, "x": gps.x, "y": gps.y, "speed": factor * speed}
+        kept += loaded(folder, fixes).drive.gps.speed is not None
+    assert kept == 5 if factor == 1.0 else kept <= 1

@@ -19,7 +19,7 @@ UNITS = ("mm/s", "cm/s", "km/h", "ft/s", "mph", "knots")
 MAX_SPEED_RATIO, MAX_RATIO_SPREAD = 1.5, 2.0
 # m/s, lowest speed at which positions are compared with a recorded speed: robots are slow
 MIN_COMPARED_SPEED = 0.2
-MIN_MOVING_SHARE = 0.3  # smallest fraction of the rows in motion that the compared stretches must contain
+MIN_MOVING_SHARE = 0.3  # smallest fraction of the recorded path that the compared stretches must contain
 # rad, largest median difference of a recorded course from the course of the positions. A course that lags in turns, or
 # that is computed from noisy positions, differs by less.
 MAX_COURSE_ERROR = np.radians(40)
@@ -43,7 +43,9 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
     if speed is not None:  # the speed must show motion too, since positions at rest wander
         moves = np.concatenate([[0], np.cumsum(np.abs(speed) > MIN_COMPARED_SPEED)])
         both = moves[end + 1] - moves[begin] > 0.5 * (end + 1 - begin)
-        enough = np.sum((end - begin)[both]) >= MIN_MOVING_SHARE * moves[-1]
+        largest = np.quantile(np.abs(speed), 0.9)  # single wrong speeds do not count more
+        path = np.concatenate([[0], np.cumsum(np.minimum(np.abs(speed), largest))])
+        enough = np.sum((path[end + 1] - path[begin])[both]) >= MIN_MOVING_SHARE * path[-1]
         begin, end = begin[both & enough], end[both & enough]
     wrong = ""
     if speed is not None and len(begin) < MIN_STRETCHES:
