@@ -57,7 +57,7 @@ def workbench(folder: Path) -> None:
             page.goto(server.stdout.readline().removeprefix("workbench: ").strip())
             page.get_by_text("Agreement of the IMU with the fixes").wait_for(timeout=120_000)
             page.add_style_tag(content=f"{HIDDEN} {{ display: none }}")
-            page.wait_for_timeout(3000)
+            page.wait_for_timeout(10_000)  # the plots are drawn one after the other
             page.screenshot(path=IMAGES / "workbench.png")
     finally:
         server.send_signal(signal.SIGINT)
