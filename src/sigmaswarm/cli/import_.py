@@ -282,10 +282,11 @@ def _summary(imported: "ImportResult", out: Path) -> dict[str, Any]:
 
 
 def _written(drive: "Drive", out: Path, diagnosis: "Diagnosis") -> str:
+    from sigmaswarm.drives.checks import outside_of
+
     truth = f", {len(drive.truth)} rows of truth" if drive.truth else ", no truth"
     wheels = f", {len(drive.odometer)} odometer samples" if drive.odometer else ""
-    first, last = drive.imu.time[[0, -1]]
-    outside = sum((drive.gps.time < first) | (drive.gps.time > last))
+    outside = outside_of(drive.imu.time, drive.gps.time).sum()
     warned = any(f.code == "gps-outside" and f.severity == "warning" for f in diagnosis.findings)
     unused = f" ({outside} outside of the IMU's time span are not used)" if outside and not warned else ""
     samples = f"{len(drive.imu)} IMU samples ({1 / drive.nominal_interval:.3g} Hz)"

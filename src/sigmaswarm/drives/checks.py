@@ -219,6 +219,11 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
         yield Remark(f"{name}-gap", f"{name}.csv", "t", what + others, remedy)
 
 
+def outside_of(imu: Array, gps: Array) -> NDArray[np.bool_]:
+    """Mark fixes before or after the IMU samples, which no filter uses; ``imu`` and ``gps`` are times, s."""
+    return (gps < imu[0]) | (gps > imu[-1])
+
+
 def unshared_times(imu: Array, gps: Array) -> Remark | None:
     """Describe fixes outside of the IMU's time span, and long parts of this span before and after all fixes."""
     early, late = imu[0] - gps[0], gps[-1] - imu[-1]
@@ -228,7 +233,7 @@ def unshared_times(imu: Array, gps: Array) -> Remark | None:
         parts = [f"{which} {length:.0f} s" for length, which in ends if length > MIN_UNSHARED_TIME]
         alone = f"there are no fixes during the IMU's {' and '.join(parts)}"
     if max(early, late) > MIN_UNSHARED_TIME:
-        count = np.count_nonzero((gps < imu[0]) | (gps > imu[-1]))
+        count = np.count_nonzero(outside_of(imu, gps))
         ends = [(early, "before its first sample"), (late, "after its last sample")]
         up_to = " and ".join(f"up to {length:.0f} s {where}" for length, where in ends if length >= 0.5)
         what = f"{count} of {len(gps)} fixes lie outside of the IMU's time span, {up_to}, and are not used"

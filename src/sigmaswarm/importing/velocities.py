@@ -40,7 +40,7 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
         speed, course = np.hypot(values["vx"], values["vy"]), np.arctan2(values["vy"], values["vx"])
     if speed is not None and course is not None:
         course = np.where(speed < 0, course + np.pi, course)  # a vehicle in reverse
-    if speed is not None:  # the speed must show motion too, since positions at rest wander
+    if speed is not None and len(begin):  # the speed must show motion too, since positions at rest wander
         moves = np.concatenate([[0], np.cumsum(np.abs(speed) > MIN_COMPARED_SPEED)])
         both = moves[end + 1] - moves[begin] > 0.5 * (end + 1 - begin)
         largest = np.quantile(np.abs(speed), 0.9)  # single wrong speeds do not count more

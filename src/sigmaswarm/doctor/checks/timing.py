@@ -12,7 +12,7 @@ from sigmaswarm.doctor.findings import Finding, Repair, confidence_of, finding_o
 from sigmaswarm.doctor.mounting import MIN_EXPLAINED
 from sigmaswarm.doctor.truth_clock import MIN_DELAY
 from sigmaswarm.doctor.verdicts import MIN_GAIN_TURN, OFFSET_SIGMAS
-from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, GapSummary, gaps_in, unshared_times
+from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, GapSummary, gaps_in, outside_of, unshared_times
 from sigmaswarm.drives.drive import Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 
@@ -128,8 +128,8 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     remedy = "during this time a filter uses only the IMU; no action is needed if this is intended"
     yield from _gaps("gps", gaps_in(gps.time, GPS_GAP, imu.time), remedy)
     if remark := unshared_times(imu.time, gps.time):
-        unused = np.mean((gps.time < imu.time[0]) | (gps.time > imu.time[-1]))
-        severity = "warning" if unused > MAX_UNUSED_SHARE else "note"
+        most = outside_of(imu.time, gps.time).mean() > MAX_UNUSED_SHARE
+        severity = "warning" if most else "note"
         yield finding_of(remark, severity, _ends(imu.time), 1.0)
     yield from clock_jumps(imu.time, gps)
     same = np.append(False, (np.diff(imu.ax) == 0) & (np.diff(imu.ay) == 0) & (np.diff(imu.gz) == 0))
