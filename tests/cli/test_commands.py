@@ -162,20 +162,17 @@ def test_a_missing_outage_drift_is_explained(sigmaswarm, tuned: Path, drives: Pa
     assert "No 30 s outage drift" in both
 
 
-def test_a_remedy_in_drive_toml_names_the_file_and_the_line(
-    sigmaswarm, drives: Path, here: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_remark_on_drive_toml_names_the_file(sigmaswarm, drives: Path, here: Path):
     drive = read_drive(drives / "urban-clear-00")
     smooth = {name: np.interp(drive.gps.time, drive.truth.time, getattr(drive.truth, name)) for name in "xy"}
     gps = replace(drive.gps, std_x=None, std_y=None, **smooth)
     write_drive(replace(drive, name="car", truth=None, gps=gps, metadata={}), here / "logs/car")
-    check = "sigmaswarm.tuning.problem.confirmed_std"
-    monkeypatch.setattr(check, lambda parameters, std, scorer: StdCheck(1.5, 5.0, 1.0, 2.0))
-    said = sigmaswarm("tune", "logs/car", "--out", "t", *QUICK, "--model", "planar8").out
-    assert "write the line `gps_std_m = 1.5` at the top of logs/car/drive.toml" in said
+    options = (*QUICK, "--model", "planar8", "--verbose")
+    said = sigmaswarm("tune", "logs/car", "--out", "t", *options).out
+    assert "write it as gps_std_m at the top of logs/car/drive.toml" in " ".join(said.split())
     about = Path("logs/car/drive.toml")
     about.write_text("gps_std_m = 1.5\n" + about.read_text())
-    assert "gps_std_m" not in sigmaswarm("tune", "logs/car", "--out", "u", *QUICK, "--model", "planar8").out
+    assert "gps_std_m" not in sigmaswarm("tune", "logs/car", "--out", "u", *options).out
 
 
 def disturbed(start: float, end: float) -> library.Drive:
@@ -219,7 +216,7 @@ def test_a_part_that_is_too_short_for_an_evaluation_is_not_proposed_for_it(
     assert f"next: sigmaswarm split parts/car-{next_part} --out parts-2" in said.out
 
 
-REMEDY = StdCheck(0.24, 5.0, 1.0, 2.0).remedy
+REMEDY = StdCheck(0.24, 5.0, 1.0, 2.0).message
 
 
 def test_a_line_for_a_part_belongs_into_the_whole_drive(here: Path):
@@ -227,13 +224,13 @@ def test_a_line_for_a_part_belongs_into_the_whole_drive(here: Path):
     write_drive(whole, "logs/car")
     for part in split_time(read_drive("logs/car"), 0.5):
         write_drive(part, f"parts/{part.name}")
-    here_it_is = "at the top of logs/car/drive.toml (the whole drive), the scatter "
+    here_it_is = "at the top of logs/car/drive.toml (the whole drive)"
     again = "; then run sigmaswarm split logs/car --out parts --overwrite and tune again with a new folder"
     named = name_files(REMEDY, [Path("parts/car-train")])
     assert here_it_is in named and named.endswith(again)
     assert name_training_files([REMEDY], ["car-train"], ["parts/car-test"]) == [named]
     (named,) = name_training_files([REMEDY], ["bus"], ["parts/car-test"])
-    assert "at the top of drive.toml of bus, the scatter " in named
+    assert "at the top of drive.toml of bus; then " in named
     Path("parts").rename("mended-parts")  # the parts of a repaired copy lead to this copy
     write_drive(read_drive("logs/car"), "mended/car")
     Path("logs/car/imu.csv").unlink()
@@ -242,7 +239,7 @@ def test_a_line_for_a_part_belongs_into_the_whole_drive(here: Path):
     Path("parts/car-train").mkdir(parents=True)
     Path("parts/car-train/drive.toml").write_text('repaired = ["x"]\n[cut_from]\ndrive = "lost"\n')
     named = name_files(REMEDY, [Path("parts/car-train")])
-    assert "at the top of drive.toml of the whole drive lost, the scatter " in named
+    assert "at the top of drive.toml of the whole drive lost; then " in named
     assert named.endswith("; then split and repair this drive again and tune again with a new folder")
 
 

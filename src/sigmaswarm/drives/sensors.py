@@ -58,6 +58,7 @@ class LogProperties:
     fixes : number of fixes within the IMU's time span
     noise, true_std : white noise of the fixes, and standard deviation of their errors (NaN without truth), m per axis;
         ``true_std`` is used only with objectives that use truth
+    assumed_std : True if ``receiver_std`` is only assumed, since neither the receiver nor the white noise shows it
     mounting : mounting of the IMU, deg; None if the drive states none
     """
 
@@ -79,6 +80,7 @@ class LogProperties:
     fix_interval: float = np.nan
     noise: float = np.nan
     true_std: float = np.nan
+    assumed_std: bool = False
     mounting: Angles | None = None
 
 
@@ -106,6 +108,7 @@ def log_properties(drive: Drive | LogProperties) -> LogProperties:
         fix_interval=float(np.median(np.diff(gps.time))) if len(gps) > 1 else np.nan,
         noise=white_noise(gps.x + 1j * gps.y),
         true_std=true_std(drive),
+        assumed_std=stated_std(drive) is None and _visible_noise(drive) is None,
         # An imported drive states its axes, but not a rotation of zero.
         mounting=drive.mounting or (NO_ROTATION if axes_of(drive.metadata) else None),
     )
@@ -147,10 +150,15 @@ def receiver_std(drive: Drive) -> tuple[float, float]:
     """
     if stated := stated_std(drive):
         return stated
+    std = _visible_noise(drive) or UNSTATED_GPS_STD
+    return std, std
+
+
+def _visible_noise(drive: Drive) -> float | None:
+    """Return the white noise of the fixes, m per axis; None if it is small or hidden by motion."""
     gps = drive.gps
     shown, moved = white_noise(gps.x + 1j * gps.y), motion_in_noise(float(np.median(np.diff(gps.time))))
-    std = shown if shown > max(MIN_WHITE_NOISE, 3 * moved) else UNSTATED_GPS_STD
-    return std, std
+    return shown if shown > max(MIN_WHITE_NOISE, 3 * moved) else None
 
 
 def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:

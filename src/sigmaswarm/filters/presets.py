@@ -86,7 +86,8 @@ def baseline(
         ``datasheet``, a planar5 UKF with values from data sheets only (without `MODEL_NOISE` and without an estimate
         from the fixes).
     shown_std : float, optional
-        Standard deviation of the receiver's fixes, m per axis, that the truth of the training drives shows.
+        Standard deviation of the receiver's fixes, m per axis, that the training drives show: from their truth, or from
+        the scatter of their fixes.
     """
     if like is None:
         return _planar(drive, stated_std(drive) or (UNSTATED_GPS_STD, UNSTATED_GPS_STD))

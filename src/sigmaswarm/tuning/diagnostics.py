@@ -6,7 +6,7 @@ of the RMSE is measured.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -41,7 +41,7 @@ RECHECK_RATIO = 1.2
 With this number of sets the ratio is accurate to 10%. For larger ratios, all sets are measured.
 """
 MAX_CONFIRMED_RATIO = 0.8
-"""Largest ratio of drifts at which the scatter of the fixes is proposed as their standard deviation.
+"""Largest ratio of drifts at which the scatter of the fixes is used as their standard deviation.
 
 The ratio is the drift of the baseline with this standard deviation, divided by its drift with the assumed one. On four
 logs with ratios of 0.3 to 0.75, stating the scatter reduced the 5 s drift of a tuned filter on the held-out part by 10
@@ -235,19 +235,18 @@ def _drifts(
     return tuple(outages.drift(method) for method in (*filters, *also))
 
 
-def confirmed_std(parameters: FilterParameters, std: float, scorer: AnyBatchScorer) -> StdCheck | None:
+def confirmed_std(like: FilterParameters, std: float, scorer: AnyBatchScorer) -> StdCheck | None:
     """Compare the baseline's drifts with a standard deviation of the fixes (m per axis) and with the assumed one.
 
-    Return None if the drifts with ``std`` are unknown or, in the geometric mean over the lengths of the outages, not
-    clearly smaller (`MAX_CONFIRMED_RATIO`).
+    ``like`` determines the model and the options of the baseline. Return None if the drifts with ``std`` are unknown
+    or, in the geometric mean over the lengths of the outages, not clearly smaller (`MAX_CONFIRMED_RATIO`).
     """
     some = scorer.subset(range(min(len(scorer.dataset), MAX_NAMED_DRIVES)))
     found: dict[float, list[float]] = {}
     for length in FORECAST_LENGTHS if np.isfinite(std) else ():
-        measure = partial(_drifts_by_std, like=parameters, std=std, length=length)
-        drifts = _mean_drifts(some.map_prepared(measure))
+        drifts = _mean_drifts(some.map_prepared(partial(_drifts_by_std, like=like, std=std, length=length)))
         found |= {length: drifts} if drifts[1] > 0 else {}
-    logs = [np.log(stated / assumed) for stated, assumed in found.values()]
+    logs = [np.log(drift / assumed) for drift, assumed in found.values()]
     if OUTAGE_LENGTH not in found or np.mean(logs) > np.log(MAX_CONFIRMED_RATIO):
         return None
     return StdCheck(std, OUTAGE_LENGTH, *found[OUTAGE_LENGTH])
@@ -257,9 +256,9 @@ def _drifts_by_std(
     ready: PreparedDrive, like: FilterParameters, std: float, length: float
 ) -> tuple[float, ...]:
     """Return the RMS drifts (m) of the baseline with the standard deviation ``std`` and with the assumed one."""
-    drive, like = ready.drive, replace(like, fix_error=None)
-    stated = replace(drive, metadata={**drive.metadata, "gps_std_m": std})
-    filters = {"stated": baseline(stated, like), "assumed": baseline(drive, like)}
+    filters = {
+        name: baseline(ready.drive, like, shown) for name, shown in (("shown", std), ("assumed", None))
+    }
     return _drifts(ready, filters, {}, length, None)
 
 

@@ -41,6 +41,7 @@ from sigmaswarm.tuning.diagnostics import (
 )
 from sigmaswarm.tuning.objectives import Objective, mean_cost, parse_objective
 from sigmaswarm.tuning.receiver import (
+    StdCheck,
     accuracy_warnings,
     fix_noise,
     median_stated_std,
@@ -138,11 +139,15 @@ class Problem(ABC, Generic[P]):
 
 @dataclass(frozen=True, eq=False)
 class CarProblem(Problem[FilterParameters]):
-    """Tuning of a built-in model on drives, made by `car_problem`."""
+    """Tuning of a built-in model on drives, made by `car_problem`.
+
+    ``std_check``: the standard deviation of the fixes that replaces an assumed one.
+    """
 
     config: TuneConfig
     space: SearchSpace
     scorer: AnyBatchScorer
+    std_check: StdCheck | None = None
 
     @cached_property
     def objective(self) -> Objective:
@@ -150,25 +155,32 @@ class CarProblem(Problem[FilterParameters]):
 
     @cached_property
     def _receiver_std(self) -> Array:  # in meters, shape (m, 2)
-        return np.array([one.receiver_std for one in self.sensors])
+        check = self.std_check
+        return np.array(
+            [(check.std,) * 2 if check and one.assumed_std else one.receiver_std for one in self.sensors]
+        )
+
+    @cached_property
+    def _shown_stds(self) -> list[float | None]:
+        """Standard deviations of the fixes of each drive, m per axis, from the truth or from ``std_check``."""
+        if self.objective.needs_truth:
+            return [one.true_std if np.isfinite(one.true_std) else None for one in self.sensors]
+        check = self.std_check
+        return [check.std if check and one.assumed_std else None for one in self.sensors]
 
     @property
     def described(self) -> list[dict[str, Any]]:
-        pairs = zip(self.data, self.sensors, strict=True)
-        described = [{**entry, "receiver_std_m": rounded(max(one.receiver_std))} for entry, one in pairs]
-        if self.shown_std is not None:
-            for entry, one in zip(described, self.sensors, strict=True):
-                entry["shown_std_m"] = rounded(one.true_std)
+        described: list[dict[str, Any]] = []
+        for entry, one, std in zip(self.data, self.sensors, self._shown_stds, strict=True):
+            shown = {} if std is None else {"shown_std_m": rounded(std)}
+            described.append({**entry, "receiver_std_m": rounded(max(one.receiver_std)), **shown})
         return described
 
     @property
     def shown_std(self) -> float | None:
-        """Standard deviation of the fix errors (fix minus truth), m per axis, median over the drives.
-
-        None if the objective does not use truth.
-        """
-        std = float(np.median([one.true_std for one in self.sensors]))
-        return std if self.objective.needs_truth and np.isfinite(std) else None
+        """Median standard deviation of the fixes, m per axis, from the truth or from ``std_check``; None if unknown."""
+        known = [std for std in self._shown_stds if std is not None]
+        return float(np.median(known)) if known else None
 
     @cached_property
     def _weight_of_typical(self) -> float:
@@ -212,7 +224,7 @@ class CarProblem(Problem[FilterParameters]):
         return self.objective.relative_increase(costs, best)
 
     def on(self, data: Sequence[Drive] | Dataset) -> "CarProblem":
-        return car_problem(data, self.config, self.space)
+        return car_problem(data, self.config, self.space, self.std_check)
 
     def baseline_point(self) -> Array:
         """Return the baseline for the first drive as a point in the search space, shape (d,)."""
@@ -246,11 +258,12 @@ class CarProblem(Problem[FilterParameters]):
         if not (objective.needs_truth and all(drive.truth for drive in self.sensors)):
             noise = scorer.dataset.map(fix_noise)
             prior = self.config.prior or 0.0
-            names = [drive.name for drive in self.sensors]
-            confirm = partial(confirmed_std, parameters, scorer=scorer)
+            names, check = [drive.name for drive in self.sensors], self.std_check
+            assumed = [drive.assumed_std and not check for drive in self.sensors]
             stds = self._receiver_std
-            decided = prior_warnings(parameters, prior, names, stds, noise, confirm) if prior else []
-            messages += decided or noise_warnings(parameters, noise, confirm, self.config.use)
+            decided = prior_warnings(parameters, prior, names, stds, noise, assumed) if prior else []
+            messages += [check.message] if check else []
+            messages += decided or noise_warnings(parameters, noise, check, self.config.use)
             if enough_for_fix_error(self.sensors):  # with fewer fixes, fix-error increases errors
                 correlations = scorer.map_prepared(partial(correlation_of, parameters=parameters))
                 messages += correlation_warnings(parameters, correlations, self.config.use)
@@ -268,8 +281,12 @@ def costs_of_each(objective: str, scores: Scores) -> Array:
 
 
 def car_problem(
-    drives: Sequence[Drive] | Dataset, config: TuneConfig, space: SearchSpace | None = None
+    drives: Sequence[Drive] | Dataset,
+    config: TuneConfig,
+    space: SearchSpace | None = None,
+    std_check: StdCheck | None = None,
 ) -> CarProblem:
+    """Create the optimization problem; if ``space`` is None, also determine the space and ``std_check``."""
     objective = parse_objective(config.objective)
     if config.prior and not objective.nats:
         raise InputError(
@@ -284,7 +301,23 @@ def car_problem(
     data = dataset.map(drive_record)
     # Compiled before the threads start; otherwise all threads would wait for the kernel.
     run_kernel(kernel_name(config.model, config.kind, "fix-error" in config.use))
-    return CarProblem(config, space or car_space(config, have), data, scorer)
+    if space is None:
+        space, std_check = car_space(config, have), _std_check(scorer, config, have)
+    return CarProblem(config, space, data, scorer, std_check)
+
+
+def _std_check(scorer: AnyBatchScorer, config: TuneConfig, have: Sequence[LogProperties]) -> StdCheck | None:
+    """Compare the assumed standard deviation of fixes with their scatter, if no truth, receiver or noise shows it.
+
+    Return None with fix-error, which models the assumed standard deviation as that of correlated errors.
+    """
+    assumed = [i for i, one in enumerate(have) if one.assumed_std]
+    if not assumed or "fix-error" in config.use or parse_objective(config.objective).needs_truth:
+        return None
+    some = scorer.subset(assumed)
+    (like,) = some.dataset.subset([0]).map(partial(baseline_of, model=config.model, use=config.use))
+    scatters = [one.scatter for one in some.dataset.map(fix_noise) if np.isfinite(one.scatter)]
+    return confirmed_std(like, float(np.median(scatters)), some) if scatters else None
 
 
 def car_space(config: TuneConfig, drives: Sequence[Drive | LogProperties]) -> SearchSpace:

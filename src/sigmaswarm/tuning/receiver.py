@@ -7,7 +7,7 @@ per fix. If it were counted once in total, its relative weight would decrease wi
 of the fixes were independent.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,9 +32,10 @@ MIN_SCATTER = 0.5  # m per axis; if fixes scatter less, the receiver smooths the
 UNKNOWN = "A log without truth does not show an error that all fixes have in common"
 AT_THE_TOP = "at the top of drive.toml"
 TUNE_AGAIN = "tune again with a new folder"
+IF_KNOWN = f"If you know it (m per axis), write it as gps_std_m {AT_THE_TOP}; then {TUNE_AGAIN}"
 NO_STD = (
     "The fixes do not show their accuracy either, since the baseline does not drift less with their scatter as the "
-    f"standard deviation. If you know it (m per axis), write it as gps_std_m {AT_THE_TOP}; then {TUNE_AGAIN}"
+    f"standard deviation. {IF_KNOWN}"
 )
 
 
@@ -42,37 +43,23 @@ NO_STD = (
 class StdCheck:
     """A standard deviation of the fixes, m per axis, with which the baseline drifts less than with the assumed one.
 
-    ``stated_m``, ``assumed_m``: RMS drifts (m) of the baseline in outages of ``length_s`` on the training drives.
+    ``drift_m``, ``assumed_m``: RMS drifts (m) of the baseline with the two standard deviations in outages of
+    ``length_s`` on the training drives.
     """
 
     std: float
     length_s: float
-    stated_m: float
+    drift_m: float
     assumed_m: float
 
     @property
-    def remedy(self) -> str:
+    def message(self) -> str:
         return (
-            f"write the line `gps_std_m = {self.std:.2g}` {AT_THE_TOP}, the scatter of the fixes in m per axis; then "
-            f"{TUNE_AGAIN}"
+            "the receiver states no accuracy. Tune used the scatter of the fixes as their standard deviation, "
+            f"{self.std:.2g} m per axis, since with it the baseline drifts {self.drift_m:.3g} m instead of "
+            f"{self.assumed_m:.3g} m in outages of {self.length_s:g} s. The true value may be larger, since slow "
+            f"errors of the fixes do not show. {IF_KNOWN}"
         )
-
-    @property
-    def reason(self) -> str:
-        return (
-            f"With this value, the baseline drifts {self.stated_m:.3g} m instead of {self.assumed_m:.3g} m in outages "
-            f"of {self.length_s:g} s. It is a lower limit, since slow errors of the fixes do not show"
-        )
-
-
-Confirm = Callable[[float], StdCheck | None]
-"""Function that checks a standard deviation of the fixes (m per axis): `diagnostics.confirmed_std`."""
-
-
-def _about_std(why: str, scatter: float, confirm: Confirm) -> str:
-    """Return the remedy for a receiver that states no accuracy, or a note if the log confirms no value."""
-    check = confirm(scatter)
-    return f"{why}. {NO_STD}" if check is None else to_do(check.remedy, f"{why}. {check.reason}")
 
 
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
@@ -124,19 +111,27 @@ def median_stated_std(drive: Drive) -> float:
 
 
 def noise_warnings(
-    parameters: FilterParameters, drives: Sequence[FixNoise], confirm: Confirm, use: Sequence[str] = ()
+    parameters: FilterParameters,
+    drives: Sequence[FixNoise],
+    check: StdCheck | None = None,
+    use: Sequence[str] = (),
 ) -> list[str]:
-    """Warn if R contradicts the training drives' fixes; ``use``: values of ``--use`` in the proposed command."""
+    """Warn if R contradicts the training drives' fixes.
+
+    ``check``: the standard deviation that replaces the assumed one; ``use``: values of ``--use`` in the proposed
+    command.
+    """
     if parameters.accuracy_scale is not None or not drives:
         return []
     r = float(np.mean(parameters.measurement_noise)) ** 0.5
     stated, scatter = (_median([getattr(one, what) for one in drives]) for what in ("stated", "scatter"))
+    unknown = np.isnan(stated) and check is None
     if parameters.fix_error is not None:
         why = (
             "the log does not state the accuracy of its fixes. The filter assumes correlated errors with a standard "
-            f"deviation of {UNSTATED_GPS_STD:g} m per axis"
+            f"deviation of {UNSTATED_GPS_STD:g} m per axis. {IF_KNOWN}"
         )
-        return [_about_std(why, scatter, confirm)] if np.isnan(stated) and scatter < MIN_SCATTER else []
+        return [why] if unknown and scatter < MIN_SCATTER else []
     if r * MAX_STD_RATIO < stated:
         why = f"the receiver states a standard deviation of {stated:.2g} m"
     elif r * MAX_STD_RATIO < scatter:
@@ -147,23 +142,23 @@ def noise_warnings(
                 f"the receiver states a standard deviation of {stated:.2g} m per axis, but its fixes scatter by only "
                 f"{scatter:.2g} m, so their errors are correlated"
             )
-        elif np.isnan(stated) and scatter < MIN_SCATTER:
+        elif unknown and scatter < MIN_SCATTER:
             why = (
                 f"the log does not state the accuracy of its fixes. Their small scatter of {scatter:.2g} m per axis "
                 "does not prove that they are accurate, since correlated errors cause little scatter"
             )
         else:
             return []
-        return [_remedied(f"{why}. {UNKNOWN}", stated, scatter, confirm, use)]
+        return [_remedied(f"{why}. {UNKNOWN}", stated, use)]
     message = f"the filter assumes a standard deviation of the fixes of {r:.2g} m per axis, but {why}"
     why = f"{message}. Therefore the filter copies the fixes, with their errors"
     why = f"{why}. Predictions of the fixes do not show correlated errors. {UNKNOWN}"
-    return [_remedied(why, stated, scatter, confirm, use)]
+    return [_remedied(why, stated, use)]
 
 
-def _remedied(why: str, stated: float, scatter: float, confirm: Confirm, use: Sequence[str]) -> str:
+def _remedied(why: str, stated: float, use: Sequence[str]) -> str:
     if np.isnan(stated):
-        return _about_std(why, scatter, confirm)
+        return f"{why}. {IF_KNOWN}"
     also = ", or evaluate with the truth of a reference receiver"
     return to_do(f"tune with --use {' '.join([*use, 'accuracy'])}{also}", why)
 
@@ -174,12 +169,16 @@ def prior_warnings(
     names: Sequence[str],
     receiver: Array,
     noise: Sequence[FixNoise],
-    confirm: Confirm,
+    assumed: Sequence[bool],
 ) -> list[str]:
-    """Report the first drive on which the prior changed R noticeably; ``receiver``: `receiver_std` of each drive, m."""
+    """Report the first drive on which the prior changed R noticeably.
+
+    ``receiver``: standard deviations of the prior, m; ``assumed``: True for drives where they are only assumed.
+    """
     costs = weight * prior_costs([parameters], receiver)[0]
     r = np.sqrt(np.mean(typical_variance([parameters], receiver)[0], axis=1))
-    for name, std, one, tuned, cost in zip(names, receiver.mean(axis=1), noise, r, costs, strict=True):
+    drives = zip(names, receiver.mean(axis=1), noise, r, costs, assumed, strict=True)
+    for name, std, one, tuned, cost, unknown in drives:
         if cost <= MIN_PRIOR_COST or tuned * MAX_STD_RATIO < std:
             continue
         compromise = (
@@ -192,14 +191,14 @@ def prior_warnings(
             )
             addition = lasting if std > MAX_SCATTER_RATIO * one.scatter else ""
             return [f"on {name}, {compromise} the stated {std:.2g} m{addition}"]
-        if std == UNSTATED_GPS_STD:
+        if unknown:
             why = (
                 f"the drive {name} does not state the accuracy of its fixes. Tune assumed {std:.2g} m per axis, as for "
                 "a typical receiver, so the filter may follow the fixes too closely or too loosely. "
                 f"{compromise} this value. If the receiver smooths its fixes, NIS will be low"
             )
-            return [_about_std(why, one.scatter, confirm)]
-        return [f"on {name}, {compromise} the {std:.2g} m of white noise that the fixes show"]
+            return [f"{why}. {NO_STD}"]
+        return [f"on {name}, {compromise} the {std:.2g} m of noise that the fixes show"]
     return []
 
 

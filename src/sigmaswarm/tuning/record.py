@@ -117,7 +117,7 @@ class TuningRecord(BaseModel):
 
     @property
     def shown_std(self) -> float | None:
-        """Standard deviation of the fixes from the truth of the training drives, m per axis; None if it is unknown."""
+        """Standard deviation of the fixes that the training drives show, m per axis; None if it is unknown."""
         known = [drive.shown_std_m for drive in self.data if drive.shown_std_m is not None]
         return float(np.median(known)) if known else None
 

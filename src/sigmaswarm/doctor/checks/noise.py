@@ -11,7 +11,7 @@ import numpy as np
 from sigmaswarm.doctor.acceleration_fit import MIN_NOISE
 from sigmaswarm.doctor.evidence import MAX_SCATTER_RATIO, Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of, split_command
-from sigmaswarm.drives.sensors import motion_in_noise, receiver_std, stated_std
+from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, motion_in_noise, receiver_std, stated_std
 from sigmaswarm.wording import NO_ACTION
 
 MAX_OBSERVED_RATIO = 2.0  # largest ratio of observed noise to stated noise
@@ -94,10 +94,13 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         return
     if known is None:
         assumed = float(np.mean(receiver_std(evidence.drive)))
+        or_scatter = " or, if the baseline drifts clearly less with it, the scatter" * (
+            assumed == UNSTATED_GPS_STD
+        )
         what = (
             f"the receiver states no accuracy. The fixes scatter by {scatter:.2g} m per axis, which is a lower limit "
             "of their standard deviation, since slow errors do not increase the scatter. A tuning without truth "
-            f"assumes {assumed:.2g} m"
+            f"assumes {assumed:.2g} m{or_scatter}"
         )
         remedy = "if you know a better value, write gps_std_m at the top of drive.toml"
         yield Finding("gps-noise", "note", what, "drive.toml, gps_std_m", evidence.span, 0.95, remedy)
