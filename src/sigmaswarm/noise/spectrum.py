@@ -22,7 +22,7 @@ from scipy.fft import prev_fast_len, rfft
 
 from sigmaswarm.arrays import Array
 
-BAND = 0.1  # highest used frequency / sampling rate; filters and the engine affect higher frequencies
+BAND = 0.1  # highest used frequency / sampling rate; the sensor's filter and the engine affect higher frequencies
 # Number of frequencies up to which the band of a short log is extended, at most to half the sampling rate
 MIN_FREQUENCIES = 200
 # Lowest used frequency in periods per stretch; the subtracted trend contains most of the lower frequencies

@@ -53,7 +53,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
         )
     columns = [axis for axis in AXES if getattr(imu, axis) is not None]
     if wrong := [axis for axis in columns if not np.isfinite(getattr(imu, axis)).all()]:
-        raise InputError(f"{wrong[0]} has values that are not numbers; leave these samples out")
+        raise InputError(f"{wrong[0]} has values that are not finite numbers; leave these samples out")
     interval = float(np.median(steps))
     size = max(round(BLOCK / interval), MIN_BLOCK_SAMPLES)
     gap = max(gaps.MANY * interval, gaps.SHORTEST)
@@ -83,7 +83,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
 
 
 def _calm_blocks(imu: Imu, starts: NDArray[np.int_], size: int, fresh: Mask) -> Mask:
-    """Return a mask of blocks that are nearly as quiet as the quietest tenth and similar in mean to their neighbors."""
+    """Return a mask of blocks at rest: their standard deviations are small, and their means like those of neighbors."""
     calm = np.ones(len(starts), np.bool_)
     for axis in AXES:
         values = getattr(imu, axis)

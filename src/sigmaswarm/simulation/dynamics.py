@@ -175,7 +175,7 @@ def _spin_up(
     """Return the angular acceleration (rad/s2) of a wheel under torques (N m) and a tire force (N).
 
     Idealized anti-lock and traction control reduce the torques linearly, from the full torque at the slip of the peak
-    force (1) to 0 at twice this slip.
+    force (``slip`` 1) to 0 at twice this slip.
     """
     control = _clip(2.0 - slip, 0.0, 1.0)
     most = control * brake

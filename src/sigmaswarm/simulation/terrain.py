@@ -168,7 +168,7 @@ def add_slopes(record: Array, road: RoadProfile, car: Vehicle) -> Array:
     climb_rate = ahead_rate * vx + ahead * vx_rate + left_rate * vy + left * vy_rate
 
     tilted = np.column_stack([record, f, f1, f2, p, p1, p2, _integral(climb), climb, climb_rate])
-    # Force in the axes of the road; the suspension responds to its difference from that on a flat road.
+    # Specific force in the axes of the road; the suspension responds to the difference from a flat road.
     up = climb_rate + GRAVITY
     forward = np.cos(p) * ax - np.sin(p) * up
     normal = np.sin(p) * ax + np.cos(p) * up
