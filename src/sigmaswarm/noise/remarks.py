@@ -33,8 +33,8 @@ def on_stretches(stretches: Stretches, lengths: list[float]) -> Iterator[str]:
     if stretches.share < MIN_STATIC_SHARE:
         yield (
             f"the sensor moves or is disturbed in {100 * (1 - stretches.share):.0f}% of the log; only "
-            f"{count_of(len(lengths), 'standstill')}, {total:.0f} s in all, are used; an engine's vibration counts as "
-            "noise"
+            f"{count_of(len(lengths), 'standstill')}, {total:.0f} s in total, {'is' if len(lengths) == 1 else 'are'} "
+            "used; an engine's vibration counts as noise"
         )
     if longest < MIN_DURATION:
         yield (

@@ -75,8 +75,8 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
         duration = imu.time[-1] - imu.time[0]
         what = f"log is {duration:.3g} s long" if duration < 2 * MIN_DURATION else "IMU moves"
         raise InputError(
-            f"the {what}, and there is no standstill of {MIN_DURATION:g} s; record the IMU at rest, for an hour to "
-            "determine all noise terms"
+            f"the {what}, and there is no standstill of {MIN_DURATION:g} s; record the IMU at rest for this "
+            "time, or for an hour to determine all noise terms"
         )
     static = sum(part.stop - part.start for part in parts)
     return Stretches(tuple(parts), static / len(imu), len(begins) - 1)
