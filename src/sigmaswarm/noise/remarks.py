@@ -18,9 +18,9 @@ MIN_DURATION = 1800.0  # s, shortest stretch that shows bias instability and rat
 MIN_TREND_DURATION = 300.0  # s, shortest stretch whose trend is tested
 MIN_STATIC_SHARE = 0.95  # smallest fraction of samples at rest without a remark
 MAX_GRAVITY_ERROR = 0.1  # relative error of gravity that suggests another unit
-# 10 deg/sqrt(h) in rad/s/sqrt(Hz). The white noise of logs in rad/s is less, that of logs in deg/s usually more.
+# 10 deg/sqrt(h) in rad/s/sqrt(Hz). Values from logs in rad/s are smaller; values from logs in deg/s are usually larger.
 MAX_GYRO_NOISE = 3e-3
-MIN_INTERVALS = 30.0  # averaging intervals (duration / tau) for an accurate Allan deviation
+MIN_INTERVALS = 30.0  # least number of averaging intervals (duration / tau) for an accurate Allan deviation
 MISFIT = 1.5  # smallest reported ratio of the Allan deviation to that of the model, or its inverse
 TREND = 4.0  # smallest reported ratio of a trend to its standard deviation under the fitted processes
 MIN_STEP_RATIO = 0.5  # smallest reported ratio of the quantization step to the standard deviation

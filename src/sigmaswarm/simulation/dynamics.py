@@ -26,7 +26,7 @@ compiled = cached(nogil=True, error_model="numpy")
 GRAVITY = 9.81  # m/s2, as in CARLA
 STEP = 0.001  # s, step of the integration
 STEPS_PER_DRIVER_STEP = 10  # integration steps per step of the driver
-AIR_DENSITY = 1.204  # kg/m3, at 20 degrees and sea level
+AIR_DENSITY = 1.204  # kg/m3, at 20 deg C and sea level
 
 # Indices of the state. WHEEL, KAPPA and ALPHA are the first of four indices each, one per wheel.
 X, Y, YAW, VX, VY, YAW_RATE, STEER, PEDAL, ROLL, ROLL_RATE, PITCH, PITCH_RATE = range(12)
