@@ -75,7 +75,7 @@ class Scenario:
                 raise InputError(f"{what} is {value:g}; choose 0 or more")
         check_duration(self.maneuver, self.duration)
         if self.seed < 0 or self.run < 0:
-            raise InputError(f"seed {self.seed} and run {self.run} must not be negative")
+            raise InputError(f"seed is {self.seed} and run is {self.run}; choose 0 or more for both")
 
 
 def simulate(maneuver: str = "urban", environment: str | Environment = "clear", **options: Any) -> Drive:

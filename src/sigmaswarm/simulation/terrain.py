@@ -1,4 +1,4 @@
-"""Simulate hills: grade and bank of the road, for a car with the path and speed of a flat road.
+"""Simulate hills: grade and bank of the road, for a car that follows the path and speed of a flat road.
 
 The path in the plane is the path on a flat road, since the driver compensates for the slope. Slopes change the height
 and the attitude of the car. The attitude also changes because gravity acts on the suspension. The slopes depend on the
