@@ -170,7 +170,7 @@ class OutageLearner:
         cases = cases_of(self._tracks, self._seed)
         if not cases:
             raise InputError(
-                "the validation data is too short for outages of 10 s; use longer drives, or --validation"
+                "the validation data are too short for outages of 10 s; use longer drives, or specify --validation"
             )
         calibration = calibrate(network, cases, self._parameters)
         inflation = calibration.inflation if np.isfinite(calibration.inflation) else None
