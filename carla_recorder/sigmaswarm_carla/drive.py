@@ -120,7 +120,7 @@ class Sensors:
                 return data
             if data.frame > frame:
                 raise RecorderError(
-                    f"the sensor {sensor} skipped frame {frame} and sent {data.frame}; restart the server"
+                    f"the sensor {sensor} skipped frame {frame} and sent frame {data.frame}; restart the server"
                 )
 
 
@@ -187,7 +187,7 @@ def state_of(session: Session, car: Any, frame: int) -> Row:
         )
     if abs(step - TICK) > 1e-6:
         raise RecorderError(
-            f"the server's time step is {step:g} s, not {TICK:g} s; restart it without other clients"
+            f"the server's time step is {step:g} s, not {TICK:g} s; restart the server without other clients"
         )
     if seen is None:
         raise RecorderError(f"the car is missing in frame {frame}; disconnect other clients")

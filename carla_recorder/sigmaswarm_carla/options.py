@@ -13,8 +13,8 @@ RATE = 100  # Hz, of ticks and IMU
 TICK = 1.0 / RATE
 GPS_EVERY = 20  # ticks from fix to fix (5 Hz), since CARLA's sensor_tick is not synchronous (carla#3653)
 STANDSTILL_TIME = 1.0  # s of standstill at the beginning of a drive
-GRAVITY = 9.81
-KMH = 1 / 3.6
+GRAVITY = 9.81  # m/s2
+KMH = 1 / 3.6  # m/s
 DRY = 0.85  # friction of stock tires, assumed if --brake-sweep was not used
 BRAKE_GAIN = 2.0
 """Factor on CARLA's max_brake_torque. Without it, the car stops from 50 km/h in 2.7 s instead of the paper's 2 s."""

@@ -113,7 +113,7 @@ def _record(options: Options, journal: Journal, wanted: list[Condition], progres
                     with suppress(RecorderError), Session(options, before):
                         pass
                 raise RecorderError(
-                    f"{error}; {complete}; restart the server and repeat with --resume"
+                    f"{error}; {complete}; restart the server and repeat the command with --resume"
                 ) from None
             progress.say(f"warning: {error}; the server answers again, and the recording continues")
 
@@ -154,7 +154,9 @@ def record_one(session: Session, journal: Journal, progress: Progress, condition
             keep_incomplete(recording, options)
             session.clear()
             if attempt == 3:
-                raise RecorderError(f"{error}; the recorder tried four routes") from None
+                raise RecorderError(
+                    f"{error}; the recorder tried four routes; use another --map, or leave this maneuver out"
+                ) from None
             progress.say(f"warning: {error}; trying another route")
         except BaseException:
             keep_incomplete(recording, options)

@@ -71,7 +71,7 @@ def one_line(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
-ROLE = "sigmaswarm"  # role name of the recorder's actors, which identifies the actors of a crashed call
+ROLE = "sigmaswarm"  # role name by which a recorder finds the actors of a recorder that was killed
 SUBSTEP = 0.001  # s, step of the physics; with CARLA's default the gyro is wrong
 # Settings of the server during a recording.
 SETTINGS: dict[str, Any] = {
@@ -178,8 +178,8 @@ class Session:
         for name, value in SETTINGS.items():
             if not _same(getattr(found, name), value):
                 raise RecorderError(
-                    f"the server has {name} = {getattr(found, name)} instead of {value}; restart it without "
-                    "other clients"
+                    f"the server has {name} = {getattr(found, name)} instead of {value}; restart the server "
+                    "without other clients"
                 )
 
     def tick(self) -> int:
@@ -225,4 +225,4 @@ class Session:
                 failed.append(f"{what} ({one_line(error)})")
         if not failed:
             self._before.clear()
-        return f"could not restore the server's {', '.join(failed)}; restart it" if failed else ""
+        return f"could not restore the server's {', '.join(failed)}; restart the server" if failed else ""

@@ -27,7 +27,9 @@ class Physics(NamedTuple):
 
 
 def edit_physics(session: Session, car: Any, tire_friction: float | None, share: float = 1.0) -> Physics:
-    """Set the friction of the tires, stronger brakes and a flat steering curve; check that the server applies them.
+    """Set the friction of the tires, the torque of the brakes and a steering limit that does not depend on speed.
+
+    Check that the server applies the values.
 
     If `tire_friction` is None, the friction is `share` times the friction of the stock tires.
     """

@@ -177,7 +177,7 @@ def test_every_gps_grade_drives(gps):
         ({"jitter": -1.0}, "jitter"),
         ({"vibration": float("nan")}, "vibration"),
         ({"maneuver": "brake", "duration": 60.0}, "only 'urban'"),
-        ({"seed": -1}, "negative"),
+        ({"seed": -1}, "seed is -1"),
     ],
 )
 def test_bad_input_is_refused_in_one_sentence(options, said):

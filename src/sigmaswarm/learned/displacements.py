@@ -4,8 +4,8 @@ The measurement
 
     z = R(theta_0)^T (p_1 - p_0) + noise
 
-where p is the position and R(theta) the rotation from body to local frame, also depends on the state at time 0, as in
-stochastic cloning (S. Roumeliotis and J. Burdick, ICRA 2002). If p_0 were assumed to be known, each update would add
+depends on the state at both times, as in stochastic cloning (S. Roumeliotis and J. Burdick, ICRA 2002). Here p is the
+position, and R(theta) is the rotation from body to local frame. If p_0 were assumed to be known, each update would add
 the error of p_0 again. The cross-covariance of the state errors e is Cov(e_1, e_0) = A P_0, since e_1 is A e_0 plus a
 part that is independent of e_0. The columns of A are finite differences between runs of the filter, all in one call of
 the compiled kernel.

@@ -23,7 +23,8 @@ Settings = Mapping[str, float]  # number of hidden units, window or segment (s),
 WEIGHT_DECAY = 1e-4  # per step, relative to the learning rate: I. Loshchilov and F. Hutter, ICLR 2019
 MAX_GRADIENT_NORM = 1.0
 """Largest norm of a gradient; a larger gradient is scaled down: R. Pascanu, T. Mikolov and Y. Bengio, ICML 2013."""
-VALIDATION_SHARE = 0.25  # fraction of each drive, at its end, for validation without validation drives
+# Fraction of a drive, at its end, that is validation data if there are no validation drives
+VALIDATION_SHARE = 0.25
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 tuning.toml, seen.npz   files of the filter, from its tuning
 learned.toml            type of network, settings, and training data
-weights.npz             weights
+weights.npz             weights of the network
 learned_seen.npz        landmarks to recognize the training drives
 timings.json            processor time of the training run; the only file that differs between two runs
 """

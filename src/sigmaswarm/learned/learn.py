@@ -75,7 +75,7 @@ class LearnConfig:
         drive; for outage-lstm with three or more drives, the last third of the drives.
     search : int
         Number of further combinations of settings (hidden units, window, learning rate) to try. The combination with
-        the least loss on the validation data is used.
+        the lowest loss on the validation data is used.
     seed : int
         The same seed gives identical results on the same machine.
     """

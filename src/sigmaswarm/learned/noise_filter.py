@@ -1,8 +1,8 @@
 """Extended Kalman filter of planar5 and planar8 in JAX, to train `noise-gru` with gradients.
 
-The filter has the textbook form and the gates of `constants`. It uses neither the receiver's velocity nor an odometer.
-It is not reset after a divergence. With Student's t, it does not inflate P during runs of outliers. This module needs
-JAX, the extra ``learned``.
+The filter has the textbook form, with the values of `filters.constants`. It uses neither the receiver's velocity nor an
+odometer. It is not reset after a divergence. With Student's t, it does not inflate P during runs of outliers. This
+module needs JAX, the extra ``learned``.
 """
 
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ from sigmaswarm.learned.cells import gru
 from sigmaswarm.learned.noise_gru import features_of, log_scales, nis_of
 
 N_COLUMNS = 14
-"""Number of columns of a step: dt, q_scale, gap, ax, ay, gz; flags for a fix, a sample, a lateral update and a
+"""Number of columns of a step: dt, q_scale, gap, ax, ay, gz; flags for a fix, an IMU sample, a lateral update and a
 standstill; x and y of the fix, m; stated variances of x and y, m2.
 """
 
@@ -150,7 +150,7 @@ def _take_lateral(p: FilterParameters, m: Any, c: Any, u: Any) -> tuple[Any, Any
 
 
 def _take_standstill(noise: float, m: Any, c: Any, u: Any) -> tuple[Any, Any]:
-    """Update with a velocity of 0, and with the reading of the gyro at rest, which is its bias."""
+    """Update with a velocity of 0, and with the reading of the gyro at rest, which measures the bias of the gyro."""
     identity, bias = jnp.eye(len(m)), slice(GYRO_BIAS, GYRO_BIAS + 1)
     m, c = _update(m, c, identity[2:4], -m[2:4], noise * jnp.eye(2), u[9])
     if len(m) > GYRO_BIAS:
@@ -176,7 +176,7 @@ def run(settings: FilterConstants, weights: Any, mean: Any, covariance: Any, col
             m, c = _take_lateral(p, m, c, u)
         if p.standstill_noise is not None:
             m, c = _take_standstill(p.standstill_noise, m, c, u)
-        # The network sees a fix at the next sample.
+        # The network reads a fix at the next IMU sample.
         reads_fix = (u[7] > 0) & (last[5] > 0.0)
         features = features_of(jnp, last[:2], last[2:5], m[THETA], jnp.maximum(last[5], 0.0))
         h = jnp.where(reads_fix, gru(jnp, weights, h, features), h)

@@ -22,14 +22,17 @@ from sigmaswarm.learned.noise_gru import FEATURES
 
 def require_supported(p: FilterParameters) -> None:
     if p.model not in ("planar5", "planar8"):
-        raise InputError(f"noise-gru does not support {p.model}; tune planar8, and train noise-gru for it")
+        raise InputError(
+            f"noise-gru does not support {p.model}; tune with --model planar8, and train noise-gru for this filter"
+        )
     if p.kind not in ("ukf", "ekf"):
         raise InputError(
-            f"{p.kind} adapts its noise, so noise-gru does not support this kind; tune a ukf or an ekf"
+            f"{p.kind} adapts its noise, so noise-gru does not support it; tune with --kind ukf or --kind ekf"
         )
     for name in ("velocity_noise", "odometer_noise", "heading_noise", "fix_error"):
         if getattr(p, name) is not None:
-            raise InputError(f"noise-gru does not support {name}; tune a filter without {name}")
+            option = name.removesuffix("_noise").replace("_", "-")
+            raise InputError(f"noise-gru does not support {name}; tune a filter without {option} in --use")
 
 
 def segments_of(

@@ -5,8 +5,8 @@ contain information on the speed, since vibration and lateral acceleration depen
 input, since the update would use it twice.
 
 Errors of the forecasts are modeled as Gauss-Markov processes. In an outage, the error at the last fix, multiplied by a
-decay factor, is subtracted. Two factors are chosen to maximize the likelihood of hidden fixes on validation data. A
-factor on the variance of the forecasts accounts for the remaining correlation in time. A factor on the Q of the
+decay factor, is subtracted. Two other factors are chosen to maximize the likelihood of hidden fixes on validation data.
+A factor on the variance of the forecasts accounts for the remaining correlation in time. A factor on the Q of the
 velocity is needed, since the velocity covariance of a filter that was tuned with fixes is often too small in an outage.
 """
 
@@ -32,7 +32,7 @@ from sigmaswarm.learned.cells import Weights, head, lstm, new_weights
 from sigmaswarm.learned.displacements import Displacements, DisplacementStart, to_body_axes
 
 HORIZON = 1.0  # s, duration of a displacement
-OUTAGE_AFTER = 2.0  # s from the last fix to the start of an outage; a working receiver has at least 1 Hz
+OUTAGE_AFTER = 2.0  # s from the last fix to the start of an outage; receivers have a rate of 1 Hz or more
 WINDOW_STEPS = 40  # number of steps to which a window is resampled
 _VIBRATION_OFFSET = 1e-3  # m/s2, added to the standard deviation before the logarithm; for a gyro 1e-4 rad/s
 
@@ -97,7 +97,7 @@ def pairs_of(time: Array, after: float, until: float, every: float) -> tuple[Ind
     at = np.searchsorted(time[:stop], grid - 1e-9)
     per = round(HORIZON / every)
     begin, end = at[:-per], at[per:]
-    near = time[end] - time[begin] < 1.5 * HORIZON  # without pairs across an IMU gap
+    near = time[end] - time[begin] < 1.5 * HORIZON  # no pairs across a gap of the IMU
     return begin[near], end[near]
 
 
@@ -167,8 +167,8 @@ class OutageLstm:
     """A trained network; its inputs are ``axes`` of the IMU over ``window`` s.
 
     - ``weights``: weights of `cells`; mean ``center`` and standard deviation ``spread`` (f,) of the features; mean
-      ``usual`` and standard deviation ``scale`` (2,) of the displacements, m; ``kept`` (2,) and ``lasts`` (2,), s, of
-      the autocorrelation of the errors, kept exp(-t / lasts).
+      ``usual`` and standard deviation ``scale`` (2,) of the displacements, m; ``kept`` (2,) and ``lasts`` (2,), s: the
+      errors have the autocorrelation kept exp(-t / lasts).
     - ``inflation``: factor on the variances of forecasts; if it is infinite, forecasts are not used.
     - ``unsure``: factor on the velocity's Q in outages.
     """
@@ -196,7 +196,10 @@ class OutageLstm:
         return dict(zip(windows.end.tolist(), map(DisplacementForecast, *numbers, *outputs), strict=True))
 
     def corrected(self, forecast: DisplacementForecast, velocity: Array) -> tuple[Array, Array]:
-        """Subtract the error at the last fix, given ``velocity`` there; return displacement, m, and variance, m2."""
+        """Subtract the error at the last fix, where the vehicle has ``velocity`` (2,), m/s in body axes.
+
+        Return the displacement (2,), m, and its variance (2,), m2.
+        """
         share = self.remains(forecast.age)
         moved = forecast.moved + share * (HORIZON * velocity - forecast.before)
         return moved, self.inflation * (forecast.variance * (1.0 - share**2) + MIN_STD**2)

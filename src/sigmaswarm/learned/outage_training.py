@@ -1,7 +1,7 @@
 """Train `outage-lstm`: examples, loss, and calibration of the variances.
 
-The network learns the displacements of estimates that are smoothed with all fixes. Fixes that are hidden in outages of
-the validation data calibrate the variances.
+The network learns the displacements between estimates that are smoothed with all fixes. To calibrate the variances,
+fixes are hidden in outages of the validation data.
 """
 
 from collections.abc import Mapping, Sequence
@@ -78,7 +78,7 @@ def tracks_of(
 
 
 def cases_of(tracks: Sequence[Track], seed: int) -> list[tuple[FilterPass, float]]:
-    """Place several sets of outages on validation data; return the passes and the starts of the validation data, s."""
+    """Place sets of outages on the validation data; return the passes, and the starts of the validation data, s."""
     cases: list[tuple[FilterPass, float]] = []
     for number, track in enumerate(tracks):
         drive, initial = track.ready.drive, track.ready.initial
@@ -106,7 +106,7 @@ def _windows_of(track: Track, axes: Sequence[str], window: float) -> tuple[Array
 
 
 def examples_of(tracks: Sequence[Track], axes: Sequence[str], window: float) -> Examples:
-    """Make examples: inputs (k, WINDOW_STEPS, f) and displacements (k, 2); omit `VALIDATION_GAP`."""
+    """Make examples: inputs (k, WINDOW_STEPS, f) and displacements (k, 2), m; none in the `VALIDATION_GAP`."""
     parts: list[tuple[Array, Array, NDArray[np.bool_]]] = []
     for track in tracks:
         end, features, moved = _windows_of(track, axes, window)
@@ -170,7 +170,7 @@ class OutageLearner:
         cases = cases_of(self._tracks, self._seed)
         if not cases:
             raise InputError(
-                "the validation data is too short for outages of 10 s; use longer drives, or --validation"
+                "the validation data are too short for outages of 10 s; use longer drives, or specify --validation"
             )
         calibration = calibrate(network, cases, self._parameters)
         inflation = calibration.inflation if np.isfinite(calibration.inflation) else None

@@ -75,7 +75,7 @@ def imu_noise(log: Drive | Imu | str | Path, **settings: Any) -> Noise:
 
 
 def filter_noise(parameters: FilterParameters, name: str = "filter") -> Noise:
-    """Return the noise that a filter's Q (robot-localization: ``imu_noise``) assumes for the IMU.
+    """Return the noise of the IMU that a filter assumes, from its Q (robot-localization: from ``imu_noise``).
 
     Parameters
     ----------

@@ -134,7 +134,7 @@ class Noise:
             )
             for axis in self.axes
             for i, (name, scale, unit) in zip(axis.terms.values(), UNITS[axis.axis[0]], strict=True)
-            if i.high > 0  # filters assume no flicker noise, and some assume no bias
+            if i.high > 0  # the noise of a filter (`filter_noise`) has terms that are 0
         ]
         return Table(f"Noise of the IMU, {self.name}", columns, tuple(rows))
 

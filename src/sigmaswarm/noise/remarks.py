@@ -18,9 +18,9 @@ MIN_DURATION = 1800.0  # s, shortest stretch that shows bias instability and rat
 MIN_TREND_DURATION = 300.0  # s, shortest stretch whose trend is tested
 MIN_STATIC_SHARE = 0.95  # smallest fraction of samples at rest without a remark
 MAX_GRAVITY_ERROR = 0.1  # relative error of gravity that suggests another unit
-# 10 deg/sqrt(h) in rad/s/sqrt(Hz). The white noise of logs in rad/s is less, that of logs in deg/s usually more.
+# 10 deg/sqrt(h) in rad/s/sqrt(Hz). Values from logs in rad/s are smaller; values from logs in deg/s are usually larger.
 MAX_GYRO_NOISE = 3e-3
-MIN_INTERVALS = 30.0  # averaging intervals (duration / tau) for an accurate Allan deviation
+MIN_INTERVALS = 30.0  # least number of averaging intervals (duration / tau) for an accurate Allan deviation
 MISFIT = 1.5  # smallest reported ratio of the Allan deviation to that of the model, or its inverse
 TREND = 4.0  # smallest reported ratio of a trend to its standard deviation under the fitted processes
 MIN_STEP_RATIO = 0.5  # smallest reported ratio of the quantization step to the standard deviation
@@ -33,8 +33,8 @@ def on_stretches(stretches: Stretches, lengths: list[float]) -> Iterator[str]:
     if stretches.share < MIN_STATIC_SHARE:
         yield (
             f"the sensor moves or is disturbed in {100 * (1 - stretches.share):.0f}% of the log; only "
-            f"{count_of(len(lengths), 'standstill')}, {total:.0f} s in all, are used; an engine's vibration counts as "
-            "noise"
+            f"{count_of(len(lengths), 'standstill')}, {total:.0f} s in total, {'is' if len(lengths) == 1 else 'are'} "
+            "used; an engine's vibration counts as noise"
         )
     if longest < MIN_DURATION:
         yield (

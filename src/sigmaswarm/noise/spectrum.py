@@ -22,7 +22,7 @@ from scipy.fft import prev_fast_len, rfft
 
 from sigmaswarm.arrays import Array
 
-BAND = 0.1  # highest used frequency / sampling rate; filters and the engine affect higher frequencies
+BAND = 0.1  # highest used frequency / sampling rate; the sensor's filter and the engine affect higher frequencies
 # Number of frequencies up to which the band of a short log is extended, at most to half the sampling rate
 MIN_FREQUENCIES = 200
 # Lowest used frequency in periods per stretch; the subtracted trend contains most of the lower frequencies
@@ -35,7 +35,7 @@ DEVIANCE_95 = 5.99
 The second degree of freedom is for the unknown correlation time. In simulations, 93 to 100% of the intervals contain
 the true value (benchmarks/imu_noise.py).
 """
-POINTS = 11  # number of values of a parameter in a pass of its profile
+POINTS = 11  # number of values of a parameter in each pass over its likelihood profile
 PASSES = 3  # number of refinements of each end of an interval
 N_TIMES = 8  # number of finite correlation times
 N_STEPS = 15  # number of steps of Fisher's scoring; enough for convergence

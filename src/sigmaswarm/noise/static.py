@@ -53,7 +53,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
         )
     columns = [axis for axis in AXES if getattr(imu, axis) is not None]
     if wrong := [axis for axis in columns if not np.isfinite(getattr(imu, axis)).all()]:
-        raise InputError(f"{wrong[0]} has values that are not numbers; leave these samples out")
+        raise InputError(f"{wrong[0]} has values that are not finite numbers; leave these samples out")
     interval = float(np.median(steps))
     size = max(round(BLOCK / interval), MIN_BLOCK_SAMPLES)
     gap = max(gaps.MANY * interval, gaps.SHORTEST)
@@ -75,15 +75,15 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
         duration = imu.time[-1] - imu.time[0]
         what = f"log is {duration:.3g} s long" if duration < 2 * MIN_DURATION else "IMU moves"
         raise InputError(
-            f"the {what}, and there is no standstill of {MIN_DURATION:g} s; record the IMU at rest, for an hour to "
-            "determine all noise terms"
+            f"the {what}, and there is no standstill of {MIN_DURATION:g} s; record the IMU at rest for this "
+            "time, or for an hour to determine all noise terms"
         )
     static = sum(part.stop - part.start for part in parts)
     return Stretches(tuple(parts), static / len(imu), len(begins) - 1)
 
 
 def _calm_blocks(imu: Imu, starts: NDArray[np.int_], size: int, fresh: Mask) -> Mask:
-    """Return a mask of blocks that are nearly as quiet as the quietest tenth and similar in mean to their neighbors."""
+    """Return a mask of blocks at rest: their standard deviations are small, and their means like those of neighbors."""
     calm = np.ones(len(starts), np.bool_)
     for axis in AXES:
         values = getattr(imu, axis)

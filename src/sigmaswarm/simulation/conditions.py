@@ -44,8 +44,8 @@ def simulate_many(
     workers : int, optional
         Number of threads of the pool; by default one per core.
     use : callable, optional
-        Function of a drive, called in the thread of the simulation, for example to write the drive. Its result is
-        yielded instead of the drive.
+        Function that is called with each drive in the thread of its simulation, for example to write the drive. The
+        result of the function is yielded instead of the drive.
     ahead : int
         Largest number of drives that are simulated in advance. If it is less than ``workers``, some threads are idle.
     leave_out : container of str

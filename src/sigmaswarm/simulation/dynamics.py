@@ -26,7 +26,7 @@ compiled = cached(nogil=True, error_model="numpy")
 GRAVITY = 9.81  # m/s2, as in CARLA
 STEP = 0.001  # s, step of the integration
 STEPS_PER_DRIVER_STEP = 10  # integration steps per step of the driver
-AIR_DENSITY = 1.204  # kg/m3, at 20 degrees and sea level
+AIR_DENSITY = 1.204  # kg/m3, at 20 deg C and sea level
 
 # Indices of the state. WHEEL, KAPPA and ALPHA are the first of four indices each, one per wheel.
 X, Y, YAW, VX, VY, YAW_RATE, STEER, PEDAL, ROLL, ROLL_RATE, PITCH, PITCH_RATE = range(12)
@@ -175,7 +175,7 @@ def _spin_up(
     """Return the angular acceleration (rad/s2) of a wheel under torques (N m) and a tire force (N).
 
     Idealized anti-lock and traction control reduce the torques linearly, from the full torque at the slip of the peak
-    force (1) to 0 at twice this slip.
+    force (``slip`` 1) to 0 at twice this slip.
     """
     control = _clip(2.0 - slip, 0.0, 1.0)
     most = control * brake
@@ -324,7 +324,7 @@ def start_state(x: float, y: float, yaw: float, speed: float, car: Vehicle) -> A
 
 @compiled
 def run_open_loop(car: Vehicle, friction: float, start: Array, steer: Array, pedal: Array) -> Array:
-    """Drive from a `start_state` with commands at each millisecond; return the record (n, 21).
+    """Drive from a `start_state` with one command per millisecond; return the record (n, 21).
 
     ``steer`` (n,) is the desired angle of the road wheels, rad. ``pedal`` (n,) is -1 (full brake) to 1.
     """
@@ -386,7 +386,7 @@ def _press(s: Array, now: Array, soon: Array, gone: float, car: Vehicle) -> floa
 def run_closed_loop(
     car: Vehicle, friction: float, start: Array, path: Array, spacing: float, plan: Array
 ) -> Array:
-    """Let the driver follow a path and a plan from a `start_state`; return the record (m * 10, 21), a row per ms.
+    """Let the driver follow a path and a plan from a `start_state`; return the record (10 m, 21), one row per ms.
 
     ``path`` (p, 4): m east, m north, heading (rad, not wrapped) and curvature (1/m) every ``spacing`` m.
 

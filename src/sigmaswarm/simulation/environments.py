@@ -34,7 +34,8 @@ class Environment:
     friction : float
         Peak friction between tire and road.
     gnss_noise_factor : float
-        Factor of the weather on the receiver's errors with ``gnss_degradation``: **an assumption, not a measurement**.
+        Factor by which the weather multiplies the receiver's errors if ``gnss_degradation`` is set: **an assumption,
+        not a measurement**.
     source : str
         Source of the friction.
     """

@@ -17,7 +17,7 @@ from sigmaswarm.simulation.environments import by_name
 from sigmaswarm.simulation.imu import gauss_markov
 from sigmaswarm.simulation.motion import LeverArm, Motion
 
-EARTH_RADIUS = 6378137.0
+EARTH_RADIUS = 6378137.0  # m, radius of CARLA's sphere
 METERS_PER_DEGREE = math.pi * EARTH_RADIUS / 180.0  # m, degree of latitude on CARLA's sphere
 
 

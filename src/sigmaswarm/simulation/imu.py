@@ -113,7 +113,7 @@ IMU_GRADES = by_name(
     ImuGrade("gnss-ins-sim-high", _accel(2.5e-5, 3.6e-6), _gyro(2e-3, 0.1), source="gnss-ins-sim"),
     ImuGrade(
         "carla",
-        # 0.001 per sample at 100 Hz in both units [L], as a density. The bias is an assumption.
+        # 0.001 m/s2 and 0.001 rad/s per sample at 100 Hz [L], as densities. The bias of the gyro is an assumption.
         Triad(1e-4),
         Triad(1e-4, turn_on=1e-3),
         carla=True,

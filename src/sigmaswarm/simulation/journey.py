@@ -54,8 +54,8 @@ def drive_maneuver(
 def time_between(speed: Array, slow: float, fast: float, rising: bool) -> float:
     """Return the shortest time (s) in which the speed changes from one value to another (m/s).
 
-    The change lasts from the last sample before it to the first sample after it. The time is NaN if a speed is never
-    reached.
+    The time runs from the last sample with the first speed to the first sample with the second speed. It is NaN if a
+    speed is never reached.
     """
     speed = speed if rising else speed[::-1]
     begins, ends = np.flatnonzero(speed <= slow), np.flatnonzero(speed >= fast)

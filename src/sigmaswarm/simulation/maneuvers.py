@@ -78,7 +78,7 @@ def cruise(road: AccelerationLimits, rng: np.random.Generator) -> Maneuver:
     """(i) Straight cruise for 500 m."""
     kmh = rng.uniform(85, 95) if road.friction > 0.4 else rng.uniform(60, 70)
     speed, push = kmh * KMH, road.easy(3.0)
-    # Distance in which the fading acceleration a (1 - f v) reaches the speed.
+    # Distance in which a car with the acceleration a (1 - f v), f = fading, reaches the speed.
     fading = 0.02
     pull_away = (-speed / fading - math.log(1 - fading * speed) / fading**2) / push
     legs = [Leg(pull_away + 25.0, speed, push, push, fading=fading), straight(road, 500.0, kmh)]
@@ -166,7 +166,7 @@ def _city_block(road: AccelerationLimits, rng: np.random.Generator) -> list[Leg]
         return [street, *turn(road, sign * rng.uniform(0.3, 1.2), rng.uniform(40.0, 120.0), kmh, 2.5)]
     # A lane change of about 3.5 m: out and back by the same angle.
     radius = max((kmh * KMH) ** 2, 40.0)
-    angle = math.sqrt(3.5 / (1.8 * radius))  # a turn with its clothoids is 1.8 angle radius long
+    angle = math.sqrt(3.5 / (1.8 * radius))  # a turn with its clothoids has the length 1.8 x angle x radius
     return [street, *turn(road, sign * angle, radius, kmh, 2.0), *turn(road, -sign * angle, radius, kmh, 2.0)]
 
 

@@ -19,11 +19,11 @@ LeverArm = tuple[float, float, float]
 
 # Vibration: white-noise densities from differences of neighboring samples at 5 to 16 m/s in two public recordings of
 # real cars: rtklibexplorer's GNSS_IMU (Colorado, consumer MEMS) and comma2k19 (chip of a phone). These densities are 3
-# to 8 times the Colorado densities at standstill, and about 20 times the data sheet of an MPU-6050. Bumps and spectra
-# are not modeled. Roll and pitch rates have no part below the frequency of the springs: white noise would rotate the
-# body by degrees in a minute, and gravity would appear as acceleration.
+# to 8 times the Colorado densities at standstill, and 6 to 34 times those in the data sheet of an MPU-6050. Bumps and
+# spectra are not modeled. Roll and pitch rates have no part below the frequency of the springs: white noise would
+# rotate the body by degrees in a minute, and gravity would appear as acceleration.
 FORCE_DENSITY = (0.06, 0.025, 0.04)  # m/s2/sqrt(Hz) forward, left, up, density at `FULL_SPEED` and above
-# rad/s/sqrt(Hz), same axes; the only recording of the pitch rate has 0.010
+# rad/s/sqrt(Hz), same axes; in the only recording of the pitch rate its density is 0.010
 RATE_DENSITY = (0.002, 0.003, 0.0005)
 FULL_SPEED = 5.0  # m/s; vibration is proportional to speed below this speed
 BODY_FREQUENCY = 1.0  # Hz, natural frequency of the body on its springs; an assumption

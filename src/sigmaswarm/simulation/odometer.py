@@ -67,7 +67,7 @@ comma2k19's car reads 0.8% too low.
 def measure_odometer(
     record: Array, car: Vehicle, grade: OdometerGrade, rng: np.random.Generator
 ) -> tuple[Odometer, float]:
-    """Measure the speed of a record (n, 21 or more); return the readings and the drawn scale."""
+    """Measure the wheel speed in a record (n, 21 or more) of the car; return the readings and the drawn scale."""
     scale = 1.0 + grade.scale_std * rng.standard_normal()
     phase, tooth = rng.uniform(0.0, 1.0, 2)
     time = np.arange(grade.window + phase / grade.rate, (len(record) - 1) * STEP, 1 / grade.rate)

@@ -16,7 +16,7 @@ from sigmaswarm.compilation import cached
 SPACING = 0.1  # m, between points of a path
 DRIVER_STEP = 0.01  # s, between steps of the driver
 RUN_OUT = 60.0  # m, straight road after the last leg, for the driver's preview and for longer stops
-# The driver's sway about the ideal line and speed: sqrt(2) times its RMS
+# Amplitudes of the driver's sway about the ideal line and speed: sqrt(2) times the RMS of the sway
 SWAY_OFFSET = 0.10  # m
 SWAY_SPEED = 0.006  # relative to the ideal speed
 

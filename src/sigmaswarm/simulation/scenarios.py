@@ -75,7 +75,7 @@ class Scenario:
                 raise InputError(f"{what} is {value:g}; choose 0 or more")
         check_duration(self.maneuver, self.duration)
         if self.seed < 0 or self.run < 0:
-            raise InputError(f"seed {self.seed} and run {self.run} must not be negative")
+            raise InputError(f"seed is {self.seed} and run is {self.run}; choose 0 or more for both")
 
 
 def simulate(maneuver: str = "urban", environment: str | Environment = "clear", **options: Any) -> Drive:
@@ -122,7 +122,7 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
     Returns
     -------
     Drive
-        Drive with truth at the IMU's nominal times. The metadata contain noise figures of the sensors, and target
+        Drive with truth at the IMU's nominal times. The metadata contain noise parameters of the sensors, and target
         values and achieved values of the maneuver.
 
     Raises
@@ -146,7 +146,7 @@ def _drive(s: Scenario) -> Drive:
         return np.random.default_rng(np.random.SeedSequence([s.seed, s.run, *names]))
 
     journey = drive_maneuver(s.maneuver, where, car, stream("driver"), s.duration, s.warm_up)
-    record, slopes = journey.record, {}  # without keys for a flat road, as in files of early versions
+    record, slopes = journey.record, {}  # no keys on a flat road, as in files of early versions
     if ground != TERRAINS["flat"]:
         record = add_slopes(record, build_road_profile(journey.path[:, 3], ground, stream("road")), car)
         slopes = {"terrain": ground.name} | _slope_figures(record)

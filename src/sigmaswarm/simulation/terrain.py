@@ -1,4 +1,4 @@
-"""Simulate hills: grade and bank of the road, for a car with the path and speed of a flat road.
+"""Simulate hills: grade and bank of the road, for a car that follows the path and speed of a flat road.
 
 The path in the plane is the path on a flat road, since the driver compensates for the slope. Slopes change the height
 and the attitude of the car. The attitude also changes because gravity acts on the suspension. The slopes depend on the
@@ -168,7 +168,7 @@ def add_slopes(record: Array, road: RoadProfile, car: Vehicle) -> Array:
     climb_rate = ahead_rate * vx + ahead * vx_rate + left_rate * vy + left * vy_rate
 
     tilted = np.column_stack([record, f, f1, f2, p, p1, p2, _integral(climb), climb, climb_rate])
-    # Force in the axes of the road; the suspension responds to its difference from that on a flat road.
+    # Specific force in the axes of the road; the suspension responds to the difference from a flat road.
     up = climb_rate + GRAVITY
     forward = np.cos(p) * ax - np.sin(p) * up
     normal = np.sin(p) * ax + np.cos(p) * up

@@ -14,16 +14,16 @@ from sigmaswarm.simulation.environments import lookup
 
 # Real car, dual motor.
 MODEL_3 = Vehicle(
-    mass=1850.0,  # [O] 1844-1899
+    mass=1850.0,  # [O] 1844-1899 kg
     yaw_inertia=3400.0,  # [R]
-    front=1.495,  # [D] wheelbase 2.875 [O], 48% of the weight in front [R]
+    front=1.495,  # [D] wheelbase 2.875 m [O], 48% of the weight in front [R]
     rear=1.380,
     track=1.58,  # [O]
     height=0.46,  # [R]
     drag_area=0.23 * 2.22,  # [R]
     rolling_resistance=0.010,  # [R]
     wheel_radius=0.335,  # [R] 235/45 R18
-    wheel_inertia=2.0,  # [R] wheel 1.2, motor 0.8
+    wheel_inertia=2.0,  # [R] wheel 1.2, motor 0.8 kg m2
     slip_stiffness=20.0,  # [R] commonroad-vehicle-models: 22.3 for a BMW 320i
     cornering_front=15.0,  # [R] less than the tire's, due to the compliance of the steering; 0.7 deg/g understeer
     cornering_rear=18.5,  # [R]
@@ -45,8 +45,8 @@ MODEL_3 = Vehicle(
     pitch_gain=math.radians(3.0) / GRAVITY,  # [R] 3 deg/g
     pitch_frequency=2 * math.pi * 1.5,  # [R]
     pitch_damping=0.3,  # [R]
-    # Pedals of the real car [R]: 0-100 km/h in about 4.5 s, recuperation without pedals, brakes beyond the grip of the
-    # tires.
+    # Pedals of the real car [R]: 0-100 km/h in about 4.5 s; recuperation if no pedal is pressed; the brakes can exceed
+    # the grip of the tires.
     pedal_speed=np.array([0.0, 1.0, 5.0, 20.0, 30.0, 45.0]),
     full_throttle=np.array([6.3, 6.5, 6.5, 6.5, 4.5, 2.8]),
     coast=np.array([0.0, 0.0, -1.5, -1.5, -1.1, -0.7]),
