@@ -40,10 +40,10 @@ CAPTIONS = (
     "**Models and filter types** in the compiled batch. The ratio to planar5's UKF is the median [lowest, highest].",
     "**One tuning run**: 30 particles, 50 generations, ten minutes at 100 Hz. The ratio is given as the "
     "median and the lowest value.",
-    "**Two cores.** Wall time in ms to score parameter sets over the drive, if both cores were idle before.",
+    "**Two cores.** Wall time in ms to score parameter sets over the drive, in rounds that began with both cores idle.",
     "**Live filters.** Time of one call from Python in us: the median and the 99.9% quantile. A fix is processed with "
-    'the next sample, so "sample with fix" is the time of both calls. A ratio is FilterPy\'s time, with the same '
-    "filter or with planar5's UKF, divided by the time in the same row (sample without a fix; sample with a fix).",
+    'the next sample, so "sample with fix" is the time of both calls. A ratio is the time of FilterPy (same filter, or '
+    "planar5's UKF) divided by the time of the row: for a sample without a fix; for a sample with a fix.",
 )
 TUNINGS = {
     "test_tuning_pyswarms_filterpy": "PySwarms + FilterPy",
