@@ -212,11 +212,11 @@ class FilterParameters:
                 )
         if self.kernel not in FILTERS:
             raise ValueError(
-                f"fix_error can't be combined with {self.model} as {self.kind}; use ekf, or leave fix_error out"
+                f"fix_error can't be combined with {self.model} of kind {self.kind}; use ekf, or leave fix_error out"
             )
         if known is not None and self.latency:
             raise ValueError(
-                f"{self.model} has no parameter latency; set smooth_lagged_data if fixes are late"
+                f"{self.model} has no parameter latency; if fixes are late, set smooth_lagged_data in ekf.yaml"
             )
 
     @property
@@ -352,7 +352,10 @@ RULES_SINCE = (0, 3)  # first version with the current rules for stale fixes, ga
 def incompatibility(kind: str, use: Collection[str]) -> str | None:
     """Return the reason why a filter type and options conflict; None if they do not."""
     if "robust" in use and "gate" in use:
-        return "robust and gate can't be combined: robust reduces the weight of fixes that gate rejects; leave out one"
+        return (
+            "robust and gate can't be combined: robust reduces the weight of fixes that gate rejects; leave one of "
+            "them out"
+        )
     if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"):
         return (
             f"robust can't be combined with {kind}, which itself adapts to outliers; use ukf or ekf, or "

@@ -63,7 +63,7 @@ Its square is added to the squared density of the sensor. IMUs at standstill hav
 m/s2/sqrt(Hz) and 4e-5 to 2e-4 rad/s/sqrt(Hz). On six drives, a filter with the densities of data sheets alone drifted
 1.3 to 60 times as far in 5 s as the tuned filter.
 """
-MIN_SHOWN_STD = 0.01  # m, smallest standard deviation that is taken from the truth: RTK
+MIN_SHOWN_STD = 0.01  # m, lower limit of a standard deviation computed from the truth: that of RTK
 ADDED_VARIANCE = 0.1**2  # m2, added to the stated variance of each fix
 
 
@@ -86,7 +86,7 @@ def baseline(
         ``datasheet``, a planar5 UKF with values from data sheets only (without `MODEL_NOISE` and without an estimate
         from the fixes).
     shown_std : float, optional
-        Standard deviation of the receiver's fixes, m per axis, that the truth of the training drives shows.
+        Standard deviation of the receiver's fixes, m per axis, computed from the truth of the training drives.
     """
     if like is None:
         return _planar(drive, stated_std(drive) or (UNSTATED_GPS_STD, UNSTATED_GPS_STD))

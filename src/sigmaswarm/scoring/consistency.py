@@ -17,8 +17,8 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Innovations, run_innovations
 
 GATE_95 = -2 * math.log(0.05)  # 95% quantile of NIS for a consistent filter: 5.99
-MAX_NEES = 4.0  # mean NEES that is clearly too large; NEES has no band, since position errors are correlated
-MIN_NEES = 1.5  # smallest mean NEES of a consistent position covariance; the largest is MAX_NEES
+MAX_NEES = 4.0  # largest mean NEES of a consistent position covariance; a 95% band is unknown
+MIN_NEES = 1.5  # smallest mean NEES of a consistent position covariance
 LAGS = 10  # fixes, largest lag of the autocorrelation
 _KEYS = {  # in scores.json
     "nis_band": "nis_band_95",
@@ -130,7 +130,7 @@ Kind = Literal[
     "optimistic_position",
     "unknown",
 ]
-"""Kind of a verdict on the innovations.
+"""Kind of a verdict on a filter, according to the size of its innovations.
 
 - ``optimistic``: larger than their covariances predict (overconfident).
 - ``pessimistic``: smaller than their covariances predict.

@@ -324,9 +324,9 @@ def evaluate(
 ) -> Evaluation:
     """Compare a tuned filter with the baseline, raw GPS, fixes alone and IMU only: see `sigmaswarm.evaluate`.
 
-    ``seen``: landmarks by which the training drives, also copies and parts of them, are recognized. ``cluster``: Dask
-    cluster whose workers read the drives and run the filters; ``drives`` may then be paths or URLs. ``options``:
-    attributes of `EvaluationOptions`.
+    ``seen``: landmarks of the training drives, by which these drives, their copies and their parts are recognized.
+    ``cluster``: Dask cluster whose workers read the drives and run the filters; ``drives`` may then be paths or URLs.
+    ``options``: attributes of `EvaluationOptions`.
     """
     (dataset,) = make_datasets(drives, cluster=cluster)
     if not len(dataset):

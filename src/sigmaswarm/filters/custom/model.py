@@ -237,7 +237,7 @@ def _add(digest: Any, thing: Any, visited: set[int]) -> None:
     thing = getattr(thing, "py_func", thing)  # the Python function of a Numba dispatcher
     digest.update(type(thing).__name__.encode())
     if isinstance(thing, FunctionType):
-        if id(thing) in visited:  # it calls itself, or another function calls it, too
+        if id(thing) in visited:  # a recursive function, or one that several functions call
             return
         visited.add(id(thing))
         cells = dict(zip(thing.__code__.co_freevars, thing.__closure__ or (), strict=True))

@@ -233,7 +233,7 @@ def kernel_of(model: Model, steps: FilterSteps) -> Any:
 
 
 def _compiled(model: Model, steps: FilterSteps) -> Any:
-    """Compile the filter; warn and return None if this fails or the textbook filter has other results."""
+    """Compile the filter; warn and return None if this fails, or if its results differ from the textbook filter."""
     few = replace(
         steps,
         **{name: getattr(steps, name)[:VERIFIED_STEPS] for name in ("dt", "source", "updates", "records")},

@@ -75,7 +75,7 @@ def smooth_steps(
     filtered, predictions = [(filter.mean, filter.covariance)], list[Prediction]()
     for i in range(n_steps):
         mean, covariance = filtered[-1]
-        filter.prediction = Prediction(mean, covariance, covariance)  # kept by a step of length zero
+        filter.prediction = Prediction(mean, covariance, covariance)  # remains if the step has no prediction
         if _fails(stepper, i):
             failed = i
             break
