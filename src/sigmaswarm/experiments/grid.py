@@ -23,7 +23,7 @@ T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
 # Function that receives the number of finished rounds, and raises `InterruptedError` after an interrupt.
 Report = Callable[[int], None]
-POLL_INTERVAL = 0.05  # s, at which progress is read, and at which a fork checks that its parent lives
+POLL_INTERVAL = 0.05  # s between readings of the progress, and between checks of a fork that its parent lives
 KILLED_MESSAGE = "a process of this experiment was killed, perhaps for lack of memory; continue with --resume"
 _run: Callable[[int], Any] | None = None  # runs a task by its index in a forked process
 

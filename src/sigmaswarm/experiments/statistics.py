@@ -181,7 +181,7 @@ def median_interval(values: Array) -> Interval:
     interval is the whole range.
     """
     ordered, n = np.sort(values), len(values)
-    # k values are outside of the interval at each end. It misses the median with probability 2 cdf(k).
+    # At each end, k values are outside of the interval. The interval misses the median with probability 2 cdf(k).
     k = max(int(stats.binom.ppf((1 - LEVEL) / 2, n, 0.5)) - 1, 0)
     return float(ordered[k]), float(ordered[n - 1 - k])
 

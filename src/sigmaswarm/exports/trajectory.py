@@ -114,7 +114,7 @@ def write_fixes(
 def check_fixes_target(path: Path, origin: Origin | None = None) -> None:
     if path.suffix not in (endings := (".csv", *MAPS)):
         raise InputError(
-            f"{path}: this format needs poses, but fixes have no attitude; end the name in {', '.join(endings)}"
+            f"{path}: fixes can't be written in this format; end the name in {', '.join(endings)}"
         )
     check_target(path, origin)
 

@@ -170,7 +170,7 @@ class ElsewhereSummary(VariantSummary):
 
 
 class CurvePoint(_Part):
-    """Score, on the first trial's test drives, of a network that was trained on ``minutes`` of data.
+    """Score of a network on the first trial's test drives, after training on ``minutes`` of data.
 
     ``minutes`` is 0 for the filter without a network. ``interval`` is the bootstrap interval of the mean over drives.
     """
