@@ -1,8 +1,8 @@
 """Parallel execution of the tasks of an experiment, in the threads of an executor or in forked processes.
 
 Each task saves its results in a folder, so an interrupted experiment can continue. Forked processes need 75% of the
-time of threads, since a tuning run spends 25% of its time in the Python interpreter. Forked processes also inherit
-drives and prepared timelines without copying.
+time of threads, since a tuning run spends 25% of its time in the Python interpreter, which runs one thread at a time.
+Forked processes also inherit drives and prepared timelines without copying.
 """
 
 import os

@@ -45,7 +45,7 @@ MONITORED_RATE_RATIO = (
 MAX_HISTORY = 100_000  # largest history and lag in IMU intervals: 100 s at 1 kHz, 0.2 GB
 MAX_WAITING_FIXES = 1000  # approximate number of fixes that can wait during a gap of the IMU
 _NO_NUMBERS = (TypeError, LookupError, OverflowError)
-"""Exceptions due to invalid input, for example a text, None, too few numbers, or an integer of 400 digits."""
+"""Exceptions due to invalid input, for example text, None, too few numbers, or an integer of 400 digits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +228,7 @@ class LiveFilter:
         Returns
         -------
         bool
-            False if the fix was ignored (before the start of the filter, too late, or a repetition) or waits for
+            False if the fix was ignored (before the start of the filter, too late, or repeated) or waits for
             confirmation.
 
         Raises

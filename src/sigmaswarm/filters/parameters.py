@@ -37,7 +37,7 @@ NIS, OF_STATED = "NIS, dimensionless", "of the stated variance, dimensionless"  
 
 
 class SearchRange(NamedTuple):
-    """Option of ``tune --use`` that tunes a parameter, and bounds and scale (``logarithmic``) of the search."""
+    """The option of ``tune --use`` that tunes a parameter, and the bounds and scale (``logarithmic``) of its search."""
 
     option: str
     lowest: float
@@ -57,7 +57,7 @@ def _option(
     """Describe an optional parameter.
 
     ``use``, ``bounds`` and ``logarithmic`` are those of `SearchRange`. Properties: ``absent`` represents None in a
-    `ParameterTable` (default 0), ``typical`` is the value without tuning if no data sheet states one, ``scaled`` marks
+    `ParameterTable` (default 0); ``typical`` is the value without tuning if no data sheet states one; ``scaled`` marks
     noise variances and factors of variances.
     """
     about = {"unit": unit, "search": SearchRange(use, *bounds, logarithmic) if use else None}

@@ -60,7 +60,7 @@ class Targets:
 
     @cached_property
     def position_weight(self) -> float:
-        """Total weight of the squared position errors; the number of errors if truth is exact."""
+        """Total weight of the squared position errors; the number of errors if all weights are 1."""
         return float(self.noise[:, 0].sum()) if len(self.noise) else float(self.n_positions)
 
     @cached_property

@@ -130,16 +130,17 @@ Kind = Literal[
     "optimistic_position",
     "unknown",
 ]
-"""Kind of a verdict on a filter, according to the size of its innovations.
+"""Kind of a verdict on a filter.
 
-- ``optimistic``: larger than their covariances predict (overconfident).
-- ``pessimistic``: smaller than their covariances predict.
-- ``alike``: smaller, and consecutive innovations are strongly correlated; only without truth.
-- ``lasting``: smaller, since predictions contain the errors of the fixes; errors against truth agree with the
-  covariances.
-- ``correlated``: as large as their covariances predict, but correlated; only without truth.
-- ``optimistic_position``: not larger than predicted, but position errors against truth are larger than the covariance
-  predicts.
+- ``optimistic``: innovations are larger than their covariances predict (overconfident).
+- ``pessimistic``: innovations are smaller than their covariances predict.
+- ``alike``: innovations are smaller than predicted, and consecutive innovations are strongly correlated; only without
+  truth.
+- ``lasting``: innovations are smaller than predicted, since predictions contain the errors of the fixes; errors against
+  truth agree with the covariances.
+- ``correlated``: innovations are as large as their covariances predict, but correlated; only without truth.
+- ``optimistic_position``: innovations are not larger than predicted, but position errors against truth are larger than
+  the covariance predicts.
 """
 EQUAL_CORRELATION = 0.5  # lag-1 correlation above which consecutive innovations are strongly correlated
 MAX_CORRELATION = 0.2  # lag-1 correlation above which a mean NIS of 2 does not prove consistency

@@ -187,7 +187,7 @@ class Evaluation:
 
     @property
     def scores(self) -> Mapping[str, Mapping[str, Score]]:
-        """Mapping of drive name to mapping of method to Score."""
+        """Scores by drive name and method."""
         return {name: result.scores for name, result in self.drives.items()}
 
     @property
@@ -215,7 +215,7 @@ class Evaluation:
         return next((key for key, name in self.names.items() if name == method), method)
 
     def improvement(self, over: str = BASELINE, measure: str = "position_rmse_m") -> float | None:
-        """Return the improvement over a method, %: 100 (method - tuned) / method of the means (the paper's eq. 5)."""
+        """Return the improvement over a method, %: 100 (method - tuned) / method, of the means (the paper's eq. 5)."""
         other, tuned = self.mean(over, measure), self.mean("tuned", measure)
         return None if not other or tuned is None else 100 * (other - tuned) / other
 

@@ -74,7 +74,7 @@ def other_sensors(drive: DriveRecord, training: Sequence[DriveRecord]) -> str:
     return (
         f"the sensors or surroundings of {drive.name} differ from those of the training drives "
         f"({', '.join(differences)}). The filter can be far less accurate on this drive than on the training drives; "
-        "tune on drives with these sensors, and compare with --against"
+        "tune on drives with these sensors, and compare the two filters with --against"
     )
 
 
@@ -172,7 +172,7 @@ def _without_truth(drive: str, consistency: Consistency, radius: RadiusRecord | 
 
 
 def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
-    """Estimate a filter's position error on a drive without truth: two sentences, and then the evidence.
+    """Describe a filter's position error on a drive without truth: an estimate, followed by the evidence.
 
     The estimate is the RMS of the filter's position standard deviations. If the innovations are far smaller than
     expected, or smaller and correlated, the error may be as large as an innovation that the filter expects.

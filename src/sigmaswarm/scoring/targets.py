@@ -25,7 +25,7 @@ OUTAGE_FIRST_AFTER = 10.0  # s, shortest time from the start of the filter to th
 
 
 def tracking_pass(ready: PreparedDrive) -> FilterPass:
-    """Create a pass with all fixes; estimates are compared with truth at times with known truth."""
+    """Create a pass with all fixes, in which estimates are compared with the truth, if any."""
     timeline = ready.timeline()
     return FilterPass(timeline, ready.initial, _truth_targets(ready.drive.truth, timeline))
 

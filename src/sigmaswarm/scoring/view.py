@@ -243,7 +243,7 @@ class EvaluationView:
         sentences: list[str] = []
         if any(drive.seen_s for drive in data):
             sentences += [
-                "the filter was tuned with data of these drives, so expect larger errors on other drives"
+                "the evaluation uses training data of the filter, so expect larger errors on other drives"
             ]
         if failed := [drive for drive, methods in self.scores.failed.items() if "tuned" in methods]:
             sentences.append(f"the tuned filter failed on {', '.join(failed)}")

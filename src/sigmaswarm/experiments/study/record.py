@@ -236,7 +236,7 @@ QUANTILES = {"low": 0.05, "first": 0.25, "median": 0.5, "third": 0.75, "high": 0
 
 
 class ScoreQuantiles(_Part):
-    """Quantiles, over the drives, of the mean score over trials.
+    """Quantiles of the scores over the drives; the score of a drive is the mean over its trials.
 
     ``failed``: number of drives on which the filter failed.
     """

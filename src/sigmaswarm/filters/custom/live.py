@@ -37,7 +37,7 @@ class LiveModel:
 
     As in a `Log`, the inputs at t_k drive the step from t_(k-1) to t_k, so a measurement waits for the next inputs. If
     a measurement is at most ``history`` seconds late, the filter returns to the step of the measurement, and processes
-    this and the later steps again. The state equals the result of `run_model` for the same data in time order.
+    this step and the later steps again. The state equals the result of `run_model` for the same data in time order.
 
     Parameters
     ----------
@@ -123,8 +123,8 @@ class LiveModel:
         Returns
         -------
         bool
-            False if the measurement was ignored: too late, before the start of the filter, a repetition, or without a
-            value.
+            False if the measurement was ignored, since it is too late, before the start of the filter, repeated, or
+            without a value.
 
         Raises
         ------

@@ -93,7 +93,7 @@ def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> Mod
     -------
     ModelEstimate
         ``nis`` and ``nll`` are those of the filter. If the filter failed, ``failure`` is set; the estimates before the
-        failure are smoothed, the others are NaN.
+        failure are smoothed, and the others are NaN.
 
     Raises
     ------
