@@ -54,7 +54,7 @@ def planar5(state: Array, dt: float, imu: Array) -> Array:
 
 
 def planar8(state: Array, dt: float, imu: Array) -> Array:
-    """Propagate like planar5; first subtract the constant biases of accelerometer (x, y) and gyro (z) from ``imu``."""
+    """Propagate like planar5; first subtract constant biases of accelerometer (x, y) and gyro (z) from ``imu``."""
     return np.concatenate([planar5(state[:5], dt, imu - state[5:]), state[5:]])
 
 
