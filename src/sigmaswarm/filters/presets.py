@@ -59,9 +59,9 @@ HALF_A_WHEELBASE = 1.3  # m from the rear axle to an IMU in the middle of a car
 MODEL_NOISE = {"accel": 0.3, "gyro": 1e-3}
 """Noise density for unmodeled effects (slopes, vibration, scale factors, mounting), m/s2/sqrt(Hz) and rad/s/sqrt(Hz).
 
-Its square is added to the squared density of the sensor. IMUs at standstill have densities of 0.001 to 0.04
-m/s2/sqrt(Hz) and 4e-5 to 2e-4 rad/s/sqrt(Hz). On six drives, a filter with the densities of data sheets alone drifted
-1.3 to 60 times as far in 5 s as the tuned filter.
+The square of this density is added to the squared density of the sensor. IMUs at standstill have densities of 0.001 to
+0.04 m/s2/sqrt(Hz) and 4e-5 to 2e-4 rad/s/sqrt(Hz). On six drives, a filter with the densities of data sheets alone
+drifted 1.3 to 60 times as far in 5 s as the tuned filter.
 """
 MIN_SHOWN_STD = 0.01  # m, lower limit of a standard deviation computed from the truth: that of RTK
 ADDED_VARIANCE = 0.1**2  # m2, added to the stated variance of each fix

@@ -228,7 +228,7 @@ class Evaluation:
     def is_worse_than_untuned(self) -> bool:
         """True if the errors of the baseline or of the fixes alone are over 10% smaller than those of the tuned filter.
 
-        This must hold for the position RMSE or for more than half of the measures.
+        The condition must hold for the position RMSE or for more than half of the measures.
         """
         return is_worse_than_untuned(self.record, self.measures)
 
