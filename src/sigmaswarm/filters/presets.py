@@ -46,8 +46,10 @@ MPU6050_ACCEL_NOISE_DENSITY = 0.24 / 60  # m/s2/sqrt(Hz), 0.24 m/s/sqrt(h) (data
 MPU6050_GYRO_NOISE_DENSITY = np.radians(0.3) / 60
 """Noise density of the gyro, rad/s/sqrt(Hz), from 0.3 deg/sqrt(h) (MPU-6050 datasheet: 0.005 deg/s/sqrt(Hz))."""
 BIAS_WALKS = {"accel": 2 * 0.01**2 / 3600, "gyro": 2 * np.radians(200 / 3600) ** 2 / 3600}
-"""Growth of the biases' variances per second, (m/s2)2 and (rad/s)2: 2 s^2 / tau of Gauss-Markov biases with s = 0.01
-m/s2 and 200 deg/h, tau = 1 h. These are values of an ICM-20602 (i2Nav's awesome-gins-datasets); the data sheet of the
+"""Growth of the biases' variances per second, (m/s2)2 and (rad/s)2.
+
+For a Gauss-Markov bias with standard deviation s and time constant tau, the growth is 2 s^2 / tau. The values s = 0.01
+m/s2 and 200 deg/h, and tau = 1 h, are those of an ICM-20602 (i2Nav's awesome-gins-datasets). The data sheet of the
 MPU-6050 states no such values.
 """
 TYPICAL_VALUES: dict[str, float] = described("typical")
