@@ -50,8 +50,11 @@ def test_a_replay_comes_beside_the_c_library(tmp_path: Path):
     ("change", "said"),
     [
         ({"nominal_interval": None}, "does not contain the IMU interval .* add nominal_interval"),
-        ({"process_noise": (1e-3, -1e-3, 1e-3, 1e-3, 1e-3)}, "variance of the filter is not positive"),
-        ({"measurement_noise": (0.0, 1.0)}, "variance of the filter is not positive"),
+        (
+            {"process_noise": (1e-3, -1e-3, 1e-3, 1e-3, 1e-3)},
+            "a variance of Q is negative or a variance of R is not positive",
+        ),
+        ({"measurement_noise": (0.0, 1.0)}, "a variance of Q is negative or a variance of R is not positive"),
     ],
 )
 @pytest.mark.parametrize("target", DESCRIPTIONS)

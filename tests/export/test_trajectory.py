@@ -324,6 +324,6 @@ def test_the_fixes_before_a_start_are_written_as_fixes(tmp_path: Path, suffix: s
         assert f"{drive.name}: fixes before" in (tmp_path / f"f{suffix}").read_text()
     with pytest.raises(
         InputError,
-        match=r"f.tum: this format needs poses, but fixes have no attitude; end the name in .csv, .geojson",
+        match=r"f.tum: fixes can't be written in this format; end the name in .csv, .geojson",
     ):
         write_fixes(drive, 5.0, tmp_path / "f.tum")

@@ -324,7 +324,7 @@ def test_constants_and_start_stand_in_their_rows():
             {"robust_dof": 4.0, "gate": None},
             "robot-localization does not have the option robust_dof; leave this option out",
         ),
-        ({"latency": 0.1}, "set smooth_lagged_data if fixes are late"),
+        ({"latency": 0.1}, "if fixes are late, set smooth_lagged_data in ekf.yaml"),
     ],
 )
 def test_what_it_does_not_have_is_refused(change: dict[str, Any], said: str):

@@ -221,7 +221,7 @@ def _contenders(options: GridOptions, drives: Sequence[Any]) -> list[Contender]:
         if other.budget != first.budget:
             raise InputError(
                 f"{other.name} has {other.budget} evaluations (particles x generations x trials), "
-                f"but {first.name} has {first.budget}; use the same number for all optimizers"
+                f"but {first.name} has {first.budget}; choose settings with the same number for all optimizers"
             )
     return contenders
 

@@ -1,8 +1,8 @@
 """Parallel execution of the tasks of an experiment, in the threads of an executor or in forked processes.
 
 Each task saves its results in a folder, so an interrupted experiment can continue. Forked processes need 75% of the
-time of threads, since a tuning run spends 25% of its time in the Python interpreter. Forked processes also inherit
-drives and prepared timelines without copying.
+time of threads, since a tuning run spends 25% of its time in the Python interpreter, which runs one thread at a time.
+Forked processes also inherit drives and prepared timelines without copying.
 """
 
 import os
@@ -23,7 +23,7 @@ T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
 # Function that receives the number of finished rounds, and raises `InterruptedError` after an interrupt.
 Report = Callable[[int], None]
-POLL_INTERVAL = 0.05  # s, at which progress is read, and at which a fork checks that its parent lives
+POLL_INTERVAL = 0.05  # s between readings of the progress, and between checks of a fork that its parent lives
 KILLED_MESSAGE = "a process of this experiment was killed, perhaps for lack of memory; continue with --resume"
 _run: Callable[[int], Any] | None = None  # runs a task by its index in a forked process
 

@@ -1,8 +1,8 @@
 """Statistics of repeated tuning runs: intervals of means and medians, paired tests, and correction for multiple tests.
 
-Scores are arrays of shape (trials, drives); they are NaN if a trial did not test on a drive. The bootstrap draws n - 1
-of n values (J. N. K. Rao and C. F. J. Wu, J. American Statistical Association 83, 1988). With n draws, the variance of
-a mean would be too small by the factor (n - 1) / n.
+Scores are arrays of shape (trials, drives); a score is NaN if the trial did not test on the drive. The bootstrap draws
+n - 1 of n values (J. N. K. Rao and C. F. J. Wu, J. American Statistical Association 83, 1988). With n draws, the
+variance of a mean would be too small by the factor (n - 1) / n.
 """
 
 import math
@@ -21,7 +21,7 @@ LEVEL = 0.95
 
 
 class Draws:
-    """Random weights of drives and trials in bootstrap resamples; results of `weights` are cached by its arguments."""
+    """Random weights of drives and trials in bootstrap resamples; `weights` caches its results by its arguments."""
 
     def __init__(self, seed: int | np.random.Generator) -> None:
         self._seed = seed
@@ -181,7 +181,7 @@ def median_interval(values: Array) -> Interval:
     interval is the whole range.
     """
     ordered, n = np.sort(values), len(values)
-    # k values are outside of the interval at each end. It misses the median with probability 2 cdf(k).
+    # At each end, k values are outside of the interval. The interval misses the median with probability 2 cdf(k).
     k = max(int(stats.binom.ppf((1 - LEVEL) / 2, n, 0.5)) - 1, 0)
     return float(ordered[k]), float(ordered[n - 1 - k])
 

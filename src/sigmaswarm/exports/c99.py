@@ -52,9 +52,9 @@ def c99(
 ) -> dict[str, str]:
     """Return the text of each file by name. Q refers to steps of ``interval`` s; ``as_recorded``: see `PreparedDrive`.
 
-    ``mounting``: roll, pitch and yaw of the IMU, deg, for the C function that rotates raw samples. ``lanes``: filters
-    of a bank; None for a single filter. ``imu_axes``: expressions from which the import computed the IMU's axes, for
-    the README.
+    ``mounting``: roll, pitch and yaw of the IMU, deg, for the C function that rotates raw samples. ``lanes``: number
+    and seed of the filters of a bank; None for a single filter. ``imu_axes``: expressions from which the import
+    computed the IMU's axes, for the README.
 
     Raises
     ------

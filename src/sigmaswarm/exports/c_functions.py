@@ -69,7 +69,7 @@ class Function(Expressions):
         return chosen
 
     def drop_unused(self) -> None:
-        """Remove local variables that only removed terms used; keep calls of kernels."""
+        """Remove local variables that were used only in removed terms; keep calls of kernels."""
         for line in reversed(list(self.lines)):
             match = re.match(r"( +)const (?:real|bool) (\w+) = ([^;]*;)$", line)
             if match and len(re.findall(rf"(?<!>)\b{match[2]}\b", "\n".join(self.lines))) == 1:

@@ -105,7 +105,7 @@ def _shared_object(folder: Path, name: str, *flags: str) -> Path:
     compiler = find_compiler()
     if compiler is None:
         raise InputError(
-            f"no C compiler was found ({', '.join(COMPILERS)}); install a compiler, or set the environment variable CC"
+            f"no C compiler was found ({', '.join(COMPILERS)}); install a compiler, or set the variable CC to one"
         )
     options = ("-std=c99", OPTIMIZE, "-shared", "-fPIC", *flags)
     command = [*compiler.split(), *options, *_SOURCES, "-lm", "-o", name]

@@ -44,7 +44,7 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
 
 
 NUMBERS = {
-    "LATENCY": "s: delay of a fix: its time stamp minus the time at which the position was true",
+    "LATENCY": "s: time stamp of a fix minus the time at which its position was true",
     "QUARTER_GAMMA": "gamma / 4, with gamma^2 = alpha^2 (n + kappa)",
     "SHORTENS": "-8 / gamma^2",
     "SPREAD": "alpha^2 (n + kappa - 1) + beta",
@@ -67,7 +67,7 @@ NUMBERS = {
     "REAR_AXLE": "m: distance from the rear axle forward to the IMU",
     "TIRE_SLIP": "s2/m: slip angle of the rear tires (rad) per lateral acceleration (m/s2)",
     "PER_ODOMETER_SCALE": "true speed / reading",
-    "ODOMETER_LATENCY": "s: latency of a reading: its time stamp minus the time of its measurement",
+    "ODOMETER_LATENCY": "s: time stamp of a reading minus the time of its measurement",
 }
 """Comments in the definitions of the numbers that a template may use."""
 

@@ -31,7 +31,7 @@ from sigmaswarm.filters.textbook import adaptive, car, ekf, gaussian, ukf
 
 FILE = "run_filter.py"
 _ABSENT = ("imu_noise", "imu_gate", "fix_error", "fix_error_time", "fix_std")
-"""Parameters of filters for which no script can be exported."""
+"""Parameters that the script omits; filters that use them cannot be exported."""
 MODEL = {
     models: "THETA ACCEL_BIAS GYRO_BIAS planar5 planar8 gps_position velocity lateral_arm lateral_velocity "
     "wheel_speed heading gyro_bias"

@@ -19,7 +19,7 @@ from sigmaswarm.files import nan_to_none, write_atomically
 
 _UNIX_TIMES = (1e9, 2.5e11)  # s, years 2001 to 9892
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""Characters that XML 1.0 (section 2.2) forbids even if they are escaped; JSON forbids one half of a surrogate pair."""
+"""Characters that XML 1.0 (section 2.2) forbids even if they are escaped; JSON forbids unpaired surrogates."""
 
 
 _MAX_LONGITUDE = 179.999999999  # deg, largest longitude in GPX, which excludes 180 deg; the error is 0.1 mm

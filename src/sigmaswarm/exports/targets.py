@@ -98,7 +98,8 @@ def _checked(parameters: FilterParameters, target: Target) -> float:
     interval = known_interval(parameters)
     if min(parameters.process_noise) < 0 or min(parameters.measurement_noise) <= 0:
         raise InputError(
-            "a variance of the filter is not positive, so the filter would fail; correct it in the file, or tune again"
+            "the filter would fail, since a variance of Q is negative or a variance of R is not positive; correct the "
+            "variance in the file, or tune again"
         )
     return interval
 

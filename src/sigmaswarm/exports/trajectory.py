@@ -47,8 +47,8 @@ def write_pieces(
     folder) with the estimate as nav_msgs/Odometry and, with an origin, as sensor_msgs/NavSatFix; also standard
     deviations, innovations, NIS, and a layout for Foxglove. ``.geojson``, ``.gpx``, ``.kml``: the track in degrees.
 
-    The file does not depend on the division into pieces. Maps and .mat need all pieces in memory, the other formats one
-    piece. After an error, no file remains.
+    The file does not depend on the division into pieces. Maps and .mat need all pieces in memory; the other formats
+    need one piece. After an error, no file remains.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def write_fixes(
 def check_fixes_target(path: Path, origin: Origin | None = None) -> None:
     if path.suffix not in (endings := (".csv", *MAPS)):
         raise InputError(
-            f"{path}: this format needs poses, but fixes have no attitude; end the name in {', '.join(endings)}"
+            f"{path}: fixes can't be written in this format; end the name in {', '.join(endings)}"
         )
     check_target(path, origin)
 

@@ -28,11 +28,11 @@ from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA, planar5
 from sigmaswarm.filters.starts import starts_of
 from sigmaswarm.geodesy import wrap_angle
 
-DIVERGED_AFTER = 10.0  # s; bad fixes in a city, or a robust filter that recovers, contradict for less time
+DIVERGED_AFTER = 10.0  # s; contradictions by bad fixes in a city or by a recovering robust filter are shorter
 MIN_CHECKS = 5  # smallest number of consecutive checks with a contradiction before a reset
-MANY_SIGMAS = 5.0  # smallest contradicting difference, in standard deviations of filter and fix or alignment
-HEADING_OFF = np.radians(20.0)  # rad, smallest contradicting difference of the heading from the alignment
-POSITION_OFF = 20.0  # m, smallest contradicting difference of a fix from its prediction
+MANY_SIGMAS = 5.0  # smallest contradiction, in standard deviations of the difference
+HEADING_OFF = np.radians(20.0)  # rad, smallest contradiction between the headings of filter and alignment
+POSITION_OFF = 20.0  # m, smallest contradiction between a fix and its prediction
 SUSPECT_HEADING = np.radians(10.0)  # rad, difference from the rough heading that triggers an alignment
 SPEED_STD = 10.0  # m/s per axis, standard deviation of the velocity after a reset to the last fix
 CHECKS, SINCE, LAST = range(3)
@@ -78,7 +78,7 @@ class StateCheck:
     lever: Array  # (2,), m forward and left from the IMU to the antenna
     latency: float  # age of a fix at its time stamp, s
     since: Callable[[], Array]  # steps from the fix to the check, (k, 4): dt (s), ax, ay (m/s2), gz (rad/s)
-    heading: Callable[[], float]  # rough heading at the check, computed without a filter (rad) or NaN
+    heading: Callable[[], float]  # rough heading at the check, computed without a filter (rad), or NaN
     align: Callable[[], InitialState | None]  # alignment that ends at the fix, or None; slow
 
     @property
@@ -281,7 +281,7 @@ def align_stream(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -
 
 @call_once
 def compile_resets() -> None:
-    """Compile or load the functions of a reset in advance; otherwise, this would delay a live filter by seconds."""
+    """Compile or load the functions of a reset in advance; otherwise, the first reset would wait for seconds."""
     samples, fixes = np.zeros((100, 6)), np.zeros((100, 3))
     samples[:, 0] = fixes[:, 0] = 0.1 * np.arange(100)
     fixes[:, 1] = 10.0 * fixes[:, 0]  # 10 m/s to the east

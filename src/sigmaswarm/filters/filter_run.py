@@ -263,7 +263,7 @@ class FilterRun:
 
     def _need_all(self) -> None:
         if not self._complete:
-            raise RuntimeError("the run is not complete; take all pieces first")
+            raise RuntimeError("the run is not complete; iterate over all pieces first")
 
 
 class InterruptibleRun(FilterRun):

@@ -1,7 +1,7 @@
 """Parameter sets as columns of the compiled kernel's array: their constants, starts and sums.
 
-A kernel call takes 0.2 ms. Python code for each drive and block of columns would take longer and block other threads,
-so all sets and drives are processed together.
+A kernel call takes 0.2 ms. Python code for each drive and block of columns would take longer and keep other threads
+waiting, so all sets and drives are processed together.
 """
 
 from collections.abc import Callable, Sequence

@@ -38,14 +38,14 @@ from sigmaswarm.filters.requirements import measured_by
 from sigmaswarm.geodesy import wrap_angle
 
 MAX_RESTARTS = 1000  # largest number of times in `LiveFilter.restarts`
-MAX_READINGS = 2000  # stored odometer readings: ten seconds at 200 Hz
+MAX_READINGS = 2000  # odometer readings stored in addition to those of the history: ten seconds at 200 Hz
 MONITORED_RATE_RATIO = (
     4  # the monitor covers its full span if the IMU is up to this many times as fast as stated
 )
 MAX_HISTORY = 100_000  # largest history and lag in IMU intervals: 100 s at 1 kHz, 0.2 GB
 MAX_WAITING_FIXES = 1000  # approximate number of fixes that can wait during a gap of the IMU
 _NO_NUMBERS = (TypeError, LookupError, OverflowError)
-"""Exceptions due to invalid input, for example a text, None, too few numbers, or an integer of 400 digits."""
+"""Exceptions due to invalid input, for example text, None, too few numbers, or an integer of 400 digits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +77,8 @@ class LiveFilter:
     A fix waits for the next IMU sample. The filter is then propagated to the time of the fix, updated, and propagated
     to the time of the sample. If a fix is at most ``history`` seconds late, the filter returns to the time of the fix
     and processes the later samples again. The state therefore equals the result of `run_filter` for the same data in
-    time order. Fixes of the same time, for example from two receivers, are used one after the other. An identical fix
-    is a repeated message and is ignored. A stale fix is not used: see `drives.stale_fixes`.
+    time order. Fixes with the same time, for example from two receivers, are used one after the other. A fix that is
+    identical to an earlier fix is a repeated message and is ignored. A stale fix is not used: see `drives.stale_fixes`.
 
     Without IMU samples, the state does not change and fixes wait; the next sample bridges the gap (`drives.gaps`). A
     sample whose time stamp is more than 10 s ahead of the filter waits for the next sample. If that sample is at most 1
@@ -228,7 +228,7 @@ class LiveFilter:
         Returns
         -------
         bool
-            False if the fix was ignored (before the start of the filter, too late, or a repetition) or waits for
+            False if the fix was ignored (before the start of the filter, too late, or repeated) or waits for
             confirmation.
 
         Raises
@@ -394,7 +394,7 @@ class LiveFilter:
         """
         if self._lag is None:
             raise InputError(
-                "a live filter without lag has no smoothed state; make it with a lag, for example lag=2.0"
+                "a live filter without lag has no smoothed state; create it with a lag, for example lag=2.0"
             )
         return self._state_at(*self._lag.smoothed(self._memory.arrays), True)
 

@@ -37,7 +37,7 @@ NIS, OF_STATED = "NIS, dimensionless", "of the stated variance, dimensionless"  
 
 
 class SearchRange(NamedTuple):
-    """Option of ``tune --use`` that tunes a parameter, and bounds and scale (``logarithmic``) of the search."""
+    """The option of ``tune --use`` that tunes a parameter, and the bounds and scale (``logarithmic``) of its search."""
 
     option: str
     lowest: float
@@ -57,7 +57,7 @@ def _option(
     """Describe an optional parameter.
 
     ``use``, ``bounds`` and ``logarithmic`` are those of `SearchRange`. Properties: ``absent`` represents None in a
-    `ParameterTable` (default 0), ``typical`` is the value without tuning if no data sheet states one, ``scaled`` marks
+    `ParameterTable` (default 0); ``typical`` is the value without tuning if no data sheet states one; ``scaled`` marks
     noise variances and factors of variances.
     """
     about = {"unit": unit, "search": SearchRange(use, *bounds, logarithmic) if use else None}
@@ -212,11 +212,11 @@ class FilterParameters:
                 )
         if self.kernel not in FILTERS:
             raise ValueError(
-                f"fix_error can't be combined with {self.model} as {self.kind}; use ekf, or leave fix_error out"
+                f"fix_error can't be combined with {self.model} of kind {self.kind}; use ekf, or leave fix_error out"
             )
         if known is not None and self.latency:
             raise ValueError(
-                f"{self.model} has no parameter latency; set smooth_lagged_data if fixes are late"
+                f"{self.model} has no parameter latency; if fixes are late, set smooth_lagged_data in ekf.yaml"
             )
 
     @property
@@ -352,7 +352,10 @@ RULES_SINCE = (0, 3)  # first version with the current rules for stale fixes, ga
 def incompatibility(kind: str, use: Collection[str]) -> str | None:
     """Return the reason why a filter type and options conflict; None if they do not."""
     if "robust" in use and "gate" in use:
-        return "robust and gate can't be combined: robust reduces the weight of fixes that gate rejects; leave out one"
+        return (
+            "robust and gate can't be combined: robust reduces the weight of fixes that gate rejects; leave one of "
+            "them out"
+        )
     if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"):
         return (
             f"robust can't be combined with {kind}, which itself adapts to outliers; use ukf or ekf, or "

@@ -26,8 +26,8 @@ class Targets:
     """Times at which estimates are compared with a known position and heading.
 
     ``noise`` (m, 4) contains the weights of the squared errors of position and heading, and the variances of x and y,
-    m2, which the NEES adds to P. For an exact reference the shape of ``noise`` is (0, 4). ``weight`` (m,) is the weight
-    of the later estimate in the interpolation between the two estimates around a target's time.
+    m2, which the NEES adds to P. If no variances are known, the shape of ``noise`` is (0, 4). ``weight`` (m,) is the
+    weight of the later estimate in the interpolation between the two estimates around a target's time.
     """
 
     weight: Array
@@ -60,7 +60,7 @@ class Targets:
 
     @cached_property
     def position_weight(self) -> float:
-        """Total weight of the squared position errors; the number of errors if truth is exact."""
+        """Total weight of the squared position errors; the number of errors if all weights are 1."""
         return float(self.noise[:, 0].sum()) if len(self.noise) else float(self.n_positions)
 
     @cached_property

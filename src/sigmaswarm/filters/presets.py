@@ -46,8 +46,10 @@ MPU6050_ACCEL_NOISE_DENSITY = 0.24 / 60  # m/s2/sqrt(Hz), 0.24 m/s/sqrt(h) (data
 MPU6050_GYRO_NOISE_DENSITY = np.radians(0.3) / 60
 """Noise density of the gyro, rad/s/sqrt(Hz), from 0.3 deg/sqrt(h) (MPU-6050 datasheet: 0.005 deg/s/sqrt(Hz))."""
 BIAS_WALKS = {"accel": 2 * 0.01**2 / 3600, "gyro": 2 * np.radians(200 / 3600) ** 2 / 3600}
-"""Growth of the biases' variances per second, (m/s2)2 and (rad/s)2: 2 s^2 / tau of Gauss-Markov biases with s = 0.01
-m/s2 and 200 deg/h, tau = 1 h. These are values of an ICM-20602 (i2Nav's awesome-gins-datasets); the data sheet of the
+"""Growth of the biases' variances per second, (m/s2)2 and (rad/s)2.
+
+For a Gauss-Markov bias with standard deviation s and time constant tau, the growth is 2 s^2 / tau. The values s = 0.01
+m/s2 and 200 deg/h, and tau = 1 h, are those of an ICM-20602 (i2Nav's awesome-gins-datasets). The data sheet of the
 MPU-6050 states no such values.
 """
 TYPICAL_VALUES: dict[str, float] = described("typical")
@@ -59,11 +61,11 @@ HALF_A_WHEELBASE = 1.3  # m from the rear axle to an IMU in the middle of a car
 MODEL_NOISE = {"accel": 0.3, "gyro": 1e-3}
 """Noise density for unmodeled effects (slopes, vibration, scale factors, mounting), m/s2/sqrt(Hz) and rad/s/sqrt(Hz).
 
-Its square is added to the squared density of the sensor. IMUs at standstill have densities of 0.001 to 0.04
-m/s2/sqrt(Hz) and 4e-5 to 2e-4 rad/s/sqrt(Hz). On six drives, a filter with the densities of data sheets alone drifted
-1.3 to 60 times as far in 5 s as the tuned filter.
+The square of this density is added to the squared density of the sensor. IMUs at standstill have densities of 0.001 to
+0.04 m/s2/sqrt(Hz) and 4e-5 to 2e-4 rad/s/sqrt(Hz). On six drives, a filter with the densities of data sheets alone
+drifted 1.3 to 60 times as far in 5 s as the tuned filter.
 """
-MIN_SHOWN_STD = 0.01  # m, smallest standard deviation that is taken from the truth: RTK
+MIN_SHOWN_STD = 0.01  # m, lower limit of a standard deviation computed from the truth: that of RTK
 ADDED_VARIANCE = 0.1**2  # m2, added to the stated variance of each fix
 
 
@@ -86,8 +88,8 @@ def baseline(
         ``datasheet``, a planar5 UKF with values from data sheets only (without `MODEL_NOISE` and without an estimate
         from the fixes).
     shown_std : float, optional
-        Standard deviation of the receiver's fixes, m per axis, that the training drives show: from their truth, or from
-        the scatter of their fixes.
+        Standard deviation of the receiver's fixes, m per axis, from the truth or the scatter of the training drives'
+        fixes.
     """
     if like is None:
         return _planar(drive, stated_std(drive) or (UNSTATED_GPS_STD, UNSTATED_GPS_STD))

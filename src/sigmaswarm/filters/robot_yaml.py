@@ -146,7 +146,7 @@ def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float |
         limit = math.nan
     if not limit > 0:
         raise InputError(f"{path}: {keys[0]} must be a positive number; change this value")
-    return limit**2 if limit < 1e100 else None  # the default is the largest number
+    return limit**2 if limit < 1e100 else None  # the default is the largest double
 
 
 def _left_out(block: Block, inputs: Mapping[str, list[bool]]) -> Iterator[str]:

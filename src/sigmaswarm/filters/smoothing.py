@@ -71,7 +71,7 @@ def smooth(
 
 @dataclass(frozen=True, eq=False)
 class _ForwardLog:
-    """Log of one piece of the forward pass for `smooth_back`; ``lost``: True at samples at which the filter is lost."""
+    """Log of one piece of the forward pass for `smooth_back`; ``lost`` is that of `EstimateChunk`."""
 
     steps: Array
     start: Array
@@ -127,7 +127,7 @@ class _Forward(FilterRun):
         first = int(self._cursor[NEXT_STEP])
         logged = self._logged[first - self._first : stop - self._first]
         steps, sample, driving, flags, *rest = self._pass.arrays(self._measured)
-        # The kernel records the steps with the flag IMU: here all of them.
+        # The kernel records only steps with the flag IMU, so all steps get this flag.
         drive = (steps, sample, driving, flags | IMU, *rest)
         self._kernel(drive, self._rows[0], self._cursor, stop, logged, NO_INNOVATIONS)
         at, n = np.flatnonzero(self._pass.timeline.sampled[first:stop]), len(self._state)

@@ -20,7 +20,7 @@ def start_of(initial: InitialState, p: FilterParameters) -> tuple[Array, Array]:
 
 
 def start_std(p: FilterParameters) -> Array:
-    """Return initial standard deviations, (3,), of the biases (m/s2, rad/s) and of b of `fix_error` (m)."""
+    """Return initial standard deviations, (3,), of accelerometer bias (m/s2), gyro bias (rad/s) and fix error (m)."""
     return np.array([*p.bias_std, np.sqrt(p.fix_error or 0.0) * p.fix_std])
 
 

@@ -17,8 +17,8 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Innovations, run_innovations
 
 GATE_95 = -2 * math.log(0.05)  # 95% quantile of NIS for a consistent filter: 5.99
-MAX_NEES = 4.0  # mean NEES that is clearly too large; NEES has no band, since position errors are correlated
-MIN_NEES = 1.5  # smallest mean NEES of a consistent position covariance; the largest is MAX_NEES
+MAX_NEES = 4.0  # largest mean NEES of a consistent position covariance; a 95% band is unknown
+MIN_NEES = 1.5  # smallest mean NEES of a consistent position covariance
 LAGS = 10  # fixes, largest lag of the autocorrelation
 _KEYS = {  # in scores.json
     "nis_band": "nis_band_95",
@@ -130,16 +130,17 @@ Kind = Literal[
     "optimistic_position",
     "unknown",
 ]
-"""Kind of a verdict on the innovations.
+"""Kind of a verdict on a filter.
 
-- ``optimistic``: larger than their covariances predict (overconfident).
-- ``pessimistic``: smaller than their covariances predict.
-- ``alike``: smaller, and consecutive innovations are strongly correlated; only without truth.
-- ``lasting``: smaller, since predictions contain the errors of the fixes; errors against truth agree with the
-  covariances.
-- ``correlated``: as large as their covariances predict, but correlated; only without truth.
-- ``optimistic_position``: not larger than predicted, but position errors against truth are larger than the covariance
-  predicts.
+- ``optimistic``: innovations are larger than their covariances predict (overconfident).
+- ``pessimistic``: innovations are smaller than their covariances predict.
+- ``alike``: innovations are smaller than predicted, and consecutive innovations are strongly correlated; only without
+  truth.
+- ``lasting``: innovations are smaller than predicted, since predictions contain the errors of the fixes; errors against
+  truth agree with the covariances.
+- ``correlated``: innovations are as large as their covariances predict, but correlated; only without truth.
+- ``optimistic_position``: innovations are not larger than predicted, but position errors against truth are larger than
+  the covariance predicts.
 """
 EQUAL_CORRELATION = 0.5  # lag-1 correlation above which consecutive innovations are strongly correlated
 MAX_CORRELATION = 0.2  # lag-1 correlation above which a mean NIS of 2 does not prove consistency

@@ -1,4 +1,4 @@
-"""Drifts of methods during outages, over several random sets of outages."""
+"""Drifts of methods during outages, over several random placements of the outages."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -28,10 +28,10 @@ RunFactories = Mapping[str, Callable[[FilterPass], Run]]
 
 
 class OutageDrifts:
-    """Outages of one length on a drive, in several random sets, and the drift of each method.
+    """Outages of one length on a drive, in several random placements, and the drift of each method.
 
-    ``seeds``: one seed per set; empty if the drive is too short for an outage. ``failed``: methods that failed in at
-    least one set.
+    ``seeds``: one seed per placement; empty if the drive is too short for an outage. ``failed``: methods that failed
+    in at least one placement.
     """
 
     def __init__(self, ready: PreparedDrive, *, length: float, seed: int, most: int | None = None) -> None:
@@ -73,7 +73,7 @@ class OutageDrifts:
     def _run_placed(
         self, seed: Seed, filters: Mapping[str, FilterParameters], also: RunFactories, *, monitored: bool
     ) -> None:
-        """Run methods with one set of outages; when this function returns, its memory is freed for the next set."""
+        """Run methods with one placement; when this function returns, its memory is freed for the next placement."""
         outages = outage_pass(self._ready, length=self._length, seed=seed)
         ends = self._ends[self.seeds.index(seed)]
         if monitored:
@@ -108,7 +108,7 @@ class OutageDrifts:
             self.failed.add(method)
 
     def drift(self, method: str) -> float:
-        """Return the RMS drift over all sets of outages, m; NaN if there is no outage or the method failed."""
+        """Return the RMS drift over all placements, m; NaN if there is no outage or the method failed."""
         if not self.seeds or method in self.failed:
             return float("nan")
         counts = [len(ends) for ends in self._ends]

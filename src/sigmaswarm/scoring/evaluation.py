@@ -187,7 +187,7 @@ class Evaluation:
 
     @property
     def scores(self) -> Mapping[str, Mapping[str, Score]]:
-        """Mapping of drive name to mapping of method to Score."""
+        """Scores by drive name and method."""
         return {name: result.scores for name, result in self.drives.items()}
 
     @property
@@ -215,7 +215,7 @@ class Evaluation:
         return next((key for key, name in self.names.items() if name == method), method)
 
     def improvement(self, over: str = BASELINE, measure: str = "position_rmse_m") -> float | None:
-        """Return the improvement over a method, %: 100 (method - tuned) / method of the means (the paper's eq. 5)."""
+        """Return the improvement over a method, %: 100 (method - tuned) / method, of the means (the paper's eq. 5)."""
         other, tuned = self.mean(over, measure), self.mean("tuned", measure)
         return None if not other or tuned is None else 100 * (other - tuned) / other
 
@@ -228,7 +228,7 @@ class Evaluation:
     def is_worse_than_untuned(self) -> bool:
         """True if the errors of the baseline or of the fixes alone are over 10% smaller than those of the tuned filter.
 
-        This must hold for the position RMSE or for more than half of the measures.
+        The condition must hold for the position RMSE or for more than half of the measures.
         """
         return is_worse_than_untuned(self.record, self.measures)
 
@@ -324,9 +324,9 @@ def evaluate(
 ) -> Evaluation:
     """Compare a tuned filter with the baseline, raw GPS, fixes alone and IMU only: see `sigmaswarm.evaluate`.
 
-    ``seen``: landmarks by which the training drives, also copies and parts of them, are recognized. ``cluster``: Dask
-    cluster whose workers read the drives and run the filters; ``drives`` may then be paths or URLs. ``options``:
-    attributes of `EvaluationOptions`.
+    ``seen``: landmarks of the training drives, by which these drives, their copies and their parts are recognized.
+    ``cluster``: Dask cluster whose workers read the drives and run the filters; ``drives`` may then be paths or URLs.
+    ``options``: attributes of `EvaluationOptions`.
     """
     (dataset,) = make_datasets(drives, cluster=cluster)
     if not len(dataset):

@@ -14,7 +14,7 @@ from sigmaswarm.filters.compiled.layout import WIDEST, most_lanes
 Result = TypeVar("Result")
 
 MAX_SETS = 64  # largest number of parameter sets in a job if there is only one worker, to limit the memory
-MIN_JOB_STEPS = 20_000  # filter steps; passes with fewer steps share a job unless workers would be idle
+MIN_JOB_STEPS = 20_000  # filter steps; drives with fewer steps share a job unless workers would be idle
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,8 @@ MAX_ERROR_RATIO = 0.9
 MAX_LASTING_RATIO = 1.5
 COMMON_ERROR = "The estimate does not contain an error that all fixes have in common"
 
-# Properties of sensors; a drive in which one exceeds that of all training drives by this ratio, or its inverse, has
-# other sensors
+# Properties of sensors: name, unit, factor. A drive has other sensors if a property is at least this factor above the
+# largest value of the training drives, or below the smallest
 SENSORS = ("IMU", "Hz", 1.5), ("standard deviation of the fixes", "m", 2.5)
 
 
@@ -38,7 +38,7 @@ def restarted(scores: ScoresRecord) -> tuple[str, ...]:
 
 
 def describe_training_drives(drive: DriveRecord) -> str:
-    """Return a sentence on the part of a drive that the tuning used; add names of training drives that differ."""
+    """Return a sentence on the part of a drive that the tuning used, with the names of other drives that contain it."""
     used, whole = drive.seen_s or 0.0, drive.duration_s or 0.0
     part = "all" if round(used) >= round(whole) else f"{used:.0f}"
     others = [name for name in drive.seen_in if name != drive.name]
@@ -74,7 +74,7 @@ def other_sensors(drive: DriveRecord, training: Sequence[DriveRecord]) -> str:
     return (
         f"the sensors or surroundings of {drive.name} differ from those of the training drives "
         f"({', '.join(differences)}). The filter can be far less accurate on this drive than on the training drives; "
-        "tune on drives with these sensors, and compare with --against"
+        "tune on drives with these sensors, and compare the two filters with --against"
     )
 
 
@@ -131,7 +131,10 @@ def _is_worse(worse: Collection[str], known: int) -> bool:
 def _worse_measures(
     scores: ScoresRecord, shown: Mapping[str, Measure], method: str
 ) -> tuple[dict[str, tuple[float, float]], int]:
-    """Return the means (tuned, method) of measures that are over 10% lower for the method; also count all measures."""
+    """Return the means (tuned, method) of the measures that are over 10% lower for the method.
+
+    Also return the number of measures with both means.
+    """
     known = {
         m: (tuned, other)
         for m in ("position_rmse_m", "heading_rmse_deg", *DRIFTS)
@@ -169,7 +172,7 @@ def _without_truth(drive: str, consistency: Consistency, radius: RadiusRecord | 
 
 
 def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
-    """Estimate a filter's position error on a drive without truth: two sentences, and then the evidence.
+    """Describe a filter's position error on a drive without truth: an estimate, followed by the evidence.
 
     The estimate is the RMS of the filter's position standard deviations. If the innovations are far smaller than
     expected, or smaller and correlated, the error may be as large as an innovation that the filter expects.
@@ -195,7 +198,7 @@ def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
     size, source = f"{own:.2g} m RMS", "estimated by the filter, since there is no truth"
     included = f"The fixes, with their own errors, differ from the predictions by {missed:.2g} m RMS"
     if consistency.mean_nis > high:
-        return f"more than the {size} that the filter estimates. {included}, more than it expects ({nis})"
+        return f"more than the {size} that the filter estimates. {included}, more than the filter expects ({nis})"
     largest = (own**2 + 2 * lasting**2) ** 0.5
     if largest > MAX_LASTING_RATIO * own:
         return (

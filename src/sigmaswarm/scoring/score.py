@@ -99,7 +99,7 @@ class PieceErrors:
 
     @property
     def errors(self) -> tuple[Array, Array, Array]:
-        """Truth times so far (s), and the variances (m2) and position errors (m) at these times."""
+        """Times of truth so far (s), and the variances (m2) and position errors (m) at these times."""
         none = np.empty(0)
         variance, error = (np.concatenate([none, *of]) for of in (self._variance, self._position_errors))
         return self._truth.time[self._first : self._next], variance, error

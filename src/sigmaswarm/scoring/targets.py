@@ -20,12 +20,12 @@ SHORT_OUTAGE_LENGTH = 1.0  # s, about the time to the next fix
 FORECAST_LENGTHS = (SHORT_OUTAGE_LENGTH, OUTAGE_LENGTH, LONG_OUTAGE_LENGTH)
 Seed = int | tuple[int, ...]
 TARGET_OUTAGES = 200  # outages per drive; with this number the drift is accurate to about 10%
-MAX_PLACEMENTS = 8  # largest number of sets of outages; more sets would hide the same fixes again
+MAX_PLACEMENTS = 8  # largest number of placements of outages; more would hide the same fixes again
 OUTAGE_FIRST_AFTER = 10.0  # s, shortest time from the start of the filter to the first outage
 
 
 def tracking_pass(ready: PreparedDrive) -> FilterPass:
-    """Create a pass with all fixes; estimates are compared with truth at times with known truth."""
+    """Create a pass with all fixes, in which estimates are compared with the truth, if any."""
     timeline = ready.timeline()
     return FilterPass(timeline, ready.initial, _truth_targets(ready.drive.truth, timeline))
 
@@ -71,7 +71,7 @@ def forecast_windows(drive: Drive, initial: InitialState, *, seed: int) -> Array
 
 
 def placements(drive: Drive, initial: InitialState, *, length: float, seed: int) -> list[Seed]:
-    """Return seeds for several random sets of outages of ``length`` s, since the drift depends on the outages' times.
+    """Return seeds for several random placements of outages of ``length`` s, since the drift depends on their times.
 
     There are 2 to `MAX_PLACEMENTS` seeds, or none if the drive is too short. The first seed is ``seed`` itself.
     """
@@ -86,7 +86,8 @@ def outage_windows(drive: Drive, initial: InitialState, *, length: float, seed: 
     If there is truth, no window ends in a gap of truth.
     """
     reference = (drive.gps if drive.truth is None else drive.truth).time
-    earliest = float(reference[0]) - OUTAGE_FIRST_AFTER - length  # so no window ends before the reference
+    # No window ends before the first reference.
+    earliest = float(reference[0]) - OUTAGE_FIRST_AFTER - length
     last = float(min(drive.imu.time[-1], reference[-1]))
     start, rng = max(initial.time, earliest), np.random.default_rng(seed)
     windows = random_windows(start, last, rng, length=length, first_after=OUTAGE_FIRST_AFTER)

@@ -13,8 +13,8 @@ from sigmaswarm.drives.tables import Truth
 POSITION_FLOOR = 0.3
 """Standard deviation of truth, m per axis, below which the weight hardly increases.
 
-This is the accuracy of the best filters with cheap receivers. Without this limit, parts under open sky, where every
-filter is accurate, would have nearly all of the weight.
+The value is the accuracy of the best filters with cheap receivers. Without this limit, parts under open sky, where
+every filter is accurate, would have nearly all of the weight.
 """
 HEADING_FLOOR = math.radians(0.3)  # rad, the same limit for the true heading
 N_BLOCKS = 8  # parts of a drive; the spread of the offset over them shows the effect of correlated errors

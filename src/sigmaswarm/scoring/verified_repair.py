@@ -24,8 +24,8 @@ MAX_ERROR_RATIO = 1.05
 """Largest accepted ratio (after / before) of forecast errors.
 
 If the repair is only a rotation of the axes, the limit applies to the geometric mean of four ratios. For a log of a
-tilted phone, such a repair increased one error by 10% and reduced the three others by 28 to 58%, since planar8 does not
-model tilt.
+tilted phone, such a repair increased one error of planar8, which does not model tilt, by 10%. It reduced the three
+other errors by 28 to 58%.
 """
 DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
 """Noise densities of planar8's states, unit of the state per sqrt(s).

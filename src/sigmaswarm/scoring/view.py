@@ -243,7 +243,7 @@ class EvaluationView:
         sentences: list[str] = []
         if any(drive.seen_s for drive in data):
             sentences += [
-                "the filter was tuned with data of these drives, so expect larger errors on other drives"
+                "the evaluation uses training data of the filter, so expect larger errors on other drives"
             ]
         if failed := [drive for drive, methods in self.scores.failed.items() if "tuned" in methods]:
             sentences.append(f"the tuned filter failed on {', '.join(failed)}")
@@ -389,7 +389,7 @@ def explained_scores(view: EvaluationView) -> str:
 def with_training(drive: DriveRecord, tuned_on: Sequence[DriveRecord]) -> DriveRecord:
     """Mark a drive as a training drive if it has the hash of a training drive.
 
-    Other drives are not marked, since they may contain a part of a training drive.
+    For other drives ``seen_s`` stays unknown, since they may contain a part of a training drive.
     """
     same = [one.name for one in tuned_on if one.sha256 == drive.sha256 and one.sha256]
     if drive.seen_s is not None or not same:

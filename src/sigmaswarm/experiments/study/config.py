@@ -213,7 +213,9 @@ class StudyConfig(BaseModel):
     @classmethod
     def _of_rivals(cls, value: Any, others: ValidationInfo) -> Any:
         if not others.data.get("rivals"):
-            raise ValueError("only studies with rivals have this option; also set rivals")
+            raise ValueError(
+                "only studies with rivals have this option; set rivals, or leave this option out"
+            )
         return value
 
     @model_serializer(mode="wrap")

@@ -209,7 +209,7 @@ def make_design(
     _require_truth(drives)
     if not config.drives and config.runs < 2 and config.per_condition:
         raise InputError(
-            "runs = 1: per_condition needs 2 drives per condition; choose at least 2, or leave per_condition out"
+            "runs = 1: per_condition needs 2 drives per condition; choose runs = 2 or more, or leave per_condition out"
         )
     dataset: Dataset = remote or LocalDataset([d for d in drives if isinstance(d, Drive)])
     if config.drives:  # simulated drives never share a part

@@ -33,7 +33,7 @@ from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_pass, outage_window
 MIN_DRIVING_TIME = 21.0
 """Shortest time of a usable drive after the filter's start, s.
 
-It suffices for a segment of 20 s, and for an outage from 10 to 20 s after this start.
+This time is sufficient for a segment of 20 s, and for an outage from 10 to 20 s after the filter's start.
 """
 MIN_TIME_OF_ONLY_DRIVE = 80.0
 """Shortest time of a single training drive after the filter's start, s."""

@@ -170,7 +170,7 @@ class ElsewhereSummary(VariantSummary):
 
 
 class CurvePoint(_Part):
-    """Score, on the first trial's test drives, of a network that was trained on ``minutes`` of data.
+    """Score of a network on the first trial's test drives, after training on ``minutes`` of data.
 
     ``minutes`` is 0 for the filter without a network. ``interval`` is the bootstrap interval of the mean over drives.
     """
@@ -236,7 +236,7 @@ QUANTILES = {"low": 0.05, "first": 0.25, "median": 0.5, "third": 0.75, "high": 0
 
 
 class ScoreQuantiles(_Part):
-    """Quantiles, over the drives, of the mean score over trials.
+    """Quantiles of the scores over the drives; the score of a drive is the mean over its trials.
 
     ``failed``: number of drives on which the filter failed.
     """

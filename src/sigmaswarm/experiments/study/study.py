@@ -11,8 +11,8 @@ The folder of a study contains
     elsewhere/           only with rivals: scores.csv of drives with other sensors, and of drives with another car
     tracks.npz           tracks of a few test drives of the best trial
     best/                parameter file of the best trial of each tuning
-    timings.json         durations of the study and of filters; with rivals, also in the folder of each tuning run and
-                         training; only these files and the tables of durations differ between two runs
+    timings.json         durations of the study and of filters; with rivals, the folder of each tuning run and training
+                         run also has such a file; only these files and the tables of durations differ between two runs
 """
 
 import sys
@@ -146,7 +146,7 @@ def run_study(
     watch = Stopwatch()
     with locked_folder(Path(out)) as folder, ExitStack() as stack:
         _open_folder(folder, config, resume)
-        if config.rivals:  # bo suppresses this warning, but a compiler in another thread may undo that
+        if config.rivals:  # bo ignores this warning, but another thread may reset the warning filters
             stack.enter_context(warnings.catch_warnings())
             warnings.filterwarnings("ignore", "The optimal value found for dimension")
         # By default, Python starts more threads than cores, which would wait for each other.

@@ -102,14 +102,14 @@ def _live_times(ready: PreparedDrive) -> Times:
 
 
 def _live_time(ready: PreparedDrive, kind: FilterKind, model: ModelName) -> dict[str, float]:
-    """Measure the processing time of an IMU sample without and with a fix, ms: median, and range of 95% of samples."""
+    """Measure the processing time of an IMU sample without and with a fix, ms: median, and 95% range."""
     drive = ready.drive
     q = (*DEFAULTS.process_noise, *(1e-8,) * (3 if model == "planar8" else 0))
     parameters = FilterParameters(0.1, 2.0, 0.0, q, DEFAULTS.measurement_noise, model, kind=kind)
     rows = np.column_stack([drive.imu.time, drive.imu.ax, drive.imu.ay, drive.imu.gz]).tolist()
     fixes = np.column_stack([drive.gps.time, drive.gps.x, drive.gps.y]).tolist()
     spent: dict[bool, list[float]] = {}
-    for _ in range(2):  # the first round warms up
+    for _ in range(2):  # the second round counts; in the first, caches are empty
         interval = drive.nominal_interval
         live = LiveFilter(parameters, ready.initial, nominal_interval=interval, as_recorded=ready.as_recorded)
         waiting, spent = deque[list[float]](fixes), {False: [], True: []}

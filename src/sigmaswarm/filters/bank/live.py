@@ -60,9 +60,9 @@ class LiveFilterBank(LiveFilter):
     which older fixes count less. Filter 0 has the tuned parameters and equals a `LiveFilter`. Filters 1 to 7 have fixed
     offsets, for larger biases and for other receivers. Every 10 s of driving, the filters with the lowest weights among
     filters 8 to 15 are replaced: one by the result of a search over the last minute, and each of the others by a
-    randomly changed copy of a good filter. Thus the bank adapts to other sensors or reception. On the vehicle of the
-    training drives, the bank is not more accurate than a single filter. If the mixture diverges, filters 1 to 15 are
-    reset; most of them keep the biases of the mixture.
+    randomly changed copy of a good filter. Thus the bank adapts to other sensors or another GPS reception. On the
+    vehicle of the training drives, the bank is not more accurate than a single filter. If the mixture diverges, filters
+    1 to 15 are reset; most of them keep the biases of the mixture.
 
     The interface is that of a `LiveFilter`, without the smoothed state. A copy by `pickle` continues with identical
     results. After a reset, all filters ignore fixes from before the reset.
@@ -76,7 +76,7 @@ class LiveFilterBank(LiveFilter):
     searches : bool
         Search for better filters during the drive. If False, no filter is replaced.
     trust_times : bool
-        Accept all time stamps, for a recording whose samples are sorted by time.
+        Accept time stamps that are far ahead without confirmation, for a recording that is sorted by time.
 
     Attributes
     ----------
@@ -179,7 +179,7 @@ class LiveFilterBank(LiveFilter):
 
     @staticmethod
     def _rows_of(numbers: Array) -> Array:
-        """View the filters in `_numbers` or in a checkpoint as (N_KEPT, LANES)."""
+        """Return a view, (N_KEPT, LANES), of the filters in `_numbers` or in a checkpoint."""
         return numbers[swarm.ROWS].reshape(N_KEPT, LANES)
 
     def predict(self, t: float, imu: Sequence[float]) -> None:

@@ -156,7 +156,7 @@ class BankRun:
 
     @property
     def innovations(self) -> Innovations:
-        """Innovations of the mixture in the pieces so far: at each IMU sample after new fixes, that of the last fix."""
+        """Innovations of the mixture in the pieces so far: at each IMU sample with new fixes, that of the last fix."""
         rows = np.array(self._innovations).reshape(-1, 6)
         return Innovations(rows[:, 0], rows[:, 1:3], rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2))
 

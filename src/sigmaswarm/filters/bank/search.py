@@ -43,7 +43,7 @@ from sigmaswarm.filters.student import INNOVATION_DOF
 
 GENERATIONS = 8
 WEIGHT, CROSSOVER = 0.7, 0.9  # F and CR of differential evolution
-CONVERGENCE_TIME = 2.0  # s at the start of a replay without scores, while a filter with new offsets converges
+CONVERGENCE_TIME = 2.0  # s at the start of a replay; not scored, since filters with new offsets converge
 MIN_SCORED_FIXES = 8  # smallest number of scored fixes for a result
 MAX_OFFSET = 8.0  # largest offset, in standard deviations of its prior
 

@@ -37,7 +37,7 @@ class LiveModel:
 
     As in a `Log`, the inputs at t_k drive the step from t_(k-1) to t_k, so a measurement waits for the next inputs. If
     a measurement is at most ``history`` seconds late, the filter returns to the step of the measurement, and processes
-    this and the later steps again. The state equals the result of `run_model` for the same data in time order.
+    this step and the later steps again. The state equals the result of `run_model` for the same data in time order.
 
     Parameters
     ----------
@@ -123,8 +123,8 @@ class LiveModel:
         Returns
         -------
         bool
-            False if the measurement was ignored: too late, before the start of the filter, a repetition, or without a
-            value.
+            False if the measurement was ignored, since it is too late, before the start of the filter, repeated, or
+            without a value.
 
         Raises
         ------
@@ -193,7 +193,7 @@ def _seconds(t: float) -> float:
 
 
 def _store(stored: list[Timed], t: float, z: Array) -> bool:
-    """Insert a measurement in order of time, or add it to one of the same time; return False if no element is new."""
+    """Insert a measurement in order of time, or add it to one with the same time; return False if no element is new."""
     for k, (time, known) in enumerate(stored):
         if time == t:
             both = np.where(np.isnan(known), z, known)

@@ -126,7 +126,7 @@ class Log:
             if column.shape != moments.shape:
                 raise self.wrong(
                     f"truth[{key!r}] has shape {column.shape}, but {clock} has {len(moments)} values; "
-                    "pass one for each"
+                    "pass one value for each time"
                 )
         object.__setattr__(self, "truth", truth)
         measured = ~np.isnan(measurements)

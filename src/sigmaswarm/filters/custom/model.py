@@ -73,10 +73,10 @@ class Model:
         States whose errors the objective truth-rmse contains; empty: all states with truth in the log.
     robust : float, optional
         Probability, such as 0.99, that defines outliers: measurements whose NIS is above this quantile of chi-square.
-        In their update, S is multiplied by NIS / quantile (G. Chang, Journal of Geodesy 88, 2014), and innovation-nll
-        increases only with the logarithm of the NIS. Three or more consecutive outliers over at least 5 s show that the
-        filter is wrong; from then on, consecutive outliers have full weight. If None, all measurements have full
-        weight.
+        In the update with an outlier, S is multiplied by NIS / quantile (G. Chang, Journal of Geodesy 88, 2014), and
+        the objective innovation-nll increases only with the logarithm of its NIS. Three or more consecutive outliers
+        over at least 5 s show that the filter is wrong; from then on, consecutive outliers have full weight. If None,
+        all measurements have full weight.
     kind : {"ukf", "ekf"}
         Unscented or extended. The extended filter takes derivatives by complex steps, so f and h must accept complex
         states and are not compiled.
@@ -237,7 +237,7 @@ def _add(digest: Any, thing: Any, visited: set[int]) -> None:
     thing = getattr(thing, "py_func", thing)  # the Python function of a Numba dispatcher
     digest.update(type(thing).__name__.encode())
     if isinstance(thing, FunctionType):
-        if id(thing) in visited:  # it calls itself, or another function calls it, too
+        if id(thing) in visited:  # a recursive function, or one that several functions call
             return
         visited.add(id(thing))
         cells = dict(zip(thing.__code__.co_freevars, thing.__closure__ or (), strict=True))

@@ -93,7 +93,7 @@ def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> Mod
     -------
     ModelEstimate
         ``nis`` and ``nll`` are those of the filter. If the filter failed, ``failure`` is set; the estimates before the
-        failure are smoothed, the others are NaN.
+        failure are smoothed, and the others are NaN.
 
     Raises
     ------
@@ -233,7 +233,7 @@ def kernel_of(model: Model, steps: FilterSteps) -> Any:
 
 
 def _compiled(model: Model, steps: FilterSteps) -> Any:
-    """Compile the filter; warn and return None if this fails or the textbook filter has other results."""
+    """Compile the filter; warn and return None if this fails, or if its results differ from the textbook filter."""
     few = replace(
         steps,
         **{name: getattr(steps, name)[:VERIFIED_STEPS] for name in ("dt", "source", "updates", "records")},

@@ -42,7 +42,7 @@ class Trajectory:
 def run_steps(
     stepper: Stepper, records: Sequence[int], *, n_rows: int, covariances: bool = True
 ) -> Trajectory:
-    """Compute the steps up to a failure.
+    """Compute all steps, or the steps before a failure.
 
     ``records``: for each step, the row of the trajectory that stores the state after the step; -1 to store nothing.
     ``n_rows``: number of rows of the trajectory.
@@ -75,7 +75,7 @@ def smooth_steps(
     filtered, predictions = [(filter.mean, filter.covariance)], list[Prediction]()
     for i in range(n_steps):
         mean, covariance = filtered[-1]
-        filter.prediction = Prediction(mean, covariance, covariance)  # kept by a step of length zero
+        filter.prediction = Prediction(mean, covariance, covariance)  # remains if the step has no prediction
         if _fails(stepper, i):
             failed = i
             break
