@@ -120,7 +120,7 @@ def test_too_little_turning_is_refused(tmp_path: Path):
 def test_a_field_that_does_not_turn_with_the_drive_is_refused(tmp_path: Path):
     folder, _, _ = a_log(tmp_path / "log", "block")
     maps = ("mag.mx=mag_z", "mag.my=0.3*sin(t/7)")
-    with pytest.raises(InputError, match="does not rotate like the vehicle"):
+    with pytest.raises(InputError, match="rotation of the field differs from that of the vehicle"):
         imported(folder, maps=maps, choice=TABLE)
 
 

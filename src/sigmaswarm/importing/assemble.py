@@ -185,7 +185,7 @@ def _in_same_period(
                 f"the clock wraps every {period / SECOND:.6g} s, so several shifts fit the IMU's times; the import "
                 "uses the shift with which the table ends nearest to the last IMU sample"
             )
-            say(f"{role}: {message}. If this is wrong, add --{role}-offset {other:.10g}")
+            say(f"{role}: {message}. If this shift is wrong, add --{role}-offset {other:.10g}")
     return moved
 
 
@@ -196,7 +196,7 @@ def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, st
     short, dated = min(imu[0], gps[0]), max(imu[0], gps[0]) * SECOND > MIN_DATE
     reasons = (
         (900, 0.0, "the clocks show the local times of two zones", short * SECOND > MIN_DATE),
-        (86_400, 0.0, "one clock counts from midnight, UTC", dated and short < 2 * 86_400),
+        (86_400, 0.0, "one clock counts from midnight UTC", dated and short < 2 * 86_400),
         (WEEK, GPS_EPOCH % WEEK - leap, "one clock shows the GPS time of week", dated and short < WEEK),
         (1e12, GPS_EPOCH - leap, "one clock shows GPS time", short * SECOND > MIN_DATE),
         (2**32 * 1e-6, 0.0, "a counter of 2^32 microseconds has wrapped", not dated),
@@ -251,7 +251,7 @@ def _report_other_clocks(
 
 
 def _cut_to_recording(seconds: dict[Role, Array], values: dict[Role, Values], say: Say) -> None:
-    """Leave out rows of the other roles outside the time span of the IMU's recording, unless no row is within it."""
+    """Keep only rows of other roles within the time span of the IMU's recording, or all rows if none is within it."""
     begin, end = seconds["imu"][0], seconds["imu"][-1]
     for role, time in seconds.items():
         inside = (time >= begin) & (time <= end)
@@ -298,7 +298,8 @@ def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Ro
             )
         if role in times:
             moved[role] = times[role] + round(offset * SECOND)
-    # If a wrong stamp, years before the others, were the origin, rounding would remove the last digits of the others.
+    # A wrong stamp years before the others is not the origin, since rounding would remove the last digits of the
+    # others.
     begins = {role: int(t[np.searchsorted(t, t[len(t) // 2] - MIN_DATE)]) for role, t in moved.items()}
     begin = min(t for role, t in begins.items() if role in ("imu", "gps") or "gps" not in moved)
     zero = begin // SECOND if begin >= MIN_DATE else 0
@@ -345,7 +346,7 @@ def _require_meters(time: Array, gps: Values, parts: Sequence[PartColumns]) -> N
         maps = (" ".join(f'"gps.{n}=({text})*1e-{k}"' for n, text in texts.items()) for k in (3, 2))
         raise InputError(
             f"the fixes move at {speed:.4g} m/s (median), so x and y are not in m, or the times are not in s; write "
-            "--map {} if x and y are in mm, --map {} if they are in cm".format(*maps)
+            "--map {} if x and y are in mm, or --map {} if they are in cm".format(*maps)
         )
 
 
@@ -357,7 +358,7 @@ def _first_place(values: Values) -> Origin:
 def _placed_truth(
     values: Values, origin: Origin | None, gps: Values, texts: Mapping[str, str]
 ) -> tuple[Values, Origin | None]:
-    """Return the truth with x and y, m, and the origin, by default the truth's first position.
+    """Return the truth with x and y, m, and the origin; the default origin is the truth's first position.
 
     If the fixes have no altitude, the truth also gets the origin's altitude, since a difference of 1000 m would stretch
     its track by 16 cm per kilometer.
@@ -426,7 +427,7 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
 
 
 def _held_course(vx: Array, vy: Array) -> Array:
-    """Return the course (n,), rad; rows at low speed repeat the last course in motion, or the first at the start."""
+    """Return the course (n,), rad; rows at low speed repeat the last course in motion or, at the start, the first."""
     moving = np.hypot(vx, vy) > MIN_SPEED
     if not moving.any():
         return np.zeros(len(vx))

@@ -54,13 +54,9 @@ IMU = dict.fromkeys(("az", "gx", "gy"), "") | {
     "ay": "ay (the acceleration to the left)",
     "gz": "gz (the yaw rate)",
 }
-RECEIVER_LOGS = (
-    ".llh",
-    ".pos",
-    ".nmea",
-    ".ubx",
-)  # endings of files next to tables that are read only with --gps
-MAX_FAULTS = 3  # in one message
+# Suffixes of receiver logs in a folder of tables; such a log is read only with --gps
+RECEIVER_LOGS = (".llh", ".pos", ".nmea", ".ubx")
+MAX_FAULTS = 3  # largest number of faults in one message
 # Trial rates of a counter, Hz, with which the motion of IMU and fixes is compared
 TRIAL_RATES = (1e4, 1e5, 1e6, 1e7, 1e8, 1e3)
 
@@ -241,7 +237,7 @@ def faults_left(request: Request, recipe: Recipe, logs: Mapping[Path, Log], gues
 def _with_rate_of_ticks(
     faults: list[str], request: Request, logs: Mapping[Path, Log], recipe: Recipe, guesses: Guesses
 ) -> list[str]:
-    """Replace the remedy of a counter of unknown unit by the rate that the motion, or the duration, shows.
+    """Replace the remedy of a counter of unknown unit by the rate that the motion or the duration shows.
 
     The unit of a counter that IMU and fixes share is also unknown if the guesses for both differ.
     """

@@ -51,7 +51,7 @@ def as_text(columns: Sequence[str]) -> pl.Expr:
 def parse_dates(text: pl.Expr, form: str = "") -> pl.Expr:
     """Convert dates in text to seconds since 1970; other texts become null, and dates without a zone are UTC.
 
-    ``form`` contains strftime codes; "" is ISO 8601. If it contains no day, seconds count from midnight.
+    ``form`` contains strftime codes; "" is ISO 8601. If ``form`` contains no day, seconds count from midnight.
     """
     plain = (
         text.str.replace("T(\\d)", " ${1}")
@@ -67,7 +67,7 @@ def parse_dates(text: pl.Expr, form: str = "") -> pl.Expr:
     ahead = zone.struct[1].cast(pl.Float64) + zone.struct[2].cast(pl.Float64).fill_null(0.0) / 60
     ahead = 3600 * pl.coalesce(named, pl.when(zone.struct[0] == "-").then(-ahead).otherwise(ahead), 0.0)
     plain = plain.str.replace(r"(\d\d:.*?) ?[+-]\d\d(?::?\d\d)?$", "${1}")
-    # spreadsheets show only minutes and seconds (12:34.5); a text without a fraction may be hours and minutes
+    # some spreadsheets show only minutes and seconds (12:34.5); a text without a fraction may be hours and minutes
     if form.startswith("%M"):
         plain, form = pl.when(plain.str.contains(r"\.")).then("0:" + plain), f"%H:{form}"
     if form and "%d" not in form and "%j" not in form:

@@ -39,7 +39,8 @@ READERS: dict[str, tuple[str, str]] = {
 _SINGLE = ("mcap", "rtklib", "ubx", "nmea", "px4", "ardupilot", "matlab", "gnss-logger", "json")
 _MIXED = ("nmea", "gnss-logger")
 _TEXTS = (*_MIXED, "rtklib", "csv")
-# Largest number of lines per row of a table, in texts with several kinds of lines; largest number of lines above it
+# Largest number of lines per row of a table, in texts with several kinds of lines; largest number of lines above the
+# table
 _LINES_OF_ROW, _TITLES = 10, 1000
 # Suffixes of formats that are not supported, and how to convert them
 NOT_READ = {

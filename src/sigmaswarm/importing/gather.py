@@ -30,7 +30,7 @@ from sigmaswarm.importing.times import of_one_table, rising_time, time_of, wrong
 from sigmaswarm.wording import list_names, printable, quoted
 
 ROW = "row"  # column of row numbers, from 0, in tables without a column of this name
-# Largest number of rows without a time that are taken for lines of a header or a footer
+# Largest number of rows without a time that count as lines of a header or a footer
 MAX_TIMELESS_ROWS = 10
 # Smallest distance of a placeholder from the median of the other values, in units of their 1% to 99% range
 MIN_PLACEHOLDER_DISTANCE = 10
@@ -125,7 +125,7 @@ class PartColumns:
                 )
 
     def _few_timeless(self, frame: pl.DataFrame) -> pl.Series | None:
-        """Mark rows without a time, such as a repeated header or lines below the table; None if they are many."""
+        """Mark rows without a time, such as a repeated header or lines below the table; None if there are many."""
         try:
             times = frame.select(time_expression(self.part.columns["t"], frame)).to_series()
         except pl.exceptions.PolarsError:
@@ -146,14 +146,14 @@ class PartColumns:
                 both = marks[pair[0]] & (numbers[pair[0]] == numbers[pair[1]]).fill_null(False)
                 alone |= {c: alone[c] | both for c in pair}
         forces = [c for n in ("ax", "ay", "az") for c in used.get(n, ()) if len(used[n]) == 1 and c in names]
-        if len(forces) == 3:  # gravity acts on a working sensor, so zeros are those of a failed bus
+        if len(forces) == 3:  # a working sensor measures gravity, so zeros show a failed bus
             squares = pl.sum_horizontal(pl.col(forces).pow(2), ignore_nulls=False)
             size = numbers.select(squares.sqrt()).to_series()
             least, low, high = (size.filter(size > 0).quantile(q) or 0.0 for q in (0.05, 0.25, 0.75))
             if least > MIN_FORCE * high and high < MAX_QUARTILE_RATIO * low:
                 alone[forces[0]] = alone.get(forces[0], False) | (size == 0).fill_null(False)
         for column in used.get("speed", frozenset()) & {*names} if "lat" in used else ():
-            invalid = (numbers[column] == -1).fill_null(False)  # as phones write it
+            invalid = (numbers[column] == -1).fill_null(False)  # phones write -1 for an unknown speed
             if not (numbers[column].filter(~invalid) < -0.5).any():
                 alone[column] = invalid
         for column, mark in alone.items():

@@ -1,4 +1,4 @@
-"""Find size and direction of gravity in an IMU log, to detect wrong units, and axes that differ from the vehicle's."""
+"""Find magnitude and direction of gravity in an IMU log, to detect wrong units and axes that are not the vehicle's."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,9 +18,9 @@ from sigmaswarm.importing.source import Part
 from sigmaswarm.importing.times import column_numbers, median_of
 
 FORCES, RATES = ("ax", "ay", "az"), ("gx", "gy", "gz")
-MIN_TILT = math.radians(20.0)  # larger than the slopes of roads
-MAX_GRAVITY_ERROR = 0.5  # m/s2
-MAX_DEVIATION = 0.3  # relative deviation of the median specific force from gravity
+MIN_TILT = math.radians(20.0)  # rad, smallest reported tilt; larger than the slopes of roads
+MAX_GRAVITY_ERROR = 0.5  # m/s2, largest deviation of a median magnitude from gravity
+MAX_DEVIATION = 0.3  # largest relative deviation of the median specific force from gravity
 # m/s2, largest median magnitude of a vehicle's specific force; rad/s, largest range of common gyros
 MAX_FORCE, MAX_RATE = 3 * GRAVITY, math.radians(2000.0)
 

@@ -63,7 +63,7 @@ _ESTIMATE = re.compile(
 _REFERENCE = re.compile(
     r"mocap|vicon|opti_?track|leica|total_?station|survey|(?:^|[^a-z])(?:rtk|ppk)(?:[^a-z]|$)", re.IGNORECASE
 )
-# Names of columns that state whether a row has a fix: 0 means no fix, or -1 if 0 means a fix, as in ROS
+# Names of columns that state whether a row has a fix: 0 means no fix; in ROS, -1 means no fix and 0 means a fix
 _FIXED = "(?:gps|gnss)?_?fix_?(?:type|quality|mode|valid|ok|status)?|(?:(?:gps|gnss)_?)?valid|(?:gps|gnss)_?quality"
 # Names of columns with the number of satellites; 0 means no fix
 _SATELLITES = "(?:gps_|gnss_)?(?:(?:num|n|no|number_of)_?)?(?:sats?|sv|satellites)(?:_used)?"
@@ -87,11 +87,11 @@ _SURE_FIX = r".*(?:[23]d|fix|rtk|float|single|ppp|sbas|psr|valid).*"
 MAX_WORDS = 20  # largest number of different words in a column of flags
 # Names of columns in which 3 means a fix in three dimensions, and 1 means no fix
 _DIMENSIONS = ".*(?:type|mode)"
-# Largest fraction of the likely fixes that a flag may exclude, unless the positions jump there; smallest ratio of a
-# jump to the 90% quantile of the other steps
+# Largest fraction of the likely fixes that a flag may exclude, unless the positions jump at these fixes; smallest ratio
+# of a jump to the 90% quantile of the other steps
 MAX_DROPPED, MIN_JUMP_RATIO = 0.2, 5.0
 # Largest ratio of the 90% to the 10% quantile of the magnitude of x, y, z of a magnetometer; largest median of its
-# vertical part, relative to the magnitude: a position may be small compared with its altitude
+# vertical part, relative to the magnitude: x and y of a position may be small compared with its altitude
 MAX_SIZE_RATIO, MAX_VERTICAL_SHARE = 1.3, 0.99
 _WANTED: dict[Role, tuple[str, ...]] = {
     "imu": ("ax", "ay", "az", "gx", "gy", "gz"),
@@ -191,7 +191,8 @@ def _best_table(role: Role, tables: Sequence[str], found: Mapping[str, Columns])
     """Return the first table with a fitting name, else the first.
 
     Tables that may contain estimates come last. Among fixes, positions from wheels come after all measured positions,
-    and a reference comes after other measurements. x, y, z of constant size may be a magnetometer.
+    and a reference comes after other measurements. x, y, z of constant magnitude come later, since they may be those of
+    a magnetometer.
     """
     return max(
         tables,
@@ -256,7 +257,7 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
 def _truths_of_columns(
     samples: Mapping[str, pl.DataFrame], found: Mapping[str, Columns]
 ) -> tuple[dict[str, Columns], list[str]]:
-    """Find the columns of each table whose names mark them as truth: truth_x, gt_lat; return them, and notes.
+    """Find in each table the columns whose names mark them as truth (truth_x, gt_lat); return these columns, and notes.
 
     The truth of a moving vehicle changes; the position of a reference station does not.
     """
@@ -377,7 +378,7 @@ def _std_of_messages(names: Sequence[str]) -> Iterator[tuple[str, TimeExpression
 
 
 def _with_fix(columns: Columns) -> TimeExpression | None:
-    """From a column of flags, return the condition of rows with a fix, or a note if this excludes many likely fixes.
+    """From a column of flags, return the condition of rows with a fix, or a note if it excludes many likely fixes.
 
     In some codes, 0 is a fix without fixed ambiguities.
     """

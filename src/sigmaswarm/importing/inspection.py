@@ -30,7 +30,7 @@ from sigmaswarm.importing.times import column_numbers, time_of, time_of_rows
 from sigmaswarm.importing.unnamed import columns_by_values
 
 PREVIEW_ROWS = 5000  # number of first rows of a table from which ranges are computed
-# Largest number of rows that are read if the rows of tables alternate; later tables are shown without values
+# Largest number of rows that are read if the rows of tables alternate; tables that begin later are shown without values
 MAX_SCANNED_ROWS = 25_000
 
 
@@ -212,7 +212,7 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal |
 
 
 def _key(texts: Mapping[str, str], rows: pl.DataFrame) -> str:
-    """Return a column that is filled in the rows of a role with these expressions; "" if there is none."""
+    """Return a column that a role's expressions use, so that it is filled in the role's rows; "" if there is none."""
     for name in ("ax", "gz", "lat", "x"):
         if name in texts and is_valid_expression(texts[name], rows.columns):
             return next(iter(compile_expression(texts[name], rows.columns).columns), "")

@@ -32,7 +32,8 @@ from sigmaswarm.wording import count_of, printable, rows_left_out
 MIN_STD = 1e-6  # m or rad; a standard deviation of at most this value counts as missing
 # Period of each angle column, rad or deg
 PERIODS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
-# If a larger fraction of an optional column's cells is empty, the column is left out; otherwise the rows are left out
+# If a larger fraction of an optional column's cells is empty, the column is left out; otherwise the rows with an empty
+# cell are left out
 MAX_EMPTY_SHARE = 0.1
 # Stamps are spread over all rows, also those without a fix, only if a larger share of rows repeats the previous stamp
 MIN_SHARED = 0.5
@@ -44,7 +45,7 @@ MAX_ROUNDED_DEGREES, MAX_ROUNDED_M = 1e-5, 1.0
 # Smallest bend at a corner of an interpolated path, in median bends; smallest number of corners, and the smallest
 # share of corners at a constant interval
 MIN_CORNER, MIN_CORNERS, MIN_REGULAR_SHARE = 8.0, 20, 0.9
-# Steps of the last digit; a second difference of rounded values has an error of at most two
+# Largest rounding error of a second difference, in steps of the last digit; the exact limit is two steps
 MAX_ROUNDING = 2.5
 COLUMN_PAIRS = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"), ("heading", "std_heading"))
 
@@ -66,7 +67,7 @@ def join(
         if not inside.any():
             raise InputError(
                 f"{role}: the tables do not overlap in time; correct their times in a recipe (--show --save-recipe "
-                "FILE writes one), and import with --recipe"
+                "FILE writes one), and import with --recipe FILE"
             )
         time, values = time[inside], {k: v[inside] for k, v in values.items()}
         at, known_at = ((t - other_time[0]) / SECOND for t in (time, other_time))
@@ -174,7 +175,7 @@ def _separate_stamps(
     filled: NDArray[np.bool_],
     again: NDArray[np.bool_],
 ) -> tuple[Nanoseconds, NDArray[np.bool_], str]:
-    """Spread coarse stamps that fixes share, or else mark the rows that repeat time and position in ``again``.
+    """Spread coarse stamps that fixes share, or else mark in ``again`` the rows that repeat time and position.
 
     Return times, marks, and a sentence if the times changed.
     """
@@ -182,7 +183,7 @@ def _separate_stamps(
     if np.count_nonzero(steps == 0) <= MIN_SHARED * len(time) or (steps < 0).any():
         return time, again, ""
     if np.count_nonzero(np.diff(fixes) == 0) > MAX_REPEATED_SHARE * len(fixes):
-        # the rows between fixes show the time of a fix between two coarse stamps
+        # the number of rows between fixes shows the time of a fix between two coarse stamps
         with suppress(InputError):
             spread, note = spread_stamps(time, role, "", arrival=False)
             if note:
@@ -290,7 +291,7 @@ def _complete_rows(
             return time, values
         left, every = rows_left_out(len(time) - len(fixes)), round(len(time) / len(fixes))
         say(
-            f"gps: {left}, since positions are interpolated between fixes; about every {every}th row has a fix"
+            f"gps: {left}, since positions are interpolated between fixes; about one of {every} rows has a fix"
         )
         return time[fixes], _rows(values, fixes)
     # in a table at the IMU's rate, each fix is repeated up to the next fix
@@ -310,7 +311,7 @@ def _interpolated(position: Sequence[Array]) -> NDArray[np.int64] | None:
     except for rounding.
     """
     bends = [np.abs(np.diff(p, n=2)) for p in position[:2]]
-    # If every third row is a fix, two of three rows are next to one.
+    # If every third row is a fix, two of three rows are next to a fix.
     rounding = (MAX_ROUNDING * _resolution(p) for p in position[:2])
     if any(np.quantile(b, 0.25) > limit for b, limit in zip(bends, rounding, strict=True)):
         return None

@@ -12,7 +12,7 @@ from sigmaswarm.importing.times import column_numbers
 from sigmaswarm.wording import printable
 
 MAX_KINDS = 20
-MIN_NUMBERS = 6  # smallest number of numbers in a row of an IMU
+MIN_NUMBERS = 6  # smallest count of numbers in a row of an IMU
 
 
 def describe_kinds(log: Log) -> str:

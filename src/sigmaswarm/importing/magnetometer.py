@@ -28,8 +28,8 @@ MIN_HEADING_RANGE = 180  # deg, smallest part of the circle whose headings deter
 BIN, MIN_SAMPLES = 10, 5  # deg, width of a bin of headings; smallest number of samples in a covered bin
 DRIFT_TIME = 10.0  # s, interval over which the difference between course and integrated gyro is averaged
 MAX_ROWS = 20_000  # rows for the calibration, evenly spread over the drive
-# Largest deviation of the field's magnitude (relative) or direction (rad) without steel nearby: in robust standard
-# deviations; smallest value of this limit
+# Largest deviation of the field's magnitude (relative) or direction (rad) without steel nearby, in robust standard
+# deviations; the limit is at least the second value, relative or rad
 MAX_FIELD_DEVIATION = 4.0, 0.03
 MARGIN = 1.0  # s; fixes within this time of a larger deviation have no heading
 # rad, largest standard deviation of the heading; a larger one shows a magnetometer that is not fixed to the vehicle
@@ -37,7 +37,7 @@ MAX_HEADING_STD = np.radians(20)
 MIN_STD = np.radians(0.5)  # rad, smallest stated standard deviation
 MAX_GAP = 1.0  # s, longest interval between samples that is interpolated
 _UNLIKE = (
-    "mag: the field does not rotate like the vehicle (course and gyro); map other columns, or omit the "
+    "mag: the rotation of the field differs from that of the vehicle (course, gyro); map other columns, or omit the "
     "magnetometer"
 )
 # Patterns of axis names in lower case, the most common first
@@ -50,10 +50,10 @@ _AXES = (
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Model of the field in the axes of the sensor: ``center + shape @ (cos(heading), sin(heading))``."""
+    """Model of the horizontal field: ``center + shape @ (cos(heading), sin(heading))``."""
 
     center: Array  # (2,), the hard iron, in the log's unit
-    shape: Array  # (2, 2), with soft iron and mounting; determinant < 0 for x forward, y left, z up
+    shape: Array  # (2, 2), with soft iron and rotation of the sensor; determinant < 0 for x forward, y left, z up
 
     @property
     def soft_iron(self) -> float:
@@ -100,7 +100,7 @@ def with_magnetometer(
     if turned < MIN_HEADING_RANGE:
         raise InputError(
             f"mag: the headings in motion cover {turned} of 360 deg, too little to determine the hard iron "
-            f"({MIN_HEADING_RANGE} are needed); import a drive with more turns, or omit the magnetometer"
+            f"({MIN_HEADING_RANGE} deg are needed); import a drive with more turns, or omit the magnetometer"
         )
     calibration = calibrate(reference[moving], field[moving])
     vector: Array = (field - calibration.center) @ np.linalg.inv(calibration.shape).T
@@ -114,7 +114,7 @@ def with_magnetometer(
     heading, known = _at(drive.gps.time - late, time, vector, near_steel)
     say(_in_words(calibration, recipe.declination_deg))
     when = (
-        f" Each is the heading {late:.2f} s before the time of its fix, since the fixes have this delay."
+        f" Each heading is measured {late:.2f} s before the time of its fix, since the fixes have this delay."
         if late
         else ""
     )

@@ -72,7 +72,7 @@ _TOTAL = {"gfx", "gfy", "gfz"}  # specific force in g, in logs of Physics Toolbo
 # Names in common Arduino sketches for an MPU-6050
 _MPU = {f"{s}{i}": f"{name}_{i}" for s, name in (("ac", "acc"), ("gy", "gyro")) for i in "xyz"}
 # Dimension, column and names. A name has this meaning only with a unit of the dimension: "x_acc" may be an accuracy.
-# Angles and speeds also have it without a unit, in a table with both coordinates.
+# Names of angles and speeds also have their meaning without a unit, in a table with latitude and longitude.
 _STATED: tuple[tuple[UnitDimension, str, str], ...] = (
     ("time", "t", "temps"),
     *(("acceleration", f"a{i}", f"{i}_?acc(?:el(?:eration)?)?|accsmooth_{i}") for i in "xyz"),
@@ -321,7 +321,7 @@ def _read(column: str, text: str) -> Name:
 
 
 def _with_unit(column: str, words: list[str], axis: str = "") -> Name:
-    """Return the name and the unit that its last words, before any axis, state; without a unit if they state none."""
+    """Return a name and its unit, which its last words before any axis state; without a unit if they state none."""
     for count in (3, 2, 1):
         unit = unit_of(words[-count:]) if len(words) > count else None
         rest = "_".join([*words[:-count], *axis])

@@ -66,8 +66,10 @@ def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
     if isinstance(maps := settings.get("maps"), Mapping):
         settings["maps"] = [f"{column}={expression}" for column, expression in maps.items()]
     own = {f.name for f in fields(Request)} - {"source", "recipe"}
-    if unknown := [key for key in settings if key not in own | {f.name for f in fields(Recipe)}]:
-        raise InputError(f"the import has no setting {unknown[0]!r}; choose from {list_names(sorted(own))}")
+    known = own | {f.name for f in fields(Recipe)}
+    if unknown := [key for key in settings if key not in known]:
+        there = sorted(known - {"form", "choice", "roles"} | {"format", "tables", "recipe"})
+        raise InputError(f"the import has no setting {unknown[0]!r}; choose from {', '.join(there)}")
     logs = {key: Path(settings[key]) for key in ("gps", "truth", "odometer") if settings.get(key)}
     given: dict[str, Any] = {key: value for key, value in settings.items() if key in own} | logs
     changed: dict[str, Any] = {key: value for key, value in settings.items() if key not in own}
@@ -109,7 +111,7 @@ def _guess(log: Log, request: Request) -> Guess:
 
 
 def _with_chosen(guess: Guess, log: Log, role: Role, table: str) -> Guess:
-    """Return a guess that reads a role from the chosen table, since readers of formats with fixed tables ignore it."""
+    """Return a guess with the chosen table of a role, since readers of formats with fixed tables ignore the choice."""
     if table.lstrip("/") in (part.table.lstrip("/") for part in guess.roles.get(role, ())):
         return guess
     if table not in log.tables:

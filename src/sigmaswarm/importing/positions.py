@@ -16,9 +16,9 @@ from sigmaswarm.wording import rows_left_out
 Say = Callable[[str], None]
 Values = dict[str, Array]
 
-# m; largest distance of a fix from the median position is this value plus `MAX_SPEED` times the duration
+# m; the largest distance of a fix from the median position is this value plus `MAX_SPEED` times the duration
 MAX_DISTANCE = 100_000.0
-MAX_SPEED = 150.0  # m/s
+MAX_SPEED = 150.0  # m/s, largest speed of a vehicle
 MAX_MISFIT = 0.35  # rad, largest median difference between a heading and the course in the same convention
 MIN_SPEED = 1.0  # m/s, lowest speed at which the course equals the heading
 # Radius of a circle that contains 68.27% of normal errors, in standard deviations per axis: sqrt(-2 ln 0.3173)

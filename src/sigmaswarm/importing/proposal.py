@@ -1,6 +1,6 @@
 """Propose mappings for unrecognized columns by their names, and check them with the doctor.
 
-Names are unreliable about signs and units, so a proposal is shown but never applied. The doctor's findings on the
+Names do not state signs and units reliably, so a proposal is shown but never applied. The doctor's findings on the
 resulting drive correct signs, axes and units of the expressions.
 """
 
@@ -59,7 +59,7 @@ NO_PLACE = {
 }
 # Actions of repairs that can be written as expressions, in the order of application
 CORRECTED = ("rotate", "gyro", "tilt-rates", "accelerometer")
-# A rotation whose elements differ by less from integers counts as a signed permutation of the axes
+# Largest difference from integers of the elements of a rotation that counts as a signed permutation of the axes
 EXCHANGE_TOLERANCE = 0.2
 # Warnings of contradictory signs, axes or units
 CONTRADICTIONS = {"gyro-unit", "gyro-tilt", "accelerometer-unit", "accelerometer-up", "gravity-size"}

@@ -30,7 +30,7 @@ DIMENSIONS: dict[str, UnitDimension] = {
 }
 # Columns whose unknown unit is a fault; other columns with an unknown unit are left out
 REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta", "wheel_speed")
-# Largest fraction of rows that may contradict the form of the others; they are presumably damaged
+# Largest fraction of rows that may contradict the form of the other rows; such rows are presumably damaged
 MAX_DAMAGED_SHARE = 0.02
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 # Largest ratio of the third to the first quartile of the magnitude of accelerations with gravity
@@ -40,12 +40,14 @@ MAX_RATE = 250.0  # deg/s, largest angular rate of a car
 # m; a larger number is in another unit, and as m it would stretch the track by 0.14% or more
 MAX_ALTITUDE = 9000.0
 RADIUS, EDGE = 6_378_137.0, 2.01e7  # m, radius of Web Mercator's sphere; edge of its map
-# Scales of common sensors per g; mg, cg, ug, mm/s2, cm/s2, ft/s2
+# Units per g: counts of common sensors, then mg, cg, ug, mm/s2, cm/s2 and ft/s2
 PER_G = (16384, 8192, 4096, 4000, 2048, 1024, 256, 1000, 100, 1e6, 9806.65, 980.665, 9.80665 / 0.3048)
-_ACCELEROMETERS = "common 16-bit sensors: 16384 counts per g at +-2 g, 8192 at 4, 4096 at 8, 2048 at 16"
+_ACCELEROMETERS = (
+    "common 16-bit sensors: 16384 counts per g at +-2 g, 8192 at +-4 g, 4096 at +-8 g, 2048 at +-16 g"
+)
 _GYROS = (
-    "common 16-bit sensors: 131 counts per deg/s at +-250 deg/s, 65.5 at 500, 32.8 at 1000, 16.4 at 2000; mrad/s: each "
-    "column*1e-3; deg/s: radians(column)"
+    "common 16-bit sensors: 131 counts per deg/s at +-250 deg/s, 65.5 at +-500 deg/s, 32.8 at +-1000 deg/s, "
+    "16.4 at +-2000 deg/s; mrad/s: each column*1e-3; deg/s: radians(column)"
 )
 
 
@@ -55,7 +57,7 @@ class Columns:
     names: dict[str, Name] = field(default_factory=dict[str, Name])
     # expressions of latitude and longitude, deg, that are in several columns
     degrees: dict[str, str] = field(default_factory=dict[str, str])
-    # The numbers of columns and their 99th percentiles, since each axis of a sensor needs those of all axes
+    # Cached numbers and 99th percentiles of columns, since each axis of a sensor needs those of all axes
     _numbers: dict[str, pl.Series] = field(default_factory=dict[str, pl.Series], init=False)
     _largest: dict[str, float] = field(default_factory=dict[str, float], init=False)
     _wrapped: dict[str, bool] = field(default_factory=dict[str, bool], init=False)
@@ -107,7 +109,7 @@ class Columns:
     def _is_unsigned(self, what: str) -> bool:
         """Return True for signed 16-bit words that were written without a sign: -1 is 65535.
 
-        The axes of a sensor have the same form; gravity on a negative axis is not near -1.
+        One axis with values around 0 decides for all axes of a sensor; an axis along gravity has no values around 0.
         """
         if what not in AXES or not self._is_word(what):
             return False
@@ -122,7 +124,7 @@ class Columns:
         return low >= 0 and high < 65_536
 
     def _wraps(self, what: str) -> bool:
-        """Return True for numbers just above 0 and just below 65536, and few between."""
+        """Return True for a column with numbers near 65536, and few numbers around 32768."""
         column = self.names[what].column
         if column not in self._wrapped:
             values = self.frame[column]

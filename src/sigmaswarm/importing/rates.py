@@ -1,4 +1,4 @@
-"""Find the unit of angular rates, if it is not stated, from the course changes of the fixes."""
+"""Find the unit of angular rates without a stated unit from the course changes of the fixes."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -30,7 +30,7 @@ UNITS = {
 }
 # Largest relative difference from the factor of a unit; smallest ratio that contradicts the assumed unit
 FACTOR_TOLERANCE, MIN_FACTOR_RATIO = 0.08, 1.4
-# s, intervals over which changes of course are compared; largest ratio of an actual interval to these
+# s, intervals over which changes of course are compared; largest ratio of an actual to an intended interval
 TURN_INTERVALS, MAX_INTERVAL_RATIO = (1.5, 6.0, 24.0), 1.4
 # s, tried delays of the fixes
 DELAYS = (-1.0, -0.5, -0.25, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0)
@@ -106,7 +106,7 @@ def _wrong_clock(ratio: float, columns: str, times: Mapping[Any, str]) -> str:
 
 
 def turn_ratio(drive: Drive) -> tuple[float, float]:
-    """Return the explained fraction of the variance of course changes, and their ratio to the integrated rates."""
+    """Return the explained fraction of the variance of course changes, and the ratio of course change to gyro turn."""
     time, x, y, imu = drive.gps.time, drive.gps.x, drive.gps.y, drive.imu
     axes = np.array([v for v in (imu.gx, imu.gy, imu.gz) if v is not None])
     steps = 0.5 * (axes[:, 1:] + axes[:, :-1]) * np.diff(imu.time)

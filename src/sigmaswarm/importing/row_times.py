@@ -16,8 +16,8 @@ from sigmaswarm.wording import count_of, printable
 # Of a column that is a clock: smallest number of changes, and smallest share of usual changes
 MIN_CLOCK_STEPS, MIN_REGULAR_SHARE = 20, 0.9
 MIN_LOST = 0.3  # s, smallest total length of gaps that is reported
-# Steps on each side of a gap between fixes, the smallest ratio of its length to theirs, and its largest angle, rad, to
-# the mean direction of travel
+# Number of steps on each side of a gap between fixes; smallest ratio of the gap's length to the length of these steps;
+# largest angle of the gap, rad, to the mean direction of travel
 NEIGHBORS, MIN_RATIO, MAX_TURN = 5, 2.5, 0.3
 
 
@@ -41,7 +41,7 @@ def gaps_by_clock(gathered: Mapping[Role, Sequence[PartColumns]]) -> list[str]:
                     f"{row}, so later times from {text} are too early; instead, write --map "
                     f'"{role}.t={name}*{unit:.6g}"'
                 )
-                break  # another clock may count rows without gaps
+                break  # another clock may count rows, and then shows no gaps
         notes += [f"{where}: {note}; after a gap, all times would be too early"] if note else []
     return notes
 
@@ -73,7 +73,7 @@ def gaps_by_distance(drive: Drive) -> str:
     before, after, inner = near[: -NEIGHBORS - 1], near[NEIGHBORS + 1 :], moves[NEIGHBORS:-NEIGHBORS]
     usual = np.maximum(np.abs(before), np.abs(after))
     steady = np.minimum(np.abs(before), np.abs(after)) > np.maximum(usual / 2, noise / 2)
-    # jumps of a receiver have any direction, and often return
+    # position jumps of a receiver have any direction, and a jump back often follows
     ahead = np.abs(np.angle(inner * np.conj(before + after))) < MAX_TURN
     gaps = np.flatnonzero(steady & ahead & (np.abs(inner) > MIN_RATIO * usual + 6 * noise))
     if not len(gaps):

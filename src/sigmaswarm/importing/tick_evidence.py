@@ -15,7 +15,7 @@ from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.ticks import Counter, closest_rate, time_of_ticks, usual_rate
 from sigmaswarm.importing.times import FASTEST_IMU, SLOWEST_IMU, scaled_column
 
-FIX_RATES = (0.1, 0.2, 0.5, 1, 2, 4, 5, 8, 10, 12.5, 16, 18, 20, 25, 50)  # Hz, of receivers
+FIX_RATES = (0.1, 0.2, 0.5, 1, 2, 4, 5, 8, 10, 12.5, 16, 18, 20, 25, 50)  # Hz, usual rates of receivers
 # Largest relative difference of turns and of accelerations at the right rate
 MAX_TURN_ERROR, MAX_FORCE_ERROR = 0.08, 0.2
 # Largest logarithm of a ratio of turns, or of durations, that does not contradict a unit
@@ -34,8 +34,8 @@ class DurationRate:
 def wrong_tick(drive: Drive, counter: Counter, recipe: Recipe, other: DurationRate) -> str:
     """Describe a wrongly guessed unit of a counter, with which the motions of IMU and fixes differ; else return "".
 
-    A counter of the IMU alone is refused only if the motion agrees at the rate of the durations, since an IMU may also
-    record longer than the receiver, or shorter.
+    A counter of the IMU alone is refused only if the motion agrees at the rate that the durations show, since an IMU
+    may also record longer or shorter than the receiver.
     """
     if not (counter.shared or other.rate):
         return ""

@@ -22,7 +22,7 @@ from sigmaswarm.wording import printable
 WRAPS = (2**16, 2**24, 2**31, 2**32)  # ticks, after which counters wrap
 MIN_CHANGES, MIN_SPAN = 10, 5.0  # smallest number of changes of the known clock, and their smallest span, s
 MAX_JITTER = 0.5  # s, 90% quantile of the distance between counter and clock; a clock may have whole seconds
-# Largest relative distance from a usual rate; crystals are closer, but stamps have jitter
+# Largest relative difference from a usual rate; the rates of crystals differ less, but stamps have jitter
 RATE_TOLERANCE = 1e-3
 # First digits of usual rates, in addition to powers of 2
 DIGITS = (1, 1.2, 1.25, 1.5, 1.6, 2, 2.4, 2.5, 3, 3.2, 3.6, 4, 4.8, 5, 6, 6.25, 6.4, 7.2, 8, 8.4, 9, 9.6)

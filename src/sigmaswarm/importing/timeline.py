@@ -36,7 +36,8 @@ WRAPS: tuple[tuple[int, str], ...] = (
 MIN_ROWS = 20
 # s, smallest distance of a wrong time from the times of the rows around it; largest number of checked clock jumps
 MIN_TIME_ERROR, MAX_JUMPS = 10.0, 100
-MAX_SECONDS = 5  # with more recordings of about one second, the fractions of the seconds are presumably wrong
+# If there are more recordings of about one second, the fractions of seconds are presumably wrong
+MAX_SECONDS = 5
 MIN_STEP_BACK, STEPS = 0.2, 2  # smallest step back of a clock between recordings: s, and median steps
 MAX_STEP_AHEAD = 3590 * SECOND  # longest pause within a recording; a change to summer time is an hour
 MAX_REPEATED_SHARE = 0.02  # if a larger fraction of rows repeats the previous time, rows share stamps
@@ -44,11 +45,11 @@ MAX_REPEATED_SHARE = 0.02  # if a larger fraction of rows repeats the previous t
 # log with bursts
 MAX_BURST_STEP, MAX_BURST_INTERVAL, MIN_BURST_SHARE = 0.25, 1 / 400, 0.4
 MAX_ODD_SHARE = 0.2  # largest share of stamps without exactly two rows in a log with two rows per measurement
-# Rows with coarse stamps are lost if the variance of the lateness over `WINDOW` stamps, rows^2, exceeds MIN_WALK plus
-# MIN_GROWTH times that over one stamp. Largest share of lost rows of a stamp, and of stamps with more lost rows or
-# unusual steps
+# Rows with coarse stamps are lost if the variance of changes of the lateness over `WINDOW` stamps, rows^2, exceeds
+# MIN_WALK plus MIN_GROWTH times the variance over one stamp. Largest share of lost rows of a stamp, and of stamps with
+# more lost rows or unusual steps
 MIN_WALK, MIN_GROWTH, MAX_LOST, MAX_UNEVEN_SHARE = 0.3, 1.5, 0.2, 0.1
-# Deviation of the steps of stamps, relative to a step, that rounding does not cause
+# Smallest deviation of the steps of stamps, relative to a step, that rounding does not cause
 MIN_STEP_VARIATION = 0.005
 # Relative to the usual step of stamps: longest step without a pause, window in which rows have a constant rate, and
 # largest width of the band of stamps at a constant rate; smallest share of rows with this rate
@@ -155,7 +156,7 @@ def _stray(time: Nanoseconds) -> NDArray[np.bool_]:
     """Mark rows with wrong times: a few rows whose times are far from those of the rows around them."""
     stray = np.zeros(len(time), bool)
     steps = np.diff(time)
-    jumps = np.flatnonzero((steps < 0) | (steps > MIN_DATE)) + 1  # forward: the clock was set
+    jumps = np.flatnonzero((steps < 0) | (steps > MIN_DATE)) + 1  # ahead: the clock was set
     far = max(MIN_TIME_ERROR * SECOND, 100 * float(np.median(np.abs(steps)))) if len(time) > 1 else 0.0
     near = (jumps[:, None] + np.arange(-MIN_ROWS, MIN_ROWS)).ravel() if len(jumps) <= MAX_JUMPS else jumps[:0]
     for k in near[(near >= 0) & (near < len(time))].tolist():
@@ -202,10 +203,10 @@ def spread_stamps(
 ) -> tuple[Nanoseconds, str]:
     """Spread rows that share a stamp or arrive in bursts evenly; refuse shared stamps of rows without a constant rate.
 
-    At a constant rate, the stamps less a straight line over the rows are in a band. The times are at its upper edge
-    for coarse stamps, which are rounded down, and at its lower edge for stamps of the arrival, which are late.
-    Pairs of rows are two messages of one measurement, or two sensors, rather than a buffer, and keep their times.
-    Without ``arrival``, only coarse stamps are spread.
+    At a constant rate, the stamps minus a straight line over the rows are in a band. The times are at its upper edge
+    for coarse stamps, which are rounded down, and at its lower edge for stamps of the arrival, which are late. Pairs of
+    rows are two messages of one measurement, or two sensors, rather than a buffer, and keep their times. Without
+    ``arrival``, only coarse stamps are spread.
     """
     if len(time) < 3:
         return time, ""
@@ -272,7 +273,8 @@ def _by_stamp(stamps: Nanoseconds, sizes: NDArray[np.intp]) -> Nanoseconds | Non
     if usual < 2 or max(np.mean(odd), np.mean(uneven)) > MAX_UNEVEN_SHARE:
         return None
     lengths = np.append(np.where(uneven, np.minimum(apart, length), apart), length)
-    begins, ends = np.append(True, uneven), np.append(uneven, True)  # a pause leaves a part of the rows
+    # The first and last stamp, and stamps next to a pause, may have only a part of their rows.
+    begins, ends = np.append(True, uneven), np.append(uneven, True)
     whole = np.where(begins | ends, np.maximum(sizes, usual), sizes)
     place = np.arange(sizes.sum()) - np.repeat(
         np.cumsum(sizes) - sizes - np.where(begins, whole - sizes, 0), sizes
@@ -281,14 +283,15 @@ def _by_stamp(stamps: Nanoseconds, sizes: NDArray[np.intp]) -> Nanoseconds | Non
 
 
 def _bands(time: Nanoseconds, known: NDArray[np.intp], length: float) -> tuple[Array, Array, Array, float]:
-    """Return stamps less a straight line over the rows, the band's lower and upper edge (n,), and the line's slope, ns.
+    """Return stamps minus a straight line over the rows, the lower and upper edge of the band (n,), and the slope, ns.
 
     ``known``: rows through which the line is fitted; ``length``: usual step between different stamps, ns.
     """
     steps = np.diff(time)
     pauses = np.where(steps > MAX_PAUSE * length, steps - round(length), 0)
     edges, since = np.flatnonzero(pauses) + 1, time - time[0] - np.append(0, np.cumsum(pauses))
-    known = np.setdiff1d(known, np.concatenate([[0], edges, edges - 1]))  # without cut groups of rows
+    # without the groups of rows next to a pause, which may be incomplete
+    known = np.setdiff1d(known, np.concatenate([[0], edges, edges - 1]))
     of = np.append(0, np.cumsum(pauses > 0))[known]  # a pause changes the phase of the stamps
     rows, times = (
         v - (np.bincount(of, v) / np.maximum(np.bincount(of), 1))[of] for v in (known, since[known])

@@ -37,8 +37,8 @@ MIN_STEP, MIN_FIX_INTERVAL = 1e-4, 0.04
 FASTEST_IMU, SLOWEST_IMU = 4e-4, 0.15
 # Fraction of decreasing steps above which rows are unordered; a counter that wraps has fewer decreasing steps
 MAX_DECREASING_SHARE = 0.4
-# If rows arrive in bursts (of up to 30), this quantile of the steps exceeds the median by this ratio; pauses are rarer.
-# Smallest number of steps for this test
+# If rows arrive in bursts (of up to 30), the ratio of BURST_QUANTILE of the steps to their median exceeds
+# MIN_BURST_RATIO; pauses are rarer. Smallest number of steps for this test
 BURST_QUANTILE, MIN_BURST_RATIO, MIN_BURST_STEPS = 0.967, 10.0, 30
 # Smallest step of whole numbers that are read as ms; smaller steps may be row numbers, or 0.01 s
 MIN_COUNT_STEP = 4
@@ -69,7 +69,7 @@ _CALENDAR = {
 }
 # Units of times, s; those of clock counters come first
 UNITS = {**COUNTER_UNITS, "days": 86400.0, "h": 3600.0, "min": 60.0}
-# Ranges of counts from other years than 1970, with the count of 1970-01-01, the unit in s, and a description
+# Ranges of counts that do not begin in 1970, with the count of 1970-01-01, the unit in s, and a description
 _EPOCHS = (
     (2e4, 8e4, EXCEL_EPOCH, 86400, "days since 1900"),
     (6.5e5, 8e5, MATLAB_EPOCH, 86400, "days since year 0"),
@@ -495,7 +495,7 @@ def _too_short(numbers: pl.Series, text: str, column: str, step: float, role: Ro
 
 
 def of_one_table(message: str, role: Role) -> str:
-    """Replace --time in the remedy of a log with several tables, since it applies to all of them."""
+    """Replace --time in the remedy of a log with several tables, since --time applies to all tables."""
     option = f'--map "{role}.t='
     return message.replace('--time "', option).replace("--time:", f'{option}EXPRESSION":')
 

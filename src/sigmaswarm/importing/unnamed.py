@@ -15,19 +15,19 @@ from sigmaswarm.importing.times import column_time, date_time, median_of, quoted
 from sigmaswarm.importing.units import G, in_si
 
 UNNAMED = re.compile(r"(?:c|.*_)\d+|.*\[\d+\]")
-TIMES = ("received", "stamp")  # of a message
+TIMES = ("received", "stamp")  # columns with the times of messages
 # Magnitudes of gravity in the order of trial; 1 comes last, since a quaternion has the same magnitude
 GRAVITY = (G, *PER_G, 1.0)
-TOLERANCE = 0.05  # relative deviation of the median specific force from gravity
+TOLERANCE = 0.05  # largest relative deviation of the median specific force from gravity
 MIN_SPREAD = 1e-3  # smallest relative spread of the specific force; a quaternion's magnitude is constant
-DATE_AND_CLOCK = r"^\d+[-/.]\d+[-/.]\d+$", r"^\d+:\d+:\d+"  # in two columns
+DATE_AND_CLOCK = r"^\d+[-/.]\d+[-/.]\d+$", r"^\d+:\d+:\d+"  # forms of day and time of day in two columns
 MIN_TURN_RATIO = 2.0  # smallest ratio of the 95% to the 25% quantile of angular rates
 MIN_FALLS = 0.9  # smallest share of new seconds at which a fraction falls; after a gap it may rise
 MAX_DEGREES = 2.0  # largest range of latitude and longitude in a log
 
 
 def columns_by_values(frame: pl.DataFrame, role: Role) -> dict[str, str]:
-    """Return the expressions of a role's columns in a table with numbers or letters as names; {} if unclear."""
+    """Return the expressions of a role's columns in a table with numbers or letters as column names; {} if unclear."""
     if role == "imu" and (found := _letters(frame)):
         return found
     names = [name for name in frame.columns if UNNAMED.fullmatch(name)]
@@ -36,7 +36,7 @@ def columns_by_values(frame: pl.DataFrame, role: Role) -> dict[str, str]:
     values = {name: frame[name].cast(pl.Float64, strict=False).to_numpy() for name in names}
     axes = _axes(values)
     place = _place(values) if role == "gps" else axes if "gx" in axes else {}
-    # in a table with an IMU, its rate determines the unit of the times
+    # in a table with an IMU, the IMU's rate determines the unit of the times
     time = next(_times(frame, "imu" if "gx" in axes else role, _summed(values)), "")
     return (
         {"t": time, **{what: quoted_column(name) for what, name in place.items()}} if place and time else {}

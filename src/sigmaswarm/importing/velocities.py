@@ -14,10 +14,10 @@ from sigmaswarm.importing.source import Part
 from sigmaswarm.importing.units import factor_of, scaled
 
 UNITS = ("mm/s", "cm/s", "km/h", "ft/s", "mph", "knots")
-# Ratio of the recorded speed to that of the positions above which, or below whose inverse, the speed is wrong; largest
-# ratio of its 90% quantile to its 10% quantile, since a wrong unit changes the speed by a constant factor
+# Largest ratio of the recorded speed to that of the positions, or of the speed of the positions to the recorded speed;
+# largest ratio of the 90% to the 10% quantile of this ratio, since a wrong unit is a constant factor
 MAX_SPEED_RATIO, MAX_RATIO_SPREAD = 1.5, 2.0
-# m/s, lowest speed at which positions are compared with a recorded speed: robots are slow
+# m/s, lowest speed at which positions are compared with a recorded speed; low, since robots are slow
 MIN_COMPARED_SPEED = 0.2
 MIN_MOVING_SHARE = 0.3  # smallest fraction of the recorded path that the compared stretches must contain
 # rad, largest median difference of a recorded course from the course of the positions. A course that lags in turns, or
@@ -43,7 +43,7 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
     if speed is not None and len(begin):  # the speed must show motion too, since positions at rest wander
         moves = np.concatenate([[0], np.cumsum(np.abs(speed) > MIN_COMPARED_SPEED)])
         both = moves[end + 1] - moves[begin] > 0.5 * (end + 1 - begin)
-        largest = np.quantile(np.abs(speed), 0.9)  # single wrong speeds do not count more
+        largest = np.quantile(np.abs(speed), 0.9)  # limits the weight of single wrong speeds
         path = np.concatenate([[0], np.cumsum(np.minimum(np.abs(speed), largest))])
         enough = np.sum((path[end + 1] - path[begin])[both]) >= MIN_MOVING_SHARE * path[-1]
         begin, end = begin[both & enough], end[both & enough]

@@ -289,7 +289,7 @@ def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
 
 
 def _grouped(frame: pl.LazyFrame, columns: Sequence[str], shown_as: Path) -> dict[str, str]:
-    """Return the thousands separator of each column with a number such as 1.234,5, which can't be read without it."""
+    """Return the thousands separator of each column with a number such as 1.234,5, so that it can be removed."""
     forms = {
         **{
             group: rf"^[+-]?\d{{1,3}}(?:\{group}\d{{3}})+\{mark}\d+$"

@@ -157,7 +157,7 @@ def _lines(file: Path, shown_as: Path) -> tuple[list[str], str]:
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise InputError(
             f"{shown_as}: is text in UTF-16; save it as UTF-8, for example with: iconv -f UTF-16 -t UTF-8 "
-            f"{shown_as.name} > new.csv"
+            f"{quote(shown_as.name)} > new.csv"
         )
     if b"\r" in head and b"\n" not in head:
         raise InputError(

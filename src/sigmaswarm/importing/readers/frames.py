@@ -29,7 +29,7 @@ def frame_of(message: Any) -> str:
 
 
 def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | None:
-    """Find the poses of IMU and antenna in the vehicle's frame, otherwise in a common ancestor of their frames.
+    """Find the poses of IMU and antenna in the vehicle's frame or, without it, in a common ancestor of their frames.
 
     Return None if the transforms do not connect the IMU with such a frame. ``messages`` are of type tf2_msgs/TFMessage;
     a later transform of the same frame replaces an earlier one.

@@ -79,7 +79,7 @@ def _cells(lines: pl.LazyFrame, names: list[str]) -> pl.LazyFrame:
 
 
 def _require_one_clock(columns: Wanted, path: Path) -> None:
-    """Refuse a sensor without the common clock if another sensor has this clock, since a header comment is damaged."""
+    """Refuse a sensor without the common clock if another sensor has it, since a header comment is then damaged."""
     clock = {kind: _CLOCK in names for kind, names in columns.items() if kind != "Fix"}
     if any(clock.values()) and not all(clock.values()):
         kind = next(kind for kind, found in clock.items() if not found)

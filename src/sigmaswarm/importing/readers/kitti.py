@@ -32,7 +32,7 @@ GUESS = Guess(
         "truth": (Part(TABLE, _PLACE | {"vx": "ve", "vy": "vn", "theta": "yaw"}),),
     },
     (
-        "KITTI has no separate receiver: fixes and truth are the same RTK/INS solution; for a realistic test make "
+        "KITTI has no separate receiver: fixes and truth are the same RTK/INS solution; for a realistic test, make "
         "noisy fixes with --gps-from-truth",
         "the angular rates of the OXTS unit lag its yaw by about 0.06 s; docs/importing.md shows how to correct their "
         "times",

@@ -52,7 +52,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
     if _HDF5 in first_bytes(path, 1024):
         raise InputError(
-            f"{path}: is a MATLAB file of version 7.3, which is not supported; in MATLAB type: "
+            f"{path}: is a MATLAB file of version 7.3, which is not supported; in MATLAB, type: "
             f"s = load('{path.name}'); save('{path.stem}_v7.mat', '-struct', 's', '-v7')"
         )
     with errors_as_damage(path):
@@ -70,7 +70,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     if not frames:
         if any(type(v).__name__ in _OPAQUE or k == "__function_workspace__" for k, v in content.items()):
             raise InputError(
-                f"{path}: contains MATLAB's own tables (timetable, table), which are not supported; in MATLAB "
+                f"{path}: contains MATLAB's own tables (timetable, table), which are not supported; in MATLAB, "
                 "write each with writetimetable(NAME, 'NAME.csv') or writetable(NAME, 'NAME.csv'), and import the "
                 "folder of these files"
             )

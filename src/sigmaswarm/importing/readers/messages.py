@@ -78,7 +78,7 @@ class _Messages:
             yield from self.stream(topics)
 
     def guess(self, choice: TableChoice) -> Guess:
-        """Guess the roles of standard messages from fields and topic names, and those of others from column names."""
+        """Guess roles of standard messages from fields and topic names, and of other messages from column names."""
         own: dict[str, str] = {}
         for role, chosen in choice.tables.items():
             topic = next((t for t in (chosen, "/" + chosen.lstrip("/")) if t in self.tables), "")

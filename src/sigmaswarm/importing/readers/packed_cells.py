@@ -10,7 +10,7 @@ from sigmaswarm.errors import InputError
 _VALUE = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan"
 _NAMED = re.compile(rf"([A-Za-z_]\w*) *[:=] *(?:{_VALUE})(?= *[,;\s]|$)")
 _POINT = r"[+-]?\d*\.\d+(?:[eE][+-]?\d+)?"
-# Three or more numbers in brackets or quotes; in quotes all have a decimal point, since "1,234,567" is a single number
+# Three or more numbers in brackets or quotes; those in quotes have decimal points, since "1,234,567" is a single number
 _VECTOR = re.compile(
     rf"[\[({{] *((?:{_VALUE})(?: *[,; ] *(?:{_VALUE})){{2,}}) *[\])}}]|\" *({_POINT}(?: *[,; ] *{_POINT}){{2,}}) *\""
 )

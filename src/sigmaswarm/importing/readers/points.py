@@ -22,9 +22,9 @@ _STEP, _RANGE = 0.01, 0.1
 def with_points(rows: pl.LazyFrame) -> pl.LazyFrame:
     """Replace each column of points by two columns of numbers: longitude and latitude, or x and y in m.
 
-    A new name is the old name with the axis in place of a word for points: gt_geom becomes gt_x and gt_y. The axes
-    alone are the names if the table has only one column of points, which is not a truth, and its new names have no
-    meaning.
+    A new name is the old name with the axis in place of a word for points: gt_geom becomes gt_x and gt_y. The names are
+    the axes alone if the table has only one column of points, this column is not a truth, and the new names would have
+    no meaning.
     """
     schema = rows.collect_schema()
     texts = [name for name, kind in schema.items() if kind == pl.String]

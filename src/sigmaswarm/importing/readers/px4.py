@@ -35,7 +35,7 @@ _IMU = _T | {
 }
 _FIX: dict[str, str | tuple[str, ...]] = {
     **_T,
-    "lat": ("latitude_deg", "lat*1e-7"),  # since PX4 1.14, and before
+    "lat": ("latitude_deg", "lat*1e-7"),  # since PX4 1.14; before PX4 1.14
     "lon": ("longitude_deg", "lon*1e-7"),
     "alt": ("altitude_ellipsoid_m", "alt_ellipsoid*1e-3"),
     "std_x": ("eph/sqrt(2)",),

@@ -38,7 +38,7 @@ def bag_paths(path: Path) -> list[Path]:
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence[Path] = ()) -> Log:
-    """Open a bag; the .msg files ``definitions`` replace its definitions, or those of ROS 2 if it contains none."""
+    """Open a bag; the .msg files ``definitions`` replace the bag's definitions or, if it has none, those of ROS 2."""
     anyreader = import_library("rosbags.highlevel", "ros")
     typesys = import_library("rosbags.typesys", "ros")
     paths = bag_paths(path)
@@ -59,8 +59,8 @@ def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence
 def _define(reader: Any, definitions: Sequence[Path], typesys: Any) -> None:
     """Add the definitions in .msg files to those of a bag.
 
-    A file defines the types of the bag that have the name of the file. If there are none, the folder that contains
-    ``msg/`` names the package.
+    A file defines the types of the bag that have the name of the file. If there are no such types, the folder that
+    contains ``msg/`` names the package.
     """
     kinds = {c.msgtype for c in reader.connections}
     for given in definitions:

@@ -117,10 +117,9 @@ class Topics:
         ranked = sorted(candidates, key=lambda t: (-(self.tables[t].rows or 0), t))
         ranked = [t for t in ranked if self.tables[t].rows != 0]
         if len(ranked) > 1:
-            others = list_names(ranked[1:])
-            self.notes.append(
-                f"{ranked[0]} is used for the {role}, not {others}; choose another topic with --{role}-topic"
-            )
+            # no option chooses the topic of the heading
+            remedy = "" if role == "heading" else f"; choose another topic with --{role}-topic"
+            self.notes.append(f"{ranked[0]} is used for the {role}, not {list_names(ranked[1:])}{remedy}")
         return ranked[0] if ranked else None
 
     def _named(self, topic: str, paths: Mapping[str, str]) -> dict[str, str]:
@@ -141,7 +140,7 @@ class Topics:
         found = self._named(topic, _IMU)
         at = found["ax"].removesuffix(_IMU["ax"])
         covariances = [f"{at}{kind}_covariance[0]" for kind in ("linear_acceleration", "angular_velocity")]
-        # -1 if the sensor does not measure the vector
+        # the first covariance is -1 if the sensor does not measure the vector
         if set(covariances) <= set(self.tables[topic].columns):
             found["keep"] = " and ".join(f"{c} != -1" for c in covariances)
         return found

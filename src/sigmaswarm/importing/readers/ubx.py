@@ -108,7 +108,7 @@ def _headings(path: Path, pyubx2: Any) -> dict[int, tuple[float, float]]:
             continue
         try:
             message = pyubx2.UBXReader.parse(raw)
-            # isMoving: the other antenna is on the vehicle, not a base station
+            # isMoving: the other antenna is on the vehicle, not at a base station
             if message.relPosHeadingValid and message.carrSoln == 2 and message.isMoving:
                 found[message.iTOW] = message.relPosHeading, message.accHeading
         except Exception:  # a wrong length, or version 0, which has no heading
