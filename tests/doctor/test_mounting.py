@@ -83,7 +83,7 @@ def test_a_small_rotation_is_repaired_in_a_whole_drive_and_not_in_a_part():
     (small,) = (found for found in part.findings if found.code == "mounting")
     assert (whole.severity, small.severity) == ("warning", "note")
     assert whole.repair and not small.repair and part.whole == "log"
-    assert whole.remedy.endswith(" instead of 180,0,0 (the new angles include that rotation)")
+    assert whole.remedy.endswith(" instead of 180,0,0 (the new angles include this rotation)")
     alone = {"cut_from": {"drive": "log", "sha256": "", "repair_alone": True}}
     other = sigmaswarm.diagnose(replace(stated, metadata={**stated.metadata, **alone}))
     assert "warning" in [found.severity for found in other.findings if found.code == "mounting"]

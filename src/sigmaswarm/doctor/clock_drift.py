@@ -12,7 +12,7 @@ from sigmaswarm.doctor.yaw_fit import yaw_windows
 
 ROUNDS, MAX_CHANGE = 8, 0.7  # iterations; s, largest change of a delay in one iteration
 OUTLIER_SIGMAS = 1.5  # larger residuals have less weight
-OVERLAP = 2.0  # each fix lies in two windows, so the variance is that of half as many
+OVERLAP = 2.0  # each fix lies in two windows, so the variance is that of half as many windows
 # Smallest drift: in standard deviations, as a rate, and as a change of the delay over the drive, s; smallest ratio of
 # this change to the time in which the car travels as far as the standard deviation of a fix
 MIN_SIGMAS, MIN_DRIFT, MIN_CHANGE, MIN_NOISE_RATIO = 5.0, 2e-4, 0.4, 2.0

@@ -89,7 +89,7 @@ def _diagnosed(drive: Drive) -> Diagnosis:
 
 
 def _contradicted(finding: Finding) -> Finding:
-    """Return a finding whose repair made forecasts worse: it is at most a warning, and is not repaired again."""
+    """Convert a finding whose repair made predictions worse to at most a warning, without a repair."""
     remedy = (
         f"{NO_ACTION}: the repair was tried, but then a filter predicts the fixes less accurately. If you know "
         f"that this fault exists, repair it yourself: {finding.remedy}"
@@ -99,7 +99,7 @@ def _contradicted(finding: Finding) -> Finding:
 
 
 def _of_part(found: Sequence[Finding], whole: str) -> Iterator[Finding]:
-    """Replace the remedies of a part's repairable faults: repaired alone, the part would differ from the other part."""
+    """Replace the remedies of a part's repairable faults, since a repaired part would differ from the other part."""
     for finding in found:
         remedy = f"if the whole drive {printable(whole)} has this fault, repair that drive and split it again"
         remedy += f" ({finding.remedy})"

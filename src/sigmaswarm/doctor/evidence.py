@@ -46,17 +46,18 @@ MAX_FIT_OFFSET = 2.3  # s, largest offset that the fit determines; the fit tries
 MIN_SEARCH_OFFSET = 0.3  # s, smallest offset that the search determines
 # s, largest usual delay of a receiver; a larger delay is accepted if the search finds no other offset
 MAX_USUAL_DELAY = 1.0
-# Interpretation of a gyro without faults; others are accepted only if no clock offset explains the data
+# Interpretation of a gyro without faults; another one is accepted only if no clock offset explains the data
 AS_RECORDED = Yaw(known=True)
 # Smallest cosine of the angles between az and gravity, and between ax and forward, at which mirrored fixes can be
 # distinguished from an IMU with other axes.
 MIN_UPRIGHT_COSINE = 0.7
-MIN_SCALE_SIGMAS = 4.0  # smallest scale of ax and ay, in standard deviations, that confirms exchanged fixes
+MIN_SCALE_SIGMAS = 4.0  # smallest scale of ax and ay, in standard deviations, that confirms mirrored fixes
 MIN_FIXES = 20  # smallest number of fixes for the checks that need motion
 # Ratio of the stated noise to the scatter about a path of 10 s above which most of the error lasts longer than 10 s
 MAX_SCATTER_RATIO = 2.5
-# s, standard deviation of the delay of the truth that its fit to the IMU does not show. Without it, one of 65 parts of
-# 60 s of simulated drives exceeded 3.3 standard deviations; with it, the largest ratio is 2.2.
+# s, part of the standard deviation of the truth's delay that the fit to the IMU does not show. Without it, the error of
+# one of 65 parts of 60 s of simulated drives exceeded 3.3 standard deviations; with it, the largest error is 2.2
+# standard deviations.
 MIN_TRUTH_STD = 0.03
 CACHE_SIZE = 256  # number of drives whose scatter is cached, since each repetition of a tuning needs it
 _scatters: dict[str, float] = {}
@@ -204,7 +205,7 @@ def _mirrored(found: Evidence, drive: Drive) -> Evidence | None:
     turned_over = found.mounting is not None and found.mounting.repair[2, 2] < 0
     if yaw.known and yaw.factor > 0 and not turned_over:
         return None
-    # an exchange changes the scale of degrees, unlike a sign, so the better fit shows which of them is the fault
+    # an exchange changes the scale of degrees, unlike a sign, so the better fit shows which of the two is the fault
     others: dict[Mirror, Drive | None] = {
         "exchanged": with_exchanged_axes(drive),
         "reversed": with_reversed_east(drive),
@@ -271,7 +272,7 @@ def _spread(v: Complex) -> float:
 def _far_off(acceleration: AccelerationFit) -> np.ndarray:
     """Return the indices, among the used fixes, of fixes far from the IMU's path in every window that contains them."""
     size, count = np.abs(acceleration.residual), int(acceleration.rows.max()) + 1
-    # m; for Gaussian noise this is 8.6 standard deviations
+    # m; for Gaussian noise, four times the quantile is 8.6 standard deviations
     off = size > 0.2 + 4 * float(np.quantile(size, 0.9))
     times, far = (
         np.bincount(rows.ravel(), minlength=count) for rows in (acceleration.rows, acceleration.rows[off])

@@ -14,14 +14,14 @@ _WRONG_TIME = "a filter compares each fix with its estimate at another time; at 
 _WRONG_AXES = (
     "a filter mistakes gravity and turns for other motion, so heading and position drift between fixes"
 )
-_WRONG_HEADING = "a filter starts with a wrong heading, or with --use heading follows it"
+_WRONG_HEADING = "a filter starts with a wrong heading, or follows a wrong heading with --use heading"
 CONSEQUENCES = {
     "accelerometer-axes": _WRONG_AXES,
     "accelerometer-scale": "the filter's speed and position drift when the car accelerates or turns",
     "accelerometer-sign": "a filter's speed and position drift in the wrong direction between fixes",
     "accelerometer-unit": "a filter sees a tenth of the acceleration, so its position drifts between fixes",
     "accelerometer-up": "tune chooses a filter without roll and pitch, which is less accurate on hills",
-    "clock-drift": "the offset between the clocks grows along the drive, and with it the error of the filter",
+    "clock-drift": "the offset between the clocks grows along the drive, so the error of the filter also grows",
     "clock-jump": "after the jump a filter predicts motion for time that did not pass",
     "clock-offset": _WRONG_TIME,
     "course-convention": "a filter with --use velocity follows a wrong velocity",
@@ -60,7 +60,7 @@ CONSEQUENCES = {
     "speed-unit": "a filter with --use velocity follows a wrong speed",
     "time-jump": "a filter predicts motion for hours without samples",
     "time-unit": "the time steps of a filter are wrong by this factor",
-    "truth-clock": "errors relative to this truth are wrong, and so is a filter that is tuned with it",
+    "truth-clock": "errors relative to this truth, and filters that are tuned with it, are wrong",
     "unseen-motion": "a fault of axes, units or clocks makes the filter useless but remains hidden",
     "unseen-yaw": "a wrong sign or unit makes the filter useless but remains hidden",
 }
@@ -85,7 +85,7 @@ class Finding:
         A short, stable name for programs, such as "gyro-sign" or "clock-offset"; docs/doctor.md lists them.
     severity : {"note", "warning", "serious"}
     what : str
-        The fault in words, with values. The first sentence is the fault, further sentences are evidence.
+        The fault in words, with values. The first sentence is the fault; further sentences are evidence.
     where : str
         File and columns.
     span : (float, float)
@@ -93,7 +93,7 @@ class Finding:
     confidence : float
         0 to 1.
     remedy : str
-        The first sentence is the remedy, further sentences are alternatives and details.
+        The first sentence is the remedy; further sentences are alternatives and details.
     repair : Repair or None
         The repair that ``repair`` applies, if any.
     cut : float or None

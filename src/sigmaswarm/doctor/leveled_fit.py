@@ -1,7 +1,7 @@
 """Estimate the delay of the fixes with an IMU of six axes, whose gyro measures the changes of tilt.
 
-`acceleration_fit` explains slopes by a constant per window, so its windows are short. With the tilt of the gyro, the
-windows are twice as long. They contain larger changes of speed, which determine the delay more accurately.
+`acceleration_fit` explains slopes by a constant per window, so its windows are short. Since the gyro measures the tilt
+here, the windows are twice as long. They contain larger changes of speed, which determine the delay more accurately.
 """
 
 import math

@@ -25,10 +25,10 @@ from sigmaswarm.drives.drive import Drive, Imu
 from sigmaswarm.drives.mounting import NO_ROTATION
 from sigmaswarm.geodesy import rotation_of
 
-MAX_ROUNDS = 16  # a round leaves up to 0.7 of the error; after six, up to a degree remains in a few logs
+MAX_ROUNDS = 16  # a round leaves up to 70% of the error; after six rounds, up to 1 deg remains in a few logs
 # rad, largest total standard deviation of the confidences "sure" and "likely"
 SURE_STD, LIKELY_STD = math.radians(3.0), math.radians(8.0)
-# Smallest fraction of the variance of the course's changes that the leveled gyro explains
+# Smallest fraction of the variance of the course's changes that the leveled gyro must explain
 MIN_EXPLAINED = 0.5
 MIN_RIVAL_LEAD = 25.0  # smallest lead in chi-square over any mounting that is rotated by 90 degrees or more
 # rad, smallest standard deviations of the axis of turning (springs) and of gravity (roads, biases)

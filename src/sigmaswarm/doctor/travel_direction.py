@@ -23,7 +23,7 @@ from sigmaswarm.drives.drive import Imu
 WINDOW, DEGREE = 20.0, 2  # s, duration of a window; degree of its polynomial in time
 NOISE_RATIO = 4.0  # ratio of the velocity's noise along the direction of travel to that across it
 ROUNDS = 2  # number of further fits; each uses the speed that the previous fit computes with the IMU
-MIN_STRAIGHTNESS = 0.5  # smallest assumed ratio of mean velocity to speed, which sharp turns lower
+MIN_STRAIGHTNESS = 0.5  # smallest assumed ratio of mean velocity to speed; sharp turns lower this ratio
 
 
 def direction_of_travel(imu: Imu, course: Course, delay: float) -> tuple[Array, Array] | None:

@@ -15,9 +15,9 @@ MAX_GAP, GAP_INTERVALS = 3.0, 1.5
 MAX_SPEED = 150.0  # m/s, largest velocity that is compared
 MIN_TIME = 20.0  # s, shortest time with both velocities
 MIN_SPEED = 1.0  # m/s, lowest RMS speed
-MIN_DELAY = 2.5  # s, of a wrong clock; larger than the delay of a receiver
+MIN_DELAY = 2.5  # s, smallest delay of a wrong clock; larger than the delay of a receiver
 # Largest difference of the velocities at the best delay, relative to their size; smallest ratio of the difference at
-# other delays, and without a delay, to that at the best one; width of the best one, s
+# other delays, and without a delay, to the difference at the best delay; width of the peak at the best delay, s
 MAX_DIFFERENCE, MIN_RATIO, PEAK_WIDTH = 0.1, 3.0, 10.0
 
 

@@ -28,8 +28,8 @@ MAX_TRUTH_SHARE = 0.5  # largest standard deviation of the truth, relative to th
 class TruthFit:
     delay: float  # s, delay of the fixes relative to the truth's clock
     std: float  # s
-    # m per axis, robust standard deviations of the fixes: from the truth, and without their mean distance from it,
-    # which another origin of the truth may cause; 0 if the truth is inaccurate
+    # m per axis, robust standard deviations of the errors of the fixes: about zero, and about their median, which
+    # another origin of the truth may displace; 0 if the truth is inaccurate
     error: float
     variation: float
 
@@ -79,7 +79,7 @@ def fit_truth(drive: Drive, course: Course) -> TruthFit | None:
 
 
 def truth_as_fixes(drive: Drive, fit: TruthFit) -> Drive:
-    """Replace the fixes by the truth on the clock of the fixes: fixes with far smaller errors."""
+    """Replace the fixes by the truth on the clock of the fixes, which has far smaller errors."""
     truth = drive.truth
     assert truth is not None
     time, antenna = antenna_track(drive, truth)

@@ -21,15 +21,16 @@ MIN_EXPLAINED = 0.2
 MAX_RANGE = 4  # binary logarithm of the largest ratio of two ranges of a gyro
 MIN_GAIN_ERROR = 0.1  # smallest reported relative difference of a gain from a factor
 # rad, RMS change of the course within 20 s above which the course determines column, sign and unit of the gyro. Below
-# it, the course is mostly noise, and any reading other than gz in rad/s must exceed `MIN_GAIN_SIGMAS` or `LARGE_SHARE`.
+# it, the course is mostly noise, and any interpretation other than gz in rad/s must exceed `MIN_GAIN_SIGMAS` or
+# `LARGE_SHARE`.
 MIN_GAIN_TURN = 0.05
 LARGE_SHARE = 0.5
 # Ratio of a gain to its standard deviation above which a column may explain a small fraction of the course's changes.
 # In a city, most of these changes are errors of the fixes.
 MIN_GAIN_SIGMAS = 12.0
-# Multiple of `MIN_GAIN_SIGMAS` above which a column that explains a small fraction follows the course. In windows of
-# 60 s, wrong gains reached 1.2 times that ratio; in a drive of 40 min with many wrong fixes, the right gain reaches 4.8
-# times.
+# Multiple of `MIN_GAIN_SIGMAS` above which a column that explains a small fraction follows the course. In windows of 60
+# s, wrong gains reached 1.2 times `MIN_GAIN_SIGMAS`; in a drive of 40 min with many wrong fixes, the right gain reaches
+# 4.8 times `MIN_GAIN_SIGMAS`.
 MIN_FOLLOWING_RATIO = 3.0
 # Decrease in chi-square for which another interpretation replaces the recorded one; largest chi-square of a log in g.
 # In steady circles, the forces hardly exceed the noise and do not determine the unit. Logs in g have a chi-square of 4.
@@ -185,13 +186,13 @@ class ClockOffset:
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """Bounds, s, that include the offset with a probability of 95% or more; None if beyond the tried delays."""
+        """Bounds, s, that include the offset with a probability of 95% or more; None beyond the tried delays."""
         half = max(MIN_OFFSET, 2 * self.std)
         low, high = self.delay - half, self.delay + half
         return (low, high) if max(-low, high) < self.max_offset else None
 
     def refined(self, delay: float, std: float) -> "ClockOffset":
-        """Return another estimate from the same data if it is more accurate and does not contradict this one."""
+        """Return another estimate from the same data if it is more accurate and agrees with this one, else this one."""
         agrees = abs(delay - self.delay) < MAX_CONTRADICTION * math.hypot(std, self.std)
         return ClockOffset(delay, std, self.max_offset) if std < self.std and agrees else self
 

@@ -20,7 +20,8 @@ MIN_LEAD = 0.3  # smallest lead of another column over gz in the explained fract
 ANTENNA_DISTANCE = (0.8, 0.8)
 MIN_DELAY_STD = 0.1  # s, smallest standard deviation of the delay as a prior
 # Relative change of the gain, if the delay is ignored, above which the fit does not separate gain and delay. In a slow
-# turn after a standstill, gains of correct gyros were 1.3 to 1.7 with delays of 0.7 to 1.1 s, and 1.04 to 1.15 without.
+# turn after a standstill, gains of correct gyros were 1.3 to 1.7 with delays of 0.7 to 1.1 s, and 1.04 to 1.15 without
+# a delay.
 MAX_DELAY_EFFECT = 0.1
 DELAYS = np.arange(-2.5, 2.51, 0.1)  # s, delays of the fixes to try
 
@@ -49,7 +50,7 @@ class YawFit:
 
 
 def fit_yaw(drive: Drive, course: Course) -> YawFit | None:
-    """Fit gz, or gx or gy if this column explains the course clearly better; None if the car hardly moves."""
+    """Fit gz, or the one of gx and gy that explains the course clearly better; None if the car hardly moves."""
     rows = yaw_windows(course)
     if not len(rows):
         return None

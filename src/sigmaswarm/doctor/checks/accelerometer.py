@@ -22,7 +22,7 @@ RESIDUAL_LIMITS = (0.5, 1.2)
 # m/s2, errors of the median magnitude of the specific force above which there is a note or a warning. Errors of cheap
 # sensors reach 0.8 m/s2: a scale error of 3% and a bias of 0.05 g (MPU-6050).
 MAGNITUDE_LIMITS = (0.3, 1.0)
-# ratio of a rotation to its standard deviation, to report or to repair it
+# smallest ratio of a rotation to its standard deviation, to report or to repair the rotation
 REPORT_RATIO, REPAIR_RATIO = 2.5, 3.5
 WRONG_SCALE = 0.4  # smallest reported relative error of the scale
 MIN_ACCELERATION_SPREAD = 0.4  # m/s2, smallest spread of the acceleration that determines its scale
@@ -54,7 +54,7 @@ def _axes(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
         remedy = f"use {forward} as ax and {left} as ay" + (" and change the sign of az" if opposite else "")
         if (opposite and evidence.mounted) or (evidence.yaw.factor < 0 and np.linalg.det(axes) < 0):
             same = "exchanged x and y (lat and lon) have the same effect"
-            remedy = f"check the fixes first, since {same}; if they are right, {remedy}"
+            remedy = f"check the fixes first, since {same}; if the fixes are right, {remedy}"
         yield Finding(
             "accelerometer-axes" if axes[0, 0] == 0 else "accelerometer-sign", "serious", what, WHERE, span, confidence,
             remedy, Repair("accelerometer", (*axes.ravel().tolist(), -1.0 if opposite else 1.0)),
@@ -202,7 +202,7 @@ def _magnitude(evidence: Evidence, unit: float) -> Iterator[Finding]:
     if abs(off) < MAGNITUDE_LIMITS[0]:
         return
     large = abs(off) > MAGNITUDE_LIMITS[1]
-    # Gravity is mostly on az, so a factor of az corrects the magnitude.
+    # Gravity is mostly in az, so a factor of az corrects the magnitude.
     level = float(np.median(np.sum(force[:2] ** 2, axis=0)))
     factor = math.sqrt(GRAVITY**2 - level) / float(np.median(force[2])) if level < GRAVITY**2 / 2 else 1.0
     what = (

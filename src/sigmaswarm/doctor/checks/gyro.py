@@ -21,28 +21,26 @@ from sigmaswarm.doctor.yaw_fit import yaw_windows
 from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
 from sigmaswarm.wording import NO_ACTION
 
-MIN_SCALE_TURN = np.radians(
-    1.0
-)  # rad, RMS change of the course within 20 s; smaller changes are due to swaying
+# rad, RMS change of the course within 20 s; smaller changes are due to swaying
+MIN_SCALE_TURN = np.radians(1.0)
 BIAS_LIMITS = (np.radians(0.1), np.radians(1.0))  # rad/s, for a note and for a warning
 
 # s, windows for the mean of the force, and for the change of its direction. Longer windows contain more of the car's
 # acceleration, shorter windows more vibration. On seven recordings every correct sign is significant by 9.5 standard
 # deviations or more.
 MEAN_WINDOW, LAG = 0.3, 0.5
-# Standard deviations of a significant sign; high, since neighboring changes share samples
+# Smallest significance of a sign, in standard deviations; high, since neighboring changes share samples
 MIN_SIGNIFICANCE = 7.0
 MIN_SIGNIFICANCE_RATIO = 2.0  # smallest ratio of the significance of a column to that of the other column
 OUTLIER_SIGMAS = 3.0  # standard deviations; larger changes are outliers
 
-# s; on eleven drives with correct scales, the estimates for the roll rate were 0.96 to 2.1 and 0.54 to 1.24
+# s, intervals over which changes determine the scale of the roll rate. On eleven drives with a correct scale, the
+# estimates were 0.96 to 2.1 for the first interval and 0.54 to 1.24 for the second.
 SCALE_LAGS = (1.0, 2.0)
-# Logarithm of an estimated scale; on flat roads, the lean of the body gives scales above 10
+# Largest logarithm of an estimated scale; on flat roads, the lean of the body gives scales above 10
 MAX_LOG_SCALE = 0.8
-MAX_SCALE_ERROR, MIN_SCALE_LEAD = (
-    0.25,
-    0.1,
-)  # largest relative error of the estimate; smallest lead of one scale over another, in the logarithm
+# Largest relative error of the estimate; smallest lead of one scale over another, in the logarithm
+MAX_SCALE_ERROR, MIN_SCALE_LEAD = 0.25, 0.1
 
 # Column that a direction follows (0: gx, 1: gy), its sign, and its significance in standard deviations
 RateMatch = tuple[int, float, float]

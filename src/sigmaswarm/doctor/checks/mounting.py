@@ -19,9 +19,9 @@ from sigmaswarm.geodesy import roll_pitch_yaw
 # Smallest change of gravity's direction if the IMU was moved: in rad, and in typical errors of a median. In fault-free
 # drives with 20 s of hard maneuvers at one end, the change was up to 16 degrees.
 MIN_MOVEMENT, MIN_MOVEMENT_RATIO = math.radians(18.0), 4.0
-# An IMU was turned about the vertical if each part has at least this length, s, and this coherence of measured and
-# expected accelerations, and the angle is at least this large, rad. In 84 fault-free drives and parts of 60 s, the
-# angle was up to 19 deg.
+# Smallest length of each part, s, smallest coherence of measured and expected accelerations in it, and smallest angle,
+# rad, that show that an IMU was turned about the vertical. In 84 fault-free drives and parts of 60 s, the angle was up
+# to 19 deg.
 MIN_PART, MIN_COHERENCE, MIN_TURNED = 20.0, 0.7, math.radians(45.0)
 # m/s2, smallest RMS acceleration of the vehicle in each part; hills (RMS slope of 4%) have the same effect on ax
 MIN_MOTION = 0.4
@@ -30,14 +30,13 @@ BACKWARD = math.radians(150.0)
 # Largest relative deviation of the magnitude of the specific force from its median, for 90% of the intervals of 5 s. In
 # drives it is up to 0.04; if az is in g and ax, ay in m/s2, it is 0.2 or more.
 MAX_SIZE_CHANGE = 0.1
-MAX_SCATTER = (
-    0.5  # rad; directions with a larger typical deviation from their median are not those of gravity
-)
+# rad; directions with a larger typical deviation from their median are not those of gravity
+MAX_SCATTER = 0.5
 MIN_DIFFERENCE = math.radians(0.5)  # smallest difference from the mounting of drive.toml that a note reports
 WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 
-# An IMU is handled in the first or last ENDS s of a log if its mean rate of tilting over half a second exceeds HANDLED
-# rad/s (fault-free drives: below 0.2) and UNLIKE times the largest rate in the rest of the log.
+# An IMU counts as handled in the first or last ENDS s of a log if its mean rate of tilting over half a second exceeds
+# HANDLED rad/s (fault-free drives: below 0.2) and UNLIKE times the largest rate in the rest of the log.
 ENDS, HANDLED, UNLIKE = 15.0, 0.5, 4.0
 # A vehicle may change between forward and reverse at speeds below STANDS m/s and below OF_USUAL times the 90% quantile
 # of its speed; the second limit is for slow robots.
@@ -109,7 +108,7 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
     whole = name_of_whole(evidence.drive)
     if mounting.needed and (angle > SERIOUS or not whole):
         given = ",".join(f"{degrees:g}" for degrees in evidence.drive.mounting or ())
-        instead = f" instead of {given} (the new angles include that rotation)" if given else ""
+        instead = f" instead of {given} (the new angles include this rotation)" if given else ""
         roll, pitch, yaw = roll_pitch_yaw(mounting.repair, 1)
         yield Finding(
             "mounting", "serious" if angle > SERIOUS else "warning",
@@ -206,7 +205,7 @@ def _means(time: Array, columns: Sequence[Array], step: float) -> tuple[Array, A
 
 
 def check_handled(evidence: Evidence) -> Iterator[Finding]:
-    """Find the parts at both ends of a log in which the IMU, such as a phone, is handled; yield one finding each."""
+    """Find the parts at both ends of a log in which the IMU, such as a phone, is handled; yield a finding for each."""
     first, last = evidence.span
     begin, end = find_steady_span(evidence.drive)
     what = "{} t = {:.1f} s, the IMU moves relative to the vehicle, for example in someone's hand"
@@ -237,7 +236,7 @@ def find_steady_span(drive: Drive) -> tuple[float, float]:
 
 
 def check_reverse(evidence: Evidence) -> Iterator[Finding]:
-    """Find a log in which a filter would start in reverse and take the course as heading.
+    """Find a log in which a filter would start in reverse and use the course as the heading.
 
     Reverse driving before the filter's start is harmless.
     """

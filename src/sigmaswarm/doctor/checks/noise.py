@@ -20,13 +20,14 @@ MAX_OBSERVED_RATIO = 2.0  # largest ratio of observed noise to stated noise
 MIN_STATED_STD = 0.003
 # Largest ratio of stated noise to observed white noise; high, since slow errors are not observed
 MAX_STATED_RATIO = 6.5
-# Largest ratio of the errors relative to the truth to the stated noise, and the reverse; high, since a short drive may
-# have one error that lasts
+# Largest ratio of the errors relative to the truth to the stated noise, or of the stated noise to these errors; high,
+# since a short drive may have one error that lasts
 MAX_ERROR_RATIO = 3.5
-MAX_TYPED_RATIO = 3.0  # the same for a value in drive.toml
-# m, distance of the first fix from the others; a farther outlier displaces the drive's origin
+MAX_TYPED_RATIO = 3.0  # as MAX_STATED_RATIO, for a value in drive.toml
+# m, largest distance of the first fix from the others; a farther first fix displaces the drive's origin
 MAX_FIRST_DISTANCE = 1000.0
-# Ratio of the noise from fix to fix to the scatter about a path of 10 s; larger ratios show white noise (ratio 1)
+# Ratio of the noise from fix to fix to the scatter about a path of 10 s; larger ratios show white noise, whose ratio is
+# 1
 MIN_WHITE_RATIO = 0.7
 # Largest ratio of the noise from fix to fix in two successive windows to the lower quartile of all windows; a larger
 # one shows a disturbance. White noise at 1 Hz reaches 2.2 in drives of 300 s, noise of a t-distribution (3 dof) 3.4.
@@ -179,7 +180,7 @@ def _wrongly_stated(evidence: Evidence, stated: float, wrong: _WrongStd) -> Find
         repair, remedy = None, f"check the lever arm of the antenna; if it is right, {remedy}"
     if typed:
         what += ". A tuning without truth takes R from this value: with a smaller value the filter follows the fixes "
-        what += "more closely, and with a larger value it trusts the IMU for longer"
+        what += "more closely, and with a larger value it relies on the IMU for longer"
         if larger and not by_truth:  # a user may know of slow errors
             repair, severity = None, "note"
             remedy = (

@@ -64,7 +64,7 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
     if fit.course_change > max(MIN_DETERMINED_TURN, explained):
         return (
             f"The RMS change of the course within 20 s is {change:.0f} deg, but no column of the gyro follows it",
-            f"check the gyro's unit and the clocks. Clock offsets above {MAX_OFFSET:.0f} s are not searched for",
+            f"check the gyro's unit and the clocks. The doctor finds only clock offsets up to {MAX_OFFSET:.0f} s",
         )
     if fit.course_change > MIN_DETERMINED_TURN:
         what = f"The RMS change of the course within 20 s is {change:.0f} deg"

@@ -23,7 +23,7 @@ MIN_SCALE_ERROR = 0.02  # smallest reported error of the scale; it must also exc
 MAX_SCALE_RATIO = 1.25
 
 MIN_DELAY = 0.15  # s, smallest delay for a warning
-# s: largest delay, its step, averaging time of both accelerations
+# s: largest tried delay, step of the tried delays, averaging time of both accelerations
 MAX_LAG, STEP, AVERAGING_TIME = 3.0, 0.02, 0.4
 # Bounds of the scale, and largest latency, s, that `tune` tries with the option odometer; the smallest latency is 0
 TUNED_SCALES, MAX_TUNED_LATENCY = (0.9, 1.1), 0.3
@@ -171,7 +171,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
 
 
 def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
-    """Return, for each path, the odometer's displacement divided by that of the fixes, and that of the fixes, m."""
+    """Return, for each path, the ratio of the odometer's displacement to that of the fixes, and the latter, m."""
     imu, yaw, time = evidence.drive.imu, evidence.yaw, odometer.time
     heading = np.interp(time, imu.time, integral(imu.time, yaw.factor * getattr(imu, yaw.column)))
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)

@@ -17,7 +17,7 @@ from sigmaswarm.drives.drive import Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 
 SERIOUS_OFFSET = 0.3  # s; larger clock offsets cause errors of meters
-# s: GPS time minus UTC; an offset that differs from it by less is the sum of it and the delay of the receiver
+# s: GPS time minus UTC; tolerance within which an offset consists of these seconds and the receiver's delay
 LEAP_SECONDS, MAX_LEAP_ERROR = 18.0, 0.3
 MAX_TUNED_LATENCY = 0.5  # s, largest latency of the fixes that `tune` tries; the smallest is 0
 MIN_IMU_RATE = 8.0  # Hz; at lower rates, turns are lost between samples
@@ -26,7 +26,7 @@ MAX_INTERVAL_RANGE = 0.5  # largest range of the middle 90% of the intervals, re
 MAX_REPEATED_SHARE = 0.2
 LONG_GAP = 0.5  # s without IMU samples; in longer gaps, a filter's step is inaccurate
 MIN_STALE_FIXES = 3
-MAX_UNUSED_SHARE = 0.5  # of the fixes, outside of the IMU's time span
+MAX_UNUSED_SHARE = 0.5  # largest share of fixes outside of the IMU's time span without a warning
 # Smallest excess of an interval between fixes, in usual intervals, that shows missing fixes
 MIN_EXCESS = 0.3
 SPEED_WINDOW = 2.0  # s on each side of a gap in which the speed is measured
@@ -93,7 +93,7 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _latency_option(evidence: Evidence) -> str:
-    """Return the options of the default filter and the delay of the fixes, since --use replaces the default."""
+    """Return the options that add the delay of the fixes to the default filter, since --use replaces the default."""
     return f"tune --use {' '.join((*evidence.suggestion.use, 'latency'))}"
 
 
@@ -108,7 +108,7 @@ def check_truth(evidence: Evidence) -> Iterator[Finding]:
     if truth is None or known is None or evidence.truth_has_clock_of_fixes or abs(delay) < MIN_DELAY:
         return
     size, way = f"{abs(delay):.2f} s", "large" if delay > 0 else "small"
-    what = f"the truth's times are {size} too {way}: corrected, the velocities of truth and fixes agree"
+    what = f"the truth's times are {size} too {way}: after the correction, the velocities of truth and fixes agree"
     leap = " (GPS time is 18 s ahead of UTC)" if _is_leap(delay, 0.0) else ""
     remedy = f"{'subtract' if delay > 0 else 'add'} {size} {'from' if delay > 0 else 'to'} the truth's times{leap}, "
     remedy += f"or import the log with --truth-offset {-delay:.2f}"
