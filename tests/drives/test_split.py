@@ -111,7 +111,7 @@ def test_a_fraction_leaves_something_to_both(fraction: float):
 
 
 def test_one_drive_can_not_be_split_whole():
-    with pytest.raises(InputError, match="needs at least 2 drives, but got 1; pass more drives"):
+    with pytest.raises(InputError, match="needs at least 2 drives, not 1; pass more drives"):
         split_drives(MANY[:1], rng=np.random.default_rng(0))
 
 

@@ -395,7 +395,7 @@ def test_the_configuration_is_saved_with_it(whole: Study):
 
 
 @pytest.mark.long
-@pytest.mark.filterwarnings("ignore:.*gaps, the longest")
+@pytest.mark.filterwarnings("ignore:.*gaps; the longest")
 def test_drives_of_one_s_own_and_drives_elsewhere(whole: Study, tmp_path: Path):
     for drive in whole.design.drives[:5]:
         write_drive(drive, tmp_path / "mine" / drive.name)

@@ -116,7 +116,7 @@ def test_what_can_not_be_run_is_refused():
             "drives/monday",
             [DEFAULTS],
             None,
-            r"got a str; run_batch takes Drives; sigmaswarm.read_drive\(path\) reads one",
+            r"got a str; run_batch takes Drives; sigmaswarm.read_drive\(path\) reads a Drive",
         ),
         (None, [DEFAULTS, {"alpha": 1.0}], None, "got a dict; run_batch takes FilterParameters"),
         (None, 3, None, "got a int; run_batch takes FilterParameters"),

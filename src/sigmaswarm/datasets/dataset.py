@@ -99,6 +99,6 @@ def _listed(given: Any, cluster: "Client | None", takes: str) -> "list[Any] | Da
     if stray:
         hint = "" if cluster is None else ", and with a cluster their paths and URLs"
         if any(isinstance(thing, str | Path) for thing in stray):
-            hint = "; sigmaswarm.read_drive(path) reads one"
+            hint = "; sigmaswarm.read_drive(path) reads a Drive"
         raise InputError(f"got a {type(stray[0]).__name__}; {takes}{hint}")
     return drives

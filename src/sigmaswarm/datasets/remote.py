@@ -26,7 +26,7 @@ from sigmaswarm.drives.urls import is_url
 from sigmaswarm.errors import DriveError, InputError, SigmaswarmWarning
 
 T = TypeVar("T")
-ReadProgress = Callable[[int, int], None]  # called with the numbers of drives read and of all drives
+ReadProgress = Callable[[int, int], None]  # called with the number of read drives and that of all drives
 
 POLL_INTERVAL = 2.0  # s, time between requests to the scheduler for its workers
 MAX_RETRIES = 3  # rounds in which all workers are lost; after more, the drives are the likely cause

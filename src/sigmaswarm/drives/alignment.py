@@ -25,12 +25,10 @@ MIN_DURATION = 4.0  # s, shortest duration of an alignment
 MAX_DURATION = 6.0  # s, longest duration of an alignment; the error due to the gyro's bias grows with time
 MIN_TRAVEL = 20.0  # m, smallest travel within `MAX_DURATION` for an accurate heading; requires 12 km/h
 ALIGNMENT_FIXES = 4  # smallest number of fixes within `MAX_DURATION`; one fix every 3 s is not enough
-MIN_CHORD = (
-    0.5 * MIN_TRAVEL
-)  # m, smallest distance from the first to the last fix, a cheap test before the fit
-MAX_MISFIT = (
-    0.3  # largest residual of an alignment, relative to the travel; fixes that jump have larger residuals
-)
+# m, smallest distance from the first to the last fix, a cheap test before the fit
+MIN_CHORD = 0.5 * MIN_TRAVEL
+# largest residual of an alignment, relative to the travel; fixes that jump have larger residuals
+MAX_MISFIT = 0.3
 MAX_HEADING_STD = np.radians(6.0)  # rad, largest standard deviation of the heading of an alignment
 REFITS = 3  # number of repeated fits, after which the gyro bias has converged
 

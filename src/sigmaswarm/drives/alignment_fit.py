@@ -45,8 +45,8 @@ BY_SPEED, BY_SLOPE, BY_GAINS, ARM, BY_BIAS, COLUMNS = range(0, 12, 2)
 Each quantity has two columns, forward and left in the body frame at the last fix.
 
 The first quantities are the path per m/s of speed at the last fix (s), the path per m/s2 of b (s2), and the path due to
-the measured acceleration (m). The next one is the position of the antenna relative to the IMU (m). The fit writes the
-derivative of the path with respect to the gyro's bias (m s) to the last two columns.
+the measured acceleration (m). The next quantity is the position of the antenna relative to the IMU (m). The fit writes
+the derivative of the path with respect to the gyro's bias (m s) to the last two columns.
 """
 EAST, NORTH, YAW, SPEED, SLOPE, TRAVEL, MISFIT, YAW_BIAS, YAW_VARIANCE, RESULTS = range(10)
 """Indices of a fit.
@@ -54,7 +54,7 @@ EAST, NORTH, YAW, SPEED, SLOPE, TRAVEL, MISFIT, YAW_BIAS, YAW_VARIANCE, RESULTS 
 The first values are the unknowns: position (m), heading (rad) and speed (m/s) at the last fix, and b (m/s2). The others
 are travel (m; 0 if backward), largest residual (m), remaining gyro bias (rad/s) and its variance.
 """
-RESIDUAL = 5  # column of the residuals in the two equations of a fix, after the derivatives by the unknowns
+RESIDUAL = 5  # column of the residuals in the two equations of a fix, after the columns of the derivatives
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,6 @@
 """Check the plausibility of a drive: amount of data, times, gaps, units and axes.
 
-The doctor checks for most of these faults in more detail, and gives the same messages.
+The doctor checks for most of these faults in more detail, and uses some of these messages.
 """
 
 from collections.abc import Callable, Iterator
@@ -13,7 +13,6 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.drives.tables import Gps, Imu, Truth
 from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
 from sigmaswarm.geodesy import STANDARD_GRAVITY, wrap_angle
-from sigmaswarm.wording import count_of
 
 MIN_SAMPLES = 100  # smallest number of IMU samples
 MIN_SHARED_FIXES = 10  # smallest number of fixes within the IMU's time span
@@ -25,12 +24,10 @@ MIN_UNSHARED_TIME = 10.0  # s; a longer time without the other sensor at the sta
 MIN_UNSHARED_SHARE = 0.1
 GRAVITY = STANDARD_GRAVITY
 IMPOSSIBLE_RATE = 3.0  # rad/s; no car makes half a turn in a second
-TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # number per second
+TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # units per second
 _MAX_INTERVALS = (2.0, 60.0)  # s between samples and between fixes; longer intervals suggest another unit
-_USUAL_INTERVALS = (
-    0.5,
-    20.0,
-)  # s between samples and between fixes; in the right unit, intervals are not longer
+# s between samples and between fixes; in the right unit, intervals are not longer
+_USUAL_INTERVALS = (0.5, 20.0)
 _JUMP = 3600.0  # s; a longer interval is due to a corrupt time stamp or to a clock that was set
 _WINDOW = 5.0  # s, window for speed and course: long enough for noise of meters, short enough for turns
 
@@ -147,7 +144,7 @@ def gravity_on(imu: Imu) -> Remark | None:
     axis = max(median, key=lambda name: abs(median[name]))
     if abs(median[axis]) <= 0.7 * GRAVITY:
         return None
-    what = f"column {axis} has median {median[axis]:.2f} m/s2"
+    what = f"column {axis} has a median of {median[axis]:.2f} m/s2"
     if abs(median[axis]) > 2 * GRAVITY:
         what += ", which exceeds gravity"
         return Remark("gravity-axis", "imu.csv", axis, what, "check the unit of ax, ay, az")
@@ -162,12 +159,15 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
     if imu.az is None:
         return None
     az, columns = unit * float(np.median(imu.az)), "az"
-    code, what = "accelerometer-up", f"column az has median {az:.2f} m/s2, but +9.8 is expected"
+    code, what = "accelerometer-up", f"column az has a median of {az:.2f} m/s2, but +9.8 is expected"
     if 0.8 < abs(az) < 1.2:
         code, columns = "accelerometer-unit", "ax, ay, az"
-        what, remedy = f"column az has median {az:.2f}, as if in g", f"multiply ax, ay, az by {GRAVITY}"
+        what, remedy = (
+            f"column az has a median of {az:.2f}, as if az were in g",
+            f"multiply ax, ay, az by {GRAVITY}",
+        )
     elif az < -0.7 * GRAVITY:
-        what = f"column az has median {az:.2f} m/s2, but specific force is +9.8 at rest with z up"
+        what = f"column az has a median of {az:.2f} m/s2, but the specific force at rest is +9.8 m/s2 if z points up"
         remedy = "rotate the axes, or change the signs of ax, ay, az if the sensor reports the negated specific force"
     elif abs(az) < 0.2 * GRAVITY:
         remedy = "check its unit and axis, or leave the column out if gravity was already subtracted"
@@ -210,8 +210,8 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
     gaps_by_table: list[tuple[str, str, str]] = []
     for name, table, limit, remedy in sensors:
         if g := gaps_in(table.time, limit, imu.time if name == "gps" else None):
-            longest = f"the longest of {g.length:.2f} s after t = {g.start:.2f} s"
-            what = f"{count_of(g.count, 'gap')}, {longest} (usual interval {g.usual:.3f} s)"
+            many = f"there are {g.count} gaps; the longest lasts" if g.count > 1 else "there is a gap of"
+            what = f"{many} {g.length:.2f} s after t = {g.start:.2f} s (usual interval {g.usual:.3f} s)"
             gaps_by_table.append((name, what, remedy))
     if gaps_by_table:
         name, what, remedy = gaps_by_table[0]
@@ -287,7 +287,7 @@ def _angular_rate(imu: Imu, gps: Gps) -> Iterator[Remark]:
 
 
 def _acceleration(imu: Imu, gps: Gps) -> Iterator[Remark]:
-    """Check for ax in g if there is no az: if ax is in g, its integral is about a tenth of the changes of speed."""
+    """If there is no az, check for ax in g: its integral is then about a tenth of the changes of speed."""
     if imu.az is not None:
         return
     velocity, gained, _ = _seen_by_fixes(imu, gps, imu.ax)

@@ -76,7 +76,7 @@ class Drive:
         odometer : frame with columns t, speed (m/s), optional
         name : str
         origin : (latitude deg, longitude deg, altitude m), optional
-            Position of x = y = 0; by default, if there are lat and lon, the first fix.
+            Position of x = y = 0; if there are lat and lon, the default is the first fix.
         columns : mapping, optional
             Maps names of your columns to the names above: ``{"acc_x": "ax"}``.
 

@@ -25,7 +25,7 @@ LATERAL = 8  # the car's lateral velocity is constrained
 STANDSTILL = 16  # the car is constrained to stand
 HIDDEN = 32  # a fix that is hidden from the filter: the prediction of the fix is scored
 ODOMETER = 64  # update with the wheels' speed
-COMPARED = 128  # the heading is compared with truth in the interval that ends or begins here
+COMPARED = 128  # the heading is compared with the truth in the interval that ends or begins here
 HEADING = 256  # the fix has a heading
 
 CORNERING = 4.0  # m/s2, lateral acceleration above which tires slip too much for the lateral constraint

@@ -1,7 +1,7 @@
-"""Find gaps in the IMU data and in truth.
+"""Find gaps in the IMU data and in the truth.
 
-A gap in the IMU data is an interval that is long compared with the preceding intervals; only these are used, since a
-live filter does not know later ones.
+A gap in the IMU data is an interval that is long compared with the preceding intervals; only these intervals are used,
+since a live filter does not know later intervals.
 """
 
 import numpy as np
@@ -46,9 +46,9 @@ def usual_after(interval: float, usual: float) -> float:
 
 
 def is_known(truth: Truth, time: Array) -> Mask:
-    """Mark the times (n,), s, that lie between the start and the end of truth, and not in a gap of truth.
+    """Mark the times (n,), s, that lie between the start and the end of the truth, and not in a gap of the truth.
 
-    Truth without standard deviations is used across gaps.
+    A truth without standard deviations is used across gaps.
     """
     inside = (time >= truth.time[0]) & (time <= truth.time[-1])
     if truth.std_x is None or len(truth) < 2:
@@ -58,7 +58,7 @@ def is_known(truth: Truth, time: Array) -> Mask:
 
 
 def share_known(truth: Truth | None, start: float, end: float) -> float:
-    """Return the fraction of the time from ``start`` to ``end`` (s) that truth covers; gaps of truth do not count."""
+    """Return the fraction of the time from ``start`` to ``end`` (s) that the truth covers; its gaps do not count."""
     if truth is None or len(truth) < 2 or end <= start:
         return 0.0
     edges = np.clip(truth.time, start, end)

@@ -23,10 +23,10 @@ OUTLIER_PROBABILITY = 1e-5
 A bias above about five standard deviations makes this likely. If this probability were 1e-3, the standard deviation of
 a good gyro's bias would increase by 0.07 deg/s.
 """
-OUTLIER_STD = 0.2  # rad/s, standard deviation of such a gyro's bias; an MPU-6050 may have 20 deg/s
-YAW_STD = np.radians(1.0)  # rad/s, smallest std of a fitted bias, since cars slip and receivers smooth
+OUTLIER_STD = 0.2  # rad/s, standard deviation of such a gyro's bias; an MPU-6050 may have a bias of 20 deg/s
+YAW_STD = np.radians(1.0)  # rad/s, smallest standard deviation of a fitted bias: cars slip, receivers smooth
 TURN_SHARE = 0.3  # part of a turn's mean rate that may look like a bias, since fixes lag and cars slip
-TILT_CHANGE_STD = np.radians(8.0)  # rad, std of changes of roll and pitch in a few seconds, as on hills
+TILT_CHANGE_STD = np.radians(8.0)  # rad, standard deviation of tilt changes in a few seconds, as on hills
 MAX_BIAS = 0.5  # rad/s, largest bias of a gyro; fixes that suggest a larger bias have jumped
 
 

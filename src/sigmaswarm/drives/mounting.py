@@ -50,7 +50,7 @@ def common_axes(stated: Iterable[Mapping[str, str]]) -> dict[str, str]:
 
 
 def common_mounting(stated: Iterable[Angles | None]) -> Angles | None:
-    """Return the mean mounting; None if no mounting is stated, or one differs from the mean by over `MAX_SPREAD`.
+    """Return the mean mounting; None if none is stated, or if a mounting differs from the mean by over `MAX_SPREAD`.
 
     A drive without a mounting counts as not rotated.
     """

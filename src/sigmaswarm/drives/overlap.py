@@ -1,8 +1,8 @@
 """Find the part of a drive that other drives contain, even if they are renamed, cut or repaired copies.
 
-Landmarks are positions and yaw rates of a drive. Because of the sensors' noise they are equal in copies of the
-drive and differ in other drives. Each pair of equal landmarks votes for an offset between the clocks of two drives
-(as in Wang, "An Industrial-Strength Audio Search Algorithm", ISMIR 2003). A copy keeps the yaw rates if fixes
+Landmarks are positions and yaw rates of a drive. Because of the sensors' noise, landmarks are equal in copies of a
+drive, and rarely equal in other drives. Each pair of equal landmarks votes for an offset between the clocks of two
+drives (as in Wang, "An Industrial-Strength Audio Search Algorithm", ISMIR 2003). A copy keeps the yaw rates if fixes
 are left out, shifted or replaced, and the fixes if the IMU is rotated or interpolated.
 """
 
@@ -28,14 +28,14 @@ Integers = NDArray[np.int64]
 
 TRAINING_DATA_FILE = "seen.npz"  # landmarks of the training drives of a tuning
 MICRO = 1_000_000
-TIME_TOLERANCE = (
-    1000  # us, largest difference between the times of a landmark in two drives, without the clock offset
-)
+# us, largest difference between the times of a landmark in two drives, without the clock offset
+TIME_TOLERANCE = 1000
 POSITION_TOLERANCE = 3.0  # cm or 1e-7 deg (1.1 cm to the north), largest difference of one fix in two files
-RATE_TOLERANCE = 2e-4  # largest difference between ln of equal yaw rates with 8 decimals, in rad/s or deg/s
+RATE_TOLERANCE = 2e-4  # largest difference of ln|gz| of equal yaw rates with 8 decimals, in rad/s or deg/s
 MIN_SPEED = 1.5  # m/s, smallest speed between a landmark and a neighboring fix
 LOG_RATIO = math.log(180 / math.pi)  # ln of the ratio of rad/s to deg/s; landmarks are ln|gz| modulo this
-LANDMARK_WIDTH = 0.4  # part of `LOG_RATIO` with landmarks: a tenth of all samples, of 1 to 1.5 deg/s
+# part of `LOG_RATIO` with landmarks: a tenth of all samples, such as those of 1 to 1.5 deg/s
+LANDMARK_WIDTH = 0.4
 MAX_LANDMARKS = 20_000  # largest number of yaw-rate landmarks; long drives use a smaller part of `LOG_RATIO`
 MAX_OCCURRENCES = 100  # in a drive; more frequent yaw rates, for example of a coarse gyro, are ignored
 MIN_MATCHES = 8  # smallest number of different values of landmarks that must agree

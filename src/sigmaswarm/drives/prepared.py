@@ -48,8 +48,8 @@ class PreparedDrive:
     def timeline(self, hidden: NDArray[np.bool_] | None = None, *, removed: bool = False) -> Timeline:
         """Return the cached timeline without updates by the fixes that the mask ``hidden`` (number of fixes,) marks.
 
-        If ``removed`` is True, no step ends at a hidden fix. Otherwise, filters can predict hidden fixes, and the time
-        line shares arrays with the timeline of all fixes.
+        If ``removed`` is True, no step ends at a hidden fix. Otherwise, filters can predict hidden fixes, and the
+        timeline shares arrays with the timeline of all fixes.
         """
         if hidden is None or not hidden.any():
             hidden, removed = np.zeros(len(self.drive.gps), dtype=np.bool_), False

@@ -202,6 +202,6 @@ def _content(table: Path) -> set[str]:
     text = f"{table.stem},{title}"
     axes = _AXES.search(title) is not None
     imu = axes or _MOTION.search(text) is not None
-    # x and y are the axes of the IMU, unless the table has other columns for these
+    # x and y are axes of the IMU, unless the table has other columns for the axes
     gps = _PLACE.search(text) is not None or (_XY.search(title) is not None and (axes or not imu))
     return {kind for kind, present in (("imu", imu), ("gps", gps)) if present}

@@ -29,7 +29,7 @@ def split_drives(
     require_fraction(train_fraction)
     if len(drives) < 2:
         raise InputError(
-            f"a split needs at least 2 drives, but got {len(drives)}; pass more drives, or split one drive in time"
+            f"a split needs at least 2 drives, not {len(drives)}; pass more drives, or split one drive in time"
         )
     count = min(max(round(train_fraction * len(drives)), 1), len(drives) - 1)
     chosen = set(rng.permutation(len(drives))[:count].tolist())
@@ -87,5 +87,5 @@ def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | 
 def require_fraction(train_fraction: float) -> None:
     if not 0 < train_fraction < 1:
         raise InputError(
-            f"train_fraction = {train_fraction:g} leaves one part empty; choose it between 0 and 1"
+            f"train_fraction = {train_fraction:g} leaves one part empty; choose a fraction between 0 and 1"
         )

@@ -31,7 +31,7 @@ ENOUGH = 3.0  # smallest number of new fixes that show braking; fewer give only 
 
 def classify_fixes(gps: Gps) -> Array:
     """Classify all fixes, (n,): `NEW`, `HELD`, `STALE` or `STALE_MOVING`."""
-    # The array of a live filter, so that `kind_of` is compiled once.
+    # This array has the layout of a live filter's array, so that `kind_of` is compiled once.
     fixes = np.column_stack([gps.time, gps.x, gps.y, np.zeros(len(gps.time))])
     kinds = fixes[:, 3]
     if len(kinds):

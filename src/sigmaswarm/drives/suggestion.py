@@ -23,7 +23,7 @@ class SuggestedFilter:
 def suggest_filter(drives: Sequence[Drive | LogProperties]) -> SuggestedFilter:
     """Choose the filter for cars from the sensors that all drives have, without running filters.
 
-    - **tilted12** if every IMU has six axes, with gravity on az. This model estimates roll and pitch, so gravity on
+    - **tilted12** if every IMU has six axes, with gravity in az. This model estimates roll and pitch, so gravity on
       hills and during braking is not mistaken for acceleration. Otherwise **planar8**.
     - **lateral** and **standstill** always. These constraints determine the heading, which position fixes alone do not
       determine.

@@ -19,8 +19,8 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.compilation import cached
 
 GRAVITY = 9.81  # m/s2
-FORWARD_STD = 0.15  # m/s2, standard deviation of changes of bias and slope in a window, not shown by the gyro
-LEFT_STD = 0.05  # m/s2, standard deviation of a window's mean lateral acceleration that the model lacks
+FORWARD_STD = 0.15  # m/s2, standard deviation of changes of bias and slope that the gyro does not show
+LEFT_STD = 0.05  # m/s2, standard deviation of the mean lateral acceleration minus its modeled part
 SPEED_ERROR = 0.3  # m/s, standard deviation of an alignment's speed, which is multiplied by the turn rate
 FORCE, VARIANCE, TURN, DRIFT, MEAN_SPEED, ASSUMED, ASSUMED_VARIANCE, CHANGE = 0, 2, 4, 6, 8, 9, 10, 11
 """Indices of `TiltEvidence.numbers`."""
