@@ -10,7 +10,7 @@ from sigmaswarm.doctor.windows import integral
 from sigmaswarm.drives.drive import Drive
 
 MAX_OFFSET = 40.0  # s; GPS time minus UTC (18 s) and the start-up of most receivers are shorter
-STEP = 0.1  # s
+STEP = 0.1  # s, step of the tried offsets
 PEAK_WIDTH = 4.0  # s, distance from the best offset within which other offsets belong to the same peak
 TURN_INTERVAL = 5.0  # s, interval over which turns are compared
 # Fraction of the variance of the turns that an offset must explain; its smallest lead over any other offset

@@ -15,7 +15,7 @@ from sigmaswarm.doctor.windows import Complex, integral, regress, with_prior
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive
 
-WINDOW = 20.0  # s
+WINDOW = 20.0  # s, length of a window
 # Smallest number of windows. With the four windows of a minute, the residuals hardly show the standard deviation: in
 # two of 2,400 minutes without an offset, the result exceeded 4.5 standard deviations.
 MIN_WINDOWS = 7

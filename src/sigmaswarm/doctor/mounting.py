@@ -34,7 +34,7 @@ MIN_RIVAL_LEAD = 25.0  # smallest lead in chi-square over any mounting that is r
 # rad, smallest standard deviations of the axis of turning (springs) and of gravity (roads, biases)
 TILT_FLOOR = math.radians(1.0), math.radians(1.0)
 YAW_FLOOR = math.radians(0.8)
-TRAVEL_FLOOR = math.radians(0.8)  # rad, noise of the direction of travel: slip, suspension
+TRAVEL_FLOOR = math.radians(0.8)  # rad, noise of the direction of travel, due to slip and suspension
 TOLERANCE = 0.025  # tolerance of an entry of M, due to slip and to tilt in maneuvers
 ANGLES = np.radians(np.arange(-180.0, 180.0, 1.0))
 GYRO_WINDOW = 10.0  # s, window over which the axis of turning is fitted

@@ -15,7 +15,7 @@ from sigmaswarm.drives.sensors import antenna_track
 
 WINDOW = 20.0  # s; within this time, lasting errors of the fixes are about constant
 MIN_WINDOWS = 3
-# Longest interval of the truth that is interpolated: s, and usual intervals
+# Longest interval of the truth that is interpolated: in s, and in usual intervals
 MAX_GAP, GAP_INTERVALS = 0.5, 1.5
 BASE = 0.5  # s, over which velocities are computed
 MAX_ROUNDS, MAX_STEP, CONVERGED = 10, 0.3, 1e-3  # the last two in s
@@ -27,7 +27,7 @@ MAX_TRUTH_SHARE = 0.5  # largest standard deviation of the truth, relative to th
 @dataclass(frozen=True)
 class TruthFit:
     delay: float  # s, delay of the fixes relative to the truth's clock
-    std: float  # s
+    std: float  # s, standard deviation of `delay`
     # m per axis, robust standard deviations of the errors of the fixes: about zero, and about their median, which
     # another origin of the truth may displace; 0 if the truth is inaccurate
     error: float

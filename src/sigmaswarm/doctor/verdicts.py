@@ -98,7 +98,7 @@ class PlanarMounting:
     axes: Array  # (2, 2), signed permutation of (ax, ay)
     unit: float  # 1, or m/s2 per g
     angle: float  # rad; a rotation about z by this angle turns the interpreted axes into the car's
-    angle_std: float  # rad
+    angle_std: float  # rad, standard deviation of `angle`
     margin: float  # lead in chi-square of this interpretation over the log as recorded
     known: tuple[bool, bool]  # (forward, left): True if the drive determines the axis
     # (forward, left): remaining factor, and its standard deviation

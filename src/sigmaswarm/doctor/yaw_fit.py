@@ -35,7 +35,7 @@ class YawFit:
     std: float  # standard deviation of the gain
     share: float  # fraction of the variance of the course's changes that the column explains, 0 to 1
     delay: float  # s, delay of the fixes
-    delay_std: float  # s
+    delay_std: float  # s, standard deviation of `delay`
     course_change: float  # rad, RMS change of the course within windows
     undelayed: float  # gain of a fit without a delay
 

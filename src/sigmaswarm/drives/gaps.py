@@ -10,7 +10,7 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives.tables import Mask, Truth
 
-MANY = 5.0  # usual intervals; a gap is longer
+MANY = 5.0  # a gap is longer than this number of usual intervals
 SHORTEST = 0.05  # s; a gap is also longer than this time
 OVER = 32.0  # approximate number of averaged intervals
 # usual intervals, limit of an interval in the average, so that gaps hardly change the usual interval

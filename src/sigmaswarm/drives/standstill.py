@@ -22,7 +22,7 @@ from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.stale_fixes import STALE_MOVING
 
-BLOCK = 0.05  # s
+BLOCK = 0.05  # s, length of a block
 SECOND = 20  # number of complete blocks in the second that must be calm
 MOST_OF_IT = 16.0  # blocks; smallest age of the oldest block with which the last second counts as complete
 QUARTER = 5  # number of complete blocks in the quarter of a second that shows a departure

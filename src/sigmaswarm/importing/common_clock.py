@@ -17,7 +17,7 @@ Roles = dict[Role, tuple[Part, ...]]
 
 
 def on_common_clock(roles: Roles, samples: Mapping[str, pl.DataFrame]) -> tuple[Roles, list[str]]:
-    """Return the roles and notes; both tables use a shared time column if their own times do not overlap."""
+    """Return the roles and notes; if the tables' times do not overlap, both use a shared column whose times overlap."""
     imu, gps = ((*parts, Part("", {}))[0] for parts in (roles.get("imu", ()), roles.get("gps", ())))
     if not {"t"} <= imu.columns.keys() & gps.columns.keys() or imu.table == gps.table:
         return roles, []

@@ -359,7 +359,7 @@ def missing_sensor(
 
 
 def _headers(log: Log) -> str:
-    """Return a command that copies the tables of a folder, with headers for those without; "" if it makes no IMU."""
+    """Return a command that copies the tables of a folder and adds missing headers; "" if the result has no IMU."""
     if not log.path.is_dir():
         return ""
     first = (

@@ -61,7 +61,7 @@ class PartColumns:
     set_back: int = 0  # ns, sum of the steps back of the clock before the chosen recording
     set_ahead: bool = False  # True if the clock jumps ahead between recordings
     counted: bool = False  # True if the time is computed from row numbers alone
-    # Names and cells of the columns that may then be clocks
+    # If the time is computed from row numbers: names and cells of the columns that may be clocks
     clocks: tuple[str, ...] = ()
     others: list[pl.DataFrame] = field(default_factory=list[pl.DataFrame])
 

@@ -170,7 +170,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
 def _other_tables(
     role: Role, best: str, others: Sequence[str], samples: Mapping[str, pl.DataFrame], *, ask: bool
 ) -> list[str]:
-    """Return a note on unused tables with the same columns or, if ``ask``, with positions, and the options for them.
+    """Return a note on unused tables with equal columns or, if ``ask``, with positions, and the options to read them.
 
     Positions from wheels and estimates are not offered as fixes.
     """
@@ -188,7 +188,7 @@ def _other_tables(
 
 
 def _best_table(role: Role, tables: Sequence[str], found: Mapping[str, Columns]) -> str:
-    """Return the first table with a fitting name, else the first.
+    """Return the first table with a fitting name, else the first table.
 
     Tables that may contain estimates come last. Among fixes, positions from wheels come after all measured positions,
     and a reference comes after other measurements. x, y, z of constant magnitude come later, since they may be those of

@@ -47,9 +47,9 @@ class Recipe:
 
     roles: Mapping[Role, tuple[Part, ...]] = field(default_factory=dict[Role, tuple[Part, ...]])
     mount: str = ""  # mounting of the IMU in the vehicle: see `parse_mount`
-    gps_offset_s: float = 0.0  # added to the times
-    truth_offset_s: float = 0.0  # added to the times
-    odometer_offset_s: float = 0.0  # added to the times
+    gps_offset_s: float = 0.0  # added to the times of the fixes
+    truth_offset_s: float = 0.0  # added to the times of the truth
+    odometer_offset_s: float = 0.0  # added to the times of the odometer
     # From true to magnetic north, east positive; None: the course determines it
     declination_deg: float | None = None
     origin: tuple[float, float, float] | None = None  # deg, deg, m, of the local frame

@@ -27,7 +27,7 @@ class DurationRate:
     """Rate of a counter, ticks per s, at which IMU and fixes have the same duration; 0 if no other rate is needed."""
 
     rate: float = 0.0
-    factor: float = 1.0  # of the times of the IMU
+    factor: float = 1.0  # factor of the IMU's times
     remedy: str = ""
 
 

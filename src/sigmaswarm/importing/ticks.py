@@ -19,7 +19,7 @@ from sigmaswarm.importing.times import (
 )
 from sigmaswarm.wording import printable
 
-WRAPS = (2**16, 2**24, 2**31, 2**32)  # ticks, after which counters wrap
+WRAPS = (2**16, 2**24, 2**31, 2**32)  # numbers of ticks after which counters wrap
 MIN_CHANGES, MIN_SPAN = 10, 5.0  # smallest number of changes of the known clock, and their smallest span, s
 MAX_JITTER = 0.5  # s, 90% quantile of the distance between counter and clock; a clock may have whole seconds
 # Largest relative difference from a usual rate; the rates of crystals differ less, but stamps have jitter

@@ -15,7 +15,7 @@ from sigmaswarm.importing.times import MAX_DECREASING_SHARE, MAX_STEP, MIN_STEP,
 from sigmaswarm.wording import count_of, list_names, rows_left_out
 
 MINUTE = 60 * SECOND
-BITS = (16, 24, 31, 32)  # lengths of counters
+BITS = (16, 24, 31, 32)  # lengths of counters, bits
 # Periods after which counters wrap, ns
 WRAPS: tuple[tuple[int, str], ...] = (
     (2**32 * 1000, "a counter of 2^32 microseconds"),
@@ -38,7 +38,7 @@ MIN_ROWS = 20
 MIN_TIME_ERROR, MAX_JUMPS = 10.0, 100
 # If there are more recordings of about one second, the fractions of seconds are presumably wrong
 MAX_SECONDS = 5
-MIN_STEP_BACK, STEPS = 0.2, 2  # smallest step back of a clock between recordings: s, and median steps
+MIN_STEP_BACK, STEPS = 0.2, 2  # smallest step back of a clock between recordings: in s, and in median steps
 MAX_STEP_AHEAD = 3590 * SECOND  # longest pause within a recording; a change to summer time is an hour
 MAX_REPEATED_SHARE = 0.02  # if a larger fraction of rows repeats the previous time, rows share stamps
 # Largest step within a burst of rows, relative to the mean step and to `MAX_STEP`; smallest share of such steps in a

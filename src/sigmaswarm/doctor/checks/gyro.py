@@ -26,8 +26,8 @@ MIN_SCALE_TURN = np.radians(1.0)
 BIAS_LIMITS = (np.radians(0.1), np.radians(1.0))  # rad/s, for a note and for a warning
 
 # s, windows for the mean of the force, and for the change of its direction. Longer windows contain more of the car's
-# acceleration, shorter windows more vibration. On seven recordings every correct sign is significant by 9.5 standard
-# deviations or more.
+# acceleration, and shorter windows contain more vibration. On seven recordings every correct sign is significant by 9.5
+# standard deviations or more.
 MEAN_WINDOW, LAG = 0.3, 0.5
 # Smallest significance of a sign, in standard deviations; high, since neighboring changes share samples
 MIN_SIGNIFICANCE = 7.0

@@ -33,7 +33,7 @@ MIN_STUCK_TIME = 4.0  # s, shortest constant reading that counts as stuck
 MIN_STUCK_ERROR = 2.5  # m/s, smallest median difference of a stuck reading from the fixes
 
 # m/s, change of speed within MAX_JUMP_TIME s, without acceleration, that shows spinning or locked wheels. A slope of
-# 10% looks like a change of 1 m/s, a delay of 0.3 s during full braking like 2 m/s.
+# 10% looks like a change of 1 m/s, and a delay of 0.3 s during full braking looks like a change of 2 m/s.
 MIN_JUMP = 2.5
 MAX_JUMP_TIME, MAX_SLIP_TIME = 1.0, 10.0  # s: longest jump, longest slip
 # m/s, largest median difference between the speed changes of odometer and IMU with which slip can be checked

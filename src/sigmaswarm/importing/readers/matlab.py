@@ -58,7 +58,8 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     with errors_as_damage(path):
         _require_known_elements(path, limits)
         for name, shape, kind in whosmat(path):
-            if kind in ("struct", "cell") and math.prod(shape) > MAX_STRUCTS:  # SciPy creates all elements
+            # SciPy would create all elements
+            if kind in ("struct", "cell") and math.prod(shape) > MAX_STRUCTS:
                 raise InputError(
                     f"{path}: {printable(name)} has more than {MAX_STRUCTS} elements; save the columns as vectors of "
                     "one struct"

@@ -11,7 +11,7 @@ from sigmaswarm.importing.names import read_name
 _NUMBER = r"([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?)"
 _BEGIN = r"(?i)^\s*(?:SRID=\d+;)?\s*POINT\s*(?:Z|M|ZM)?\s*"
 _POINT = rf"{_BEGIN}\(\s*{_NUMBER}\s+{_NUMBER}[^()]*\)\s*$"
-_NO_POINT = rf"{_BEGIN}(?:EMPTY|\(\s*nan\s+nan[^()]*\))\s*$|^\s*$"  # of a row without a fix
+_NO_POINT = rf"{_BEGIN}(?:EMPTY|\(\s*nan\s+nan[^()]*\))\s*$|^\s*$"  # the cell of a row without a fix
 _WORDS = re.compile(r"_?(?:geom(?:etry)?|points?|wkt|position|location)$", re.IGNORECASE)
 _DEGREES = 180.0, 90.0  # largest longitude and latitude
 # Largest median step between points in degrees, and largest range of one coordinate relative to its size; coordinates
