@@ -95,7 +95,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         return
     if known is None:
         assumed = float(np.mean(receiver_std(evidence.drive)))
-        or_scatter = " or, if the baseline drifts clearly less with it, the scatter" * (
+        or_scatter = " or the scatter, if the baseline then drifts clearly less" * (
             assumed == UNSTATED_GPS_STD
         )
         what = (
