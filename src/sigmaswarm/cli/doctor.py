@@ -29,7 +29,7 @@ class DoctorOptions:
     fix
         Folder for a repaired copy of each drive. The drives themselves are not changed.
     lever_arm_within
-        Estimate one lever arm from all drives. --fix writes components whose 95% interval is at most +- this value, m.
+        Estimate one lever arm from all drives. --fix writes components whose 95% error is at most this value, m.
     """
 
     fix: Path | None = None
@@ -113,7 +113,7 @@ def _repair(
         output.show(f"wrote {folder}, a repaired copy ({', '.join(repaired)})")
         print_diagnosis(output, remaining, folder, printed=diagnosis)
     else:
-        worse = "with the repairs a filter predicts the fixes less accurately"
+        worse = "the repairs make a filter's predictions of the fixes less accurate"
         why = worse if codes else "there is no fault that the doctor can repair"
         output.show(f"wrote {folder}, an unchanged copy, since {why}")
     return remaining, {"path": str(folder), "mended": repaired, **remaining.to_dict()}
