@@ -136,7 +136,7 @@ def _folder() -> tuple[Path | None, str]:
 
 
 def _is_private(folder: Path) -> bool:
-    """Return True if other users can neither access nor replace a folder, and on systems without user ids."""
+    """Return True if other users can neither access nor replace a folder; also on systems without user ids."""
     if not hasattr(os, "getuid"):
         return True
     own, above = folder.stat(), folder.parent.stat()

@@ -35,8 +35,8 @@ from sigmaswarm.wording import count_of, sort_remarks, to_do
 P = TypeVar("P", default=FilterParameters)
 SHOWN_REMARKS = 5  # number of remarks in the printed text
 INFLATION_REMARK = (
-    "after the search, the process noise was increased as far as it hardly changes the cost, for other roads and IMUs. "
-    "This step multiplied {}; --inflation 0 omits it"
+    "after the search, the process noise was increased until the cost rose slightly, so that the filter also suits "
+    "other roads and IMUs. This step multiplied {}; --inflation 0 omits it"
 )
 SENSORS_REMARK = (
     "a filter tuned with truth is valid only for the receiver and the IMU of its training drives. With other sensors "

@@ -224,7 +224,8 @@ def start_point(space: SearchSpace, given: FilterParameters) -> Array:
     wanted = space.fixed["model"], space.fixed["kind"]
     if (given.model, given.kind) != wanted:
         raise InputError(
-            f"start is a {given.model} ({given.kind}), but {' ('.join(wanted)}) is tuned; leave --model and --kind out"
+            f"the start filter is {given.model} ({given.kind}), but {' ('.join(wanted)}) is tuned; leave --model and "
+            "--kind out"
         )
     return space.point_of(given)
 
