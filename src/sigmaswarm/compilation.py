@@ -36,7 +36,7 @@ T = TypeVar("T")
 
 
 def call_once(make: Callable[P, T]) -> Callable[P, T]:
-    """Cache results like `functools.cache`, but one thread computes at a time, so no value is computed twice."""
+    """Cache results like `functools.cache`, but only one thread computes at a time, so no value is computed twice."""
     lock, made = threading.RLock(), cache(make)
 
     @wraps(make)

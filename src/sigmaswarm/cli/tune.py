@@ -44,7 +44,7 @@ class TuneOptions:
     validation
         Held-out drives: the search does not use them, and the tuned filter is also evaluated on them.
     start
-        Filter from which the search starts: a tuning, or robot_localization's ekf.yaml (--use selects its inputs).
+        Filter from which the search starts: a tuning, or robot_localization's ekf.yaml (then --use selects the inputs).
     paper
         Use the paper's settings: pso, 30 particles, 50 generations, linear scale, gps-rmse, planar5, ukf. Conflicting
         options are refused.

@@ -248,7 +248,7 @@ def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
 
 
 def swarm_charts(tracks: Tracks) -> tuple[Chart, ...]:
-    """Draw the stacked weights of a bank's filters, and the bank's variances relative to the tuned ones, over time."""
+    """Draw a bank's weights (stacked) over time, and the offsets of its variances from the tuned variances."""
     shares, moved = (tracks.series.get("swarm" + ending) for ending in (SHARES, MOVED))
     if shares is None or moved is None:
         return ()

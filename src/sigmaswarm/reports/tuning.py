@@ -74,7 +74,7 @@ def _convergence_chart(history: pl.DataFrame, best_trial: int, objective: str) -
         ax.set(xlabel="generation", ylabel=f"cost: {objective}")
 
     n = history["trial"].n_unique()
-    return Chart(f"Convergence, {n} trials (the best one in bold)" if n > 1 else "Convergence", draw)
+    return Chart(f"Convergence, {n} trials (the best trial in bold)" if n > 1 else "Convergence", draw)
 
 
 def tuning_report(record: TuningRecord, history: pl.DataFrame | None = None) -> Report:

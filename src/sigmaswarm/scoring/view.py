@@ -357,11 +357,11 @@ def explained_radius() -> str:
     factors = [factor_of(level) for level in LEVELS]
     return (
         "With a probability of 95% or 99.9%, the position error should lie within the corresponding radius. The radii "
-        "in the table are medians over the drive. "
-        "The variance per axis is the sum of the filter's variance and the variance of correlated fix errors. The "
-        "latter is the total variance of the fixes minus the variances of their white noise and of the errors that the "
-        "filter models. The total is the square of the stated standard deviation. If none is stated, the total "
-        "is the variance of the white noise or, if this noise is small, the square of 2.1 m. The radii are "
+        "in the table are medians over the drive. The variance per axis is the sum of the filter's variance and the "
+        "variance of correlated fix errors. The variance of correlated fix errors is the total variance of the fixes "
+        "minus the variances of their white noise and of the errors that the filter models. The total is the square "
+        "of the stated standard deviation. If none is stated, the total is the variance of the white noise or, if this "
+        "noise is small, the square of 2.1 m. The radii are "
         f"{factors[0]:.2f} and {factors[1]:.2f} standard deviations, from Student's t with {DOF:g} degrees of freedom, "
         "since a training drive determines a covariance from few independent errors. Covariances in estimates and "
         "exports are those of the filter, without correlated fix errors."

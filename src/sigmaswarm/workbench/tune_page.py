@@ -206,7 +206,7 @@ class TunePage(Page):
             bar = ui.linear_progress(value=0.0, show_value=False, size="10px")
             bar.props('aria-label="generations" rounded')
             with box("figures"):
-                figures = [_figure(label) for label in ("generation", "trial", "best cost")]
+                figures = [_figure(label) for label in ("generation", "trial", "lowest cost")]
             with box("grid"):
                 cost = show_plot("Lowest cost", "generation", "cost", [])
                 track = show_map(run.shown_on, f"Track over {run.shown_on.name}")
