@@ -159,7 +159,7 @@ class EvaluationView:
             tuned = mean_of("tuned", measure)
             if tuned is None:
                 continue
-            rivals = AGAINST, self.best_baseline(measure)  # to be better than a bad method proves little
+            rivals = AGAINST, self.best_baseline(measure)  # a comparison with a bad method proves little
             comparisons = [
                 _compared(tuned, value, in_sentence(m, self.names[m]))
                 for m in rivals

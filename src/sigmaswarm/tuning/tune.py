@@ -231,7 +231,7 @@ def start_point(space: SearchSpace, given: FilterParameters) -> Array:
 
 
 def _center(problem: Problem[Any]) -> Array | None:
-    """Return the baseline as a search point; None for a custom model or the paper's uniform first swarm."""
+    """Return the baseline as a search point; None for a custom model or the paper's uniform first generation."""
     config = problem.config.model_dump()
     papers = all(config.get(name) == value for name, value in PAPER_OPTIONS.items())
     return None if papers else problem.baseline_point()
