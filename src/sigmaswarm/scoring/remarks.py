@@ -24,8 +24,8 @@ MAX_ERROR_RATIO = 0.9
 MAX_LASTING_RATIO = 1.5
 COMMON_ERROR = "The estimate does not contain an error that all fixes have in common"
 
-# Properties of sensors: name, unit, factor. A drive has other sensors if a property is at least the largest value of the
-# training drives times the factor, or at most the smallest value divided by the factor.
+# Properties of sensors: name, unit, factor. A drive has other sensors if a property is at least the largest value of
+# the training drives times the factor, or at most the smallest value divided by the factor.
 SENSORS = ("IMU", "Hz", 1.5), ("standard deviation of the fixes", "m", 2.5)
 
 
