@@ -40,7 +40,7 @@ def tuned_filter(given: Filter) -> TunedFilter:
 def import_log(
     log: str | Path, *, name: str | None = None, say: Callable[[str], Any] | None = None, **settings: Any
 ) -> Drive:
-    """Make a drive from a log of another format, as `sigmaswarm import` does.
+    """Make a drive from a log, as `sigmaswarm import` does.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def import_log(
     say : callable, optional
         Called with each note; by default, notes become warnings.
     **settings
-        ``gps``, ``truth``, ``odometer``: logs of these sensors, if ``log`` does not contain them. ``format``, ``maps``
+        ``gps``, ``truth``, ``odometer``: logs of these data, if ``log`` does not contain them. ``format``, ``maps``
         ({"ax": "acc_x*g"}), ``tables`` ({"imu": "/imu/data"}), ``time``, ``recipe`` (a file) and settings of a recipe,
         such as ``mount``, ``gps_offset_s``, ``origin``, ``gps_lever_arm_m``.
 
@@ -77,7 +77,7 @@ def import_log(
     request = request_of(log, settings)
     imported = import_drive(request, name or Path(log).resolve().stem)
     drive, notes = imported.drive, [*imported.notes, *imported.assumed]
-    # The command `sigmaswarm import` reports such times as a finding of the doctor.
+    # The command `sigmaswarm import` reports unshared times as a finding of the doctor.
     if unshared := unshared_times(drive.imu.time, drive.gps.time):
         notes.append(str(unshared).replace(".csv", ""))
     for note in notes:

@@ -36,7 +36,7 @@ T = TypeVar("T")
 
 
 def call_once(make: Callable[P, T]) -> Callable[P, T]:
-    """Cache results like `functools.cache`, but one thread computes at a time, so no value is computed twice."""
+    """Cache results like `functools.cache`, but only one thread computes at a time, so no value is computed twice."""
     lock, made = threading.RLock(), cache(make)
 
     @wraps(make)
@@ -136,7 +136,7 @@ def _folder() -> tuple[Path | None, str]:
 
 
 def _is_private(folder: Path) -> bool:
-    """Return True if other users can neither access nor replace a folder, and on systems without user ids."""
+    """Return True if other users can neither access nor replace a folder; also on systems without user ids."""
     if not hasattr(os, "getuid"):
         return True
     own, above = folder.stat(), folder.parent.stat()

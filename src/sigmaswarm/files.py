@@ -91,7 +91,7 @@ def locked_folder(path: Path) -> Generator[Path]:
         raise InputError(
             f"{path}: another run is writing to it; wait until that run ends, or choose another --out"
         ) from None
-    # Remove lock files of killed runs in subfolders too, since later runs may not write there. No run nests deeper.
+    # Also remove lock files of killed runs in subfolders, since later runs may not write there. Three levels suffice.
     for level in ("", "*/", "*/*/", "*/*/*/"):
         _sweep_all(path, f"{level}.*.lock")
     try:
@@ -155,10 +155,10 @@ def earlier_result(folder: Path, kind: str, mark: str = "", *, alone: bool = Tru
     Raises
     ------
     InputError
-        The folder contains another result, or files of the user.
+        If the folder contains another result, or files of the user.
     """
     if folder.is_dir():
-        _sweep(folder.resolve())  # a killed run may have replaced the list, which this restores
+        _sweep(folder.resolve())  # if a killed run replaced the list, this call restores it
     if not folder.is_dir() or all(_HIDDEN.fullmatch(entry.name) for entry in folder.iterdir()):
         return frozenset()
     if mark and (folder / mark).is_file() and not (folder / RESULT_FILE).exists():

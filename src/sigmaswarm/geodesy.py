@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from sigmaswarm.arrays import Array
 
 Origin = tuple[float, float, float]  # latitude (deg), longitude (deg), altitude (m)
-STANDARD_GRAVITY = 9.80665  # m/s2; filters and their exported C have 9.81: see `filters.tilted`
+STANDARD_GRAVITY = 9.80665  # m/s2; filters and exported C code use 9.81: see `filters.tilted`
 
 
 @overload

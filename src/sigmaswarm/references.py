@@ -35,7 +35,7 @@ from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.tune import tune
 
 MAX_STD = 0.1  # m per axis, largest standard deviation of the truth
-HIDDEN_DURATIONS = (2.0, 20.0)  # s, range of windows' lengths; in 2 s, cars' IMUs drift by a decimeter
+HIDDEN_DURATIONS = (2.0, 20.0)  # s, range of the windows' lengths; in 2 s, a car's IMU drifts by a decimeter
 HIDDEN_FIRST = 10.0  # s from the start of the filter to the first window, and between two windows
 PLACEMENTS = 3  # number of random sets of hidden windows
 COVERAGE = 0.95, 1.96  # fraction of hidden fixes within an interval, per axis, and half its width in sigmas
@@ -176,7 +176,7 @@ def _tuned(
     suggestion = suggest_filter([receiver])
     use = tuple(option for option in suggestion.use if option != "standstill")
     options: Any = {"model": suggestion.model, "use": use, "objective": OBJECTIVE, "seed": seed}
-    with warnings.catch_warnings():  # they concern a filter that is used only here
+    with warnings.catch_warnings():  # the warnings concern a filter that is used only here
         warnings.simplefilter("ignore", SigmaswarmWarning)
         return tune(receiver, executor=executor, progress=progress, **options).parameters
 

@@ -65,7 +65,7 @@ def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
         what == "  SERIOUS  [gyro-sign] The yaw rate has the wrong sign: it must be positive in a left turn."
     )
     assert consequence == ["           A filter turns left where the car turns right."]
-    tested = "(sigmaswarm doctor --fix tests this, and applies it if it helps)"
+    tested = "(sigmaswarm doctor --fix tests this repair, and applies it if it helps)"
     assert remedy == f"           -> change the sign of gz {tested}"
     assert "the integral of gz" not in ended.out
     assert f"\nnext: sigmaswarm doctor {sick} --fix mended\n" in ended.out

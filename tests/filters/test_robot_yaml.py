@@ -151,7 +151,7 @@ def test_a_start_is_a_point_of_the_search_and_the_result_no_worse(tmp_path: Path
     with pytest.raises(InputError, match="start"):  # another start is another tuning
         tune([DRIVE], start=P, particles=4, generations=1, out=tmp_path / "out", resume=True)
     with pytest.raises(
-        InputError, match=r"start is a robot-localization \(ekf\), but planar8 \(ukf\) is tuned"
+        InputError, match=r"the start filter is robot-localization \(ekf\), but planar8 \(ukf\) is tuned"
     ):
         tune([DRIVE], model="planar8", kind="ukf", start=P, particles=4, generations=1)
 

@@ -119,7 +119,7 @@ def test_what_is_not_enough_is_no_command(tmp_path: Path, sigmaswarm: Command):
     tables()[0].write_csv(tmp_path / "imu.csv")
     said = sigmaswarm("import", tmp_path / "imu.csv", "--show").out
     assert (
-        "add these options to the command (other columns are still missing, see below):" in said
+        "add these options to the command (some columns are still missing, see below):" in said
         and "no position fixes found" in said
     )
     assert "next:" not in said

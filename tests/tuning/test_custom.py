@@ -227,7 +227,7 @@ def test_what_can_not_be_tuned_is_refused(tmp_path: Path):
         (lambda: tune(make_drive(duration=10.0), out=out, **SMALL), "got a Drive"),
         (
             lambda: tune(LOGS, out=out, objective="truth-pose", **SMALL),
-            "'truth-pose' is not available for a model of your own",
+            "'truth-pose' is not available for a custom model",
         ),
         (
             lambda: tune(blind, out=out, objective="truth-rmse", **SMALL),

@@ -44,7 +44,7 @@ def read_drives(places: "Sequence[Location]") -> "list[Drive]":
 
 
 def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *, overwrite: bool) -> None:
-    """Raise `InputError` if a folder is a source or contains files; ``overwrite`` permits the files of a drive."""
+    """Raise `InputError` if a folder is a source or contains files; with ``overwrite``, it may contain a drive."""
     from sigmaswarm.drives.reader import all_drive_locations
     from sigmaswarm.drives.writer import require_replaceable
     from sigmaswarm.errors import InputError

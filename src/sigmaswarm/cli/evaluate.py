@@ -62,7 +62,7 @@ class EvaluateOptions:
         Also evaluate a filter bank: the mixture of sixteen filters with different parameters. --swarm is the deprecated
         name.
     verbose
-        Also print the scores of each drive, the consistency, all remarks and the names of written files.
+        Also print the scores of each drive, the consistency, all remarks and the names of the written files.
     """
 
     against: Path | None = None

@@ -136,8 +136,8 @@ def _notes(target: Target, record: "TuningRecord", *, replay: bool) -> Iterator[
     if record.mounting and target == "c99":
         angles = ", ".join(f"{angle:.4g}" for angle in record.mounting)
         yield (
-            "pass each IMU sample to ins_gps_turn_imu(), in the axes listed in the README.md of the export. It applies "
-            f"the mounting of the training drives (roll, pitch, yaw: {angles} deg)"
+            "pass each IMU sample to ins_gps_turn_imu(), in the axes listed in the README.md of the export. This "
+            f"function applies the mounting of the training drives (roll, pitch, yaw: {angles} deg)"
             f"{'. The samples in replay.csv are rotated already' if replay else ''}"
         )
     if target != "filterpy" and record.mountings_differ:

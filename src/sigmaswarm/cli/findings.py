@@ -57,7 +57,7 @@ def _problem(finding: "Finding", folder: "Location | None", *, part: bool) -> Re
     start, end = finding.span
     place = f"({finding.where}; t = {start:.1f} to {end:.1f} s; confidence {100 * finding.confidence:.3g}%)"
     fixed = (
-        " (sigmaswarm doctor --fix tests this, and applies it if it helps)"
+        " (sigmaswarm doctor --fix tests this repair, and applies it if it helps)"
         if finding.repair and not part
         else ""
     )

@@ -18,7 +18,7 @@ from sigmaswarm.cli.output import Output
 from sigmaswarm.cli.terminal import progress_bar
 from sigmaswarm.errors import DriveWarning, InputError
 from sigmaswarm.files import free_path
-from sigmaswarm.wording import printable
+from sigmaswarm.wording import count_of, printable
 
 if TYPE_CHECKING:
     from sigmaswarm.doctor.findings import Diagnosis
@@ -340,10 +340,10 @@ def _print_inspection(inspection: "Inspection", options: ImportOptions) -> None:
         output.show(f"not used from {printable(table)}: {names}{more}")
     output.show(*_notes(inspection.notes))
     if inspection.proposal:
-        lacking = "" if inspection.works else " (other columns are still missing, see below)"
+        lacking = "" if inspection.works else " (some columns are still missing, see below)"
         of_rows = re.search(r"\b(imu|gps)\.t=", inspection.proposal)
         output.show(
-            f"\nTo read the other columns, add these options to the command{lacking}:",
+            f"\nTo read more columns, add these options to the command{lacking}:",
             printable(inspection.proposal, 4000),
             f"({printable(inspection.evidence, 1000)})",
             *(["(imu.t and gps.t are the times of IMU samples and fixes)"] if of_rows else []),
@@ -358,7 +358,7 @@ def _print_inspection(inspection: "Inspection", options: ImportOptions) -> None:
 def _command(inspection: "Inspection", options: ImportOptions) -> str:
     typed = [word for word in sys.argv[1:] if word != "--show"]
     out = [] if options.out else ["--out", str(free_path("drive"))]
-    # The expressions that a proposal has for the IMU's columns already are in the drive's axes.
+    # A proposal's expressions for the IMU's columns already give values in the drive's axes.
     corrected = inspection.proposal and re.search(r"\b[ag][xyz]=", inspection.proposal)
     out += ["--mount", inspection.mount] if inspection.mount and not corrected else []
     command = printable(shlex.join(["sigmaswarm", *typed, *out]), 4000)
@@ -373,7 +373,7 @@ def _columns(preview: "TablePreview") -> Iterator[str]:
         ends = f"{_short(r.low):>20} {_short(r.middle):>20} {_short(r.high):>20}" if r.example else "empty"
         yield f"  {printable(r.column):{width}} {printable(r.example) if r.low is None and r.example else ends}"
     if others := len(preview.ranges) - len(varying):
-        yield f"  and {others} columns that contain only 0"
+        yield f"  and {count_of(others, 'column')} with only the value 0"
 
 
 def _short(value: float | None) -> str:

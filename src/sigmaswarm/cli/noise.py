@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sigmaswarm.noise import Noise
 
 
-RESULT_KIND = "noise of an IMU"  # name of the result in its folder and in messages
+RESULT_KIND = "IMU noise analysis"  # name of the result in its folder and in messages, after "an"
 
 
 @dataclass(frozen=True, kw_only=True)

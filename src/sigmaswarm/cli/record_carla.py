@@ -25,11 +25,12 @@ for option in fields(Options):
 def record_carla(*, out: Path, **options: Any) -> None:
     """Record drives with known truth from a CARLA server.
 
-    A Tesla Model 3 drives each of the paper's five maneuvers in each of its five environments, by default 20 times.
+    A Tesla Model 3 drives each of the paper's five maneuvers in each of the paper's five environments, by default 20
+    times.
 
-    A server of CARLA 0.9.16 needs `pip install carla==0.9.16`. For an older server, write the recorder into one file
-    with `python -m sigmaswarm_carla.pack carla_recorder.pyz`, and run this file with the Python installation that
-    contains the client of the server (docs/carla.md).
+    For a server of CARLA 0.9.16, first run `pip install carla==0.9.16`. For an older server, write the recorder into
+    one file with `python -m sigmaswarm_carla.pack carla_recorder.pyz`, and run this file with the Python installation
+    that contains the client of the server (docs/carla.md).
 
     For example:
 

@@ -31,7 +31,7 @@ def report(
     folder
         A folder that `sigmaswarm tune`, `evaluate` or `study` wrote.
     out
-        File to write, NAME.html; by default page.html in FOLDER, which is replaced without --overwrite.
+        File to write, NAME.html; by default page.html in FOLDER. An earlier page.html is replaced without --overwrite.
     """
     from sigmaswarm.reports.read import save_page
 

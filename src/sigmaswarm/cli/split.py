@@ -87,9 +87,9 @@ def _parts(
 
 
 def _longest_part(whole: "sigmaswarm.Drive", at: list[float]) -> "sigmaswarm.Drive | None":
-    """Return the longer of two parts, before the first time and after the second.
+    """Return the longer of the two parts before the first time and after the second time.
 
-    None if that part is too short for a drive.
+    Return None if this part is too short for a drive.
     """
     late = float(whole.imu.time[-1]) - at[1] > at[0] - float(whole.imu.time[0])
     with warnings.catch_warnings(), suppress(sigmaswarm.InputError):

@@ -29,7 +29,7 @@ def prepare() -> None:
 
 
 def report_compilation() -> None:
-    """Print messages about the compilation of kernels, which delays a first run, if stderr is a terminal."""
+    """Print messages about the compilation of kernels (which delays a first run) if stderr is a terminal."""
     if sys.stderr is not None and sys.stderr.isatty():
         log = logging.getLogger("sigmaswarm.compilation")
         log.setLevel(logging.INFO)
@@ -84,7 +84,7 @@ def mute() -> None:
 @contextmanager
 def tuning_progress(title: str) -> "Generator[Callable[[TuningProgress], None]]":
     """Show the progress of a tuning run on stderr, and yield the callback for `tune`."""
-    counted = "generations, best cost {task.fields[cost]}, remaining"
+    counted = "generations, lowest cost {task.fields[cost]}, remaining"
     with progress_bar(title, counted, "preparing", cost="-") as show:
         yield lambda progress: show(progress.done, progress.total, cost=f"{progress.best_cost:.3f}")
 

@@ -44,7 +44,7 @@ class TuneOptions:
     validation
         Held-out drives: the search does not use them, and the tuned filter is also evaluated on them.
     start
-        Filter from which the search starts: a tuning, or robot_localization's ekf.yaml (--use selects its inputs).
+        Filter from which the search starts: a tuning, or robot_localization's ekf.yaml (then --use selects the inputs).
     paper
         Use the paper's settings: pso, 30 particles, 50 generations, linear scale, gps-rmse, planar5, ukf. Conflicting
         options are refused.
@@ -151,7 +151,11 @@ def tune(
 def _tune(
     groups: "Sequence[Dataset]", given: Places, out: Path, options: TuneOptions, config: dict[str, Any]
 ) -> "tuple[Tuning[Any], FirstTrack, list[str], list[str]]":
-    """Tune; return the result, the track on the first drive, the next commands, and lines on a filter with velocity."""
+    """Tune a filter.
+
+    Return the result, the track on the first drive, the next commands, and lines about a filter with the receiver's
+    velocity.
+    """
     from concurrent.futures import ThreadPoolExecutor
 
     from sigmaswarm.scoring.jobs import cores
@@ -208,8 +212,8 @@ def _larger_drifts(view: "TuningView") -> Iterator[Remark]:
     remedy = (
         "tune with the default --particles and --generations"
         if few
-        else "evaluate the filter on data that the tuning did not use; if it drifts more there, too, tune on more or "
-        "longer drives"
+        else "evaluate the filter on data that the tuning did not use; if its drift is also larger there, tune on more "
+        "or longer drives"
     )
     yield from (Remark("warning", as_sentence(text), remedy=remedy) for text in view.larger_drifts)
 
@@ -231,7 +235,7 @@ def _velocity_agrees(drive: "Drive") -> bool:
 def _with_velocity(
     given: Places, config: TuneConfig, read: "Dataset", stated: Mapping[str, Any]
 ) -> list[str]:
-    """Suggest a second tuning with the receiver's velocity, if the first lacks it and the model and the logs permit it.
+    """Suggest a second tuning with the receiver's velocity, if the first lacks it, and model and logs permit its use.
 
     ``stated``: the options that the user gave for the first tuning; the second tuning has the same options.
     """

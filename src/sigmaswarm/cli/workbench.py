@@ -31,7 +31,7 @@ def workbench(
     Parameters
     ----------
     logs
-        Log files or folders to open. You can drop more logs into the page.
+        Log files or folders to open. You can drop more logs onto the page.
     out
         Folder for drives, tunings, evaluations and exports.
     port

@@ -179,8 +179,8 @@ def consistency(name: str, evaluated: DriveResult) -> Figure | None:
         ax.set(xlabel="lag, fixes", ylabel="autocorrelation", ylim=(-1.0, 1.0))
 
     charts = (
-        Chart(f"{name}: {found.inside_gate:.1%} in the gate", over_time),
-        Chart(f"mean {found.mean_nis:.2f}, consistent: {low:.2f} to {high:.2f}", histogram),
+        Chart(f"{name}: {found.inside_gate:.1%} in the 95% gate", over_time),
+        Chart(f"mean NIS {found.mean_nis:.2f}, consistent: {low:.2f} to {high:.2f}", histogram),
         Chart("innovations (gray: 95% band of white noise)", lags),
     )
     return figure_of(*charts, size=(11, 3.4))
@@ -248,7 +248,7 @@ def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
 
 
 def swarm_charts(tracks: Tracks) -> tuple[Chart, ...]:
-    """Draw the stacked weights of a bank's filters and the offsets of its variances from the tuned ones, over time."""
+    """Draw a bank's weights (stacked) over time, and the offsets of its variances from the tuned variances."""
     shares, moved = (tracks.series.get("swarm" + ending) for ending in (SHARES, MOVED))
     if shares is None or moved is None:
         return ()

@@ -155,4 +155,4 @@ def evaluate_command(
     words += [word for method in also for word in options.get(method, ())]  # networks need no option
     there = "tuning.toml and against.toml are" if AGAINST in also else "tuning.toml is"
     paths = "Replace the names of the drives by the paths of their folders."
-    return shlex.join(words), f"{there} in the folder of this page. {paths}"
+    return shlex.join(words), f"{there} in the folder of the evaluation. {paths}"

@@ -151,7 +151,7 @@ def save(figure: Figure, path: Path) -> Path:
     _plain(figure)
     with atomic_file(path) as file, warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph")  # the font may lack letters of a name
-        figure.dpi = 130  # `savefig` would draw the figure twice, with the layout each time
+        figure.dpi = 130  # `savefig` would draw the figure twice and compute the layout twice
         FigureCanvasAgg(figure).print_png(file, metadata={"Software": None})
     return path
 
@@ -163,7 +163,7 @@ def save_both(figure: Figure, stem: Path) -> list[Path]:
 
 
 def svg(chart: Chart) -> str:
-    """Return a chart without title as an SVG element that is as wide as its container.
+    """Return a chart without its title, as an SVG element that is as wide as its container.
 
     Sizes are in inches. The page enlarges the chart by a factor of 1.2 on a phone and 1.8 on a large screen.
     """
@@ -198,7 +198,7 @@ def _svg(figure: Figure, **settings: str) -> str:
 
 def check_file(path: Path, suffix: str = ".png") -> None:
     if path.suffix != suffix:
-        raise InputError(f"{path}: unknown format; end the name in {suffix}")
+        raise InputError(f"{path}: unknown format; choose a name that ends in {suffix}")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if not path.parent.is_dir():

@@ -29,9 +29,9 @@ from sigmaswarm.versions import __version__
 
 LONG_CELL = 24  # characters of a cell above which the column gets a minimum width
 TERMS = {
-    "NIS": "normalized innovation squared: squared innovation of a fix, relative to its covariance",
+    "NIS": "normalized innovation squared: squared innovation of a fix, relative to the covariance of the innovation",
     "NEES": "normalized estimation error squared: squared position error, relative to the filter's covariance",
-    "RMSE": "root of the mean squared error",
+    "RMSE": "square root of the mean squared error",
     "whiteness p": "probability that uncorrelated innovations appear at least as correlated as the observed "
     "innovations (Ljung-Box test over lags of one to ten fixes)",
     "correlation": "correlation of consecutive innovations; 0 if the filter is consistent",

@@ -49,7 +49,7 @@ MARK_STYLE = Look(SLATE, 1.0, "--")
 def means_chart(
     results: Results, measure: str, reach: float = SCALE_RATIO, mark: float | None = None
 ) -> Chart | None:
-    """Draw the mean of every method with two intervals, on a logarithmic scale up to ``reach`` x the lowest mean.
+    """Draw the mean of every method with two intervals, on a logarithmic scale up to ``reach`` times the lowest mean.
 
     A mean beyond the scale is drawn as an arrow with a number and without intervals. ``mark``: value marked by a line.
     """
@@ -102,7 +102,7 @@ def quantile_chart(
     *,
     all_rows: bool = False,
 ) -> Chart | None:
-    """Draw boxes over the drives (quartiles, whiskers at 5 and 95%) on a logarithmic scale.
+    """Draw boxes over the drives (quartiles; whiskers: 5th and 95th percentiles) on a logarithmic scale.
 
     If ``all_rows`` is True, methods without this measure have empty rows.
     """

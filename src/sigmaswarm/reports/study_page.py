@@ -45,7 +45,7 @@ def study_report(folder: Path) -> Report:
         config=results.config.model_dump(mode="json"),
         versions=record.versions,
         command="sigmaswarm study --out again --config study.toml",
-        command_note="study.toml is in the folder of this page.",
+        command_note="study.toml is in the folder of the study.",
     )
 
 
@@ -63,7 +63,7 @@ def _sections(record: StudyRecord) -> Iterator[Section]:
         yield Section("Rivals", (text, *notes), rivals, curve_charts(results))
     conditions = tables.conditions_table(results, POSITION, CONDITION_VARIANTS)
     if len(conditions.rows) > 2:
-        text = "The folder tables/ next to this page contains other measures and methods."
+        text = "The folder tables/ of the study contains other measures and methods."
         yield Section("Conditions", (text,), (conditions,))
     yield _convergence(results)
     yield Section("Search results", (), (tables.optimum_table(results), tables.trials_table(results)))
@@ -113,7 +113,7 @@ def _remarks(results: Results, protocol: str) -> Iterable[str]:
     mine = [t for t in results.tunings if (t.protocol, t.method) == (protocol, MAIN_METHOD)]
     if touching := sum(bool(t.touched_bounds) for t in mine):
         yield (
-            f"{main}: {touching} of {len(mine)} tuning runs ended at a bound, "
+            f"{main}: in {touching} of {len(mine)} tuning runs, a parameter ended at a bound, "
             "so the optimum may be outside of the search space"
         )
     costs = [t.cost for t in mine]

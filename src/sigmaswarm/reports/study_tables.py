@@ -51,7 +51,7 @@ INTERVALS_NOTE = (
     "the drives. It contains the mean over new drives in only 45 to 91% of simulated studies. The other two intervals "
     "are for new drives. The bootstrap interval contains this mean in 94 to 95% of full studies, and in 85 to 95% of "
     "small studies. The interval of the corrected t-test contains this mean at least as often as the bootstrap "
-    "interval; if the results of the optimizer vary much, the interval of the t-test is too wide."
+    "interval; if the results of the optimizer vary widely, the interval of the t-test is too wide."
 )
 EFFORT_NOTE = (
     "Labeled: driving time with truth, for tuning. Learned: driving time without truth, for training a "

@@ -33,7 +33,7 @@ VERMILION, PURPLE, SKY, INDIGO = "#D55E00", "#CC79A7", "#56B4E9", "#332288"
 CHARCOAL, SLATE, GREY, SILVER, MIST = "#4d4d4d", "#51585f", "#999999", "#cccccc", "#e5e5e5"
 NO_LINE = "none"
 
-# From top to bottom. Line styles also differ, so that a gray print stays legible.
+# Series from top to bottom. The line styles also differ, so that a gray print stays legible.
 STYLES: dict[str, Look] = {
     "truth": Look(BLACK, 1.2),
     "smoothed": Look(INDIGO, 1.6),

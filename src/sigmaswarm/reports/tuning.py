@@ -74,7 +74,7 @@ def _convergence_chart(history: pl.DataFrame, best_trial: int, objective: str) -
         ax.set(xlabel="generation", ylabel=f"cost: {objective}")
 
     n = history["trial"].n_unique()
-    return Chart(f"Convergence, {n} trials (the best one in bold)" if n > 1 else "Convergence", draw)
+    return Chart(f"Convergence, {n} trials (the best trial in bold)" if n > 1 else "Convergence", draw)
 
 
 def tuning_report(record: TuningRecord, history: pl.DataFrame | None = None) -> Report:
@@ -85,7 +85,7 @@ def tuning_report(record: TuningRecord, history: pl.DataFrame | None = None) -> 
     figures = [("cost", f"{result.cost:.4g}", f"{result.objective}, training drives")]
     if result.validation_cost is not None:
         figures.append(("cost on held-out drives", f"{result.validation_cost:.4g}", view.gap))
-    figures.append(("candidates tried", f"{result.evaluations}", f"{result.failures} of them failed"))
+    figures.append(("parameter sets tried", f"{result.evaluations}", f"{result.failures} of them failed"))
     held_out = view.validation or "to measure the errors on other drives, run sigmaswarm evaluate"
     command, note = tune_command(record.config, [d.name for d in record.data], result.validation_drives)
     return Report(
@@ -120,7 +120,8 @@ def read_tuning(folder: Path) -> tuple[TuningRecord, pl.DataFrame | None]:
     last = history.group_by("trial", maintain_order=True).last()
     if not np.array_equal(last["best_cost"], record.result.trial_costs):
         raise InputError(
-            f"{path}: does not belong to the {FILE} in this folder; delete it, or restore the original file"
+            f"{path}: does not belong to the {FILE} in this folder; delete {HISTORY_FILE}, or restore the original "
+            f"{HISTORY_FILE}"
         )
     return record, history
 

@@ -17,15 +17,15 @@ from sigmaswarm.wording import count_of
 
 COMPLETE_SHARE = 0.99  # fraction of the time with truth above which gaps are not reported
 MIN_INFORMATIVE_NIS = 1.0  # mean NIS below which predicted fixes do not measure the position error
-# Ratio to the tuned filter's error below which a method without tuning is reported as better
+# Ratio of a method's error to the tuned filter's error, below which a method without tuning is reported as better
 MAX_ERROR_RATIO = 0.9
 
 # Ratio of the error with correlated fix errors to the filter's estimate above which a range is stated
 MAX_LASTING_RATIO = 1.5
 COMMON_ERROR = "The estimate does not contain an error that all fixes have in common"
 
-# Properties of sensors: name, unit, factor. A drive has other sensors if a property is at least this factor above the
-# largest value of the training drives, or below the smallest
+# Properties of sensors: name, unit, factor. A drive has other sensors if a property is at least the largest value of
+# the training drives times the factor, or at most the smallest value divided by the factor.
 SENSORS = ("IMU", "Hz", 1.5), ("standard deviation of the fixes", "m", 2.5)
 
 

@@ -159,7 +159,7 @@ class EvaluationView:
             tuned = mean_of("tuned", measure)
             if tuned is None:
                 continue
-            rivals = AGAINST, self.best_baseline(measure)  # to be better than a bad method proves little
+            rivals = AGAINST, self.best_baseline(measure)  # a comparison with a bad method proves little
             comparisons = [
                 _compared(tuned, value, in_sentence(m, self.names[m]))
                 for m in rivals
@@ -292,7 +292,7 @@ class EvaluationView:
 
     def missing_scores(self) -> tuple[str, ...]:
         """Return a sentence for each drift that is missing for some drives, and for a missing heading error."""
-        slow = f"never exceeds {MIN_HEADING_SPEED:g} m/s according to the truth"
+        slow = f"did not exceed {MIN_HEADING_SPEED:g} m/s according to the truth"
         reasons = dict.fromkeys(DRIFTS, "can't contain such an outage") | {"heading_rmse_deg": slow}
         without_truth = {drive.name for drive in self.setup.data if not drive.has_truth}
         sentences: list[str] = []
@@ -356,11 +356,12 @@ def explained_consistency(nees: bool) -> str:
 def explained_radius() -> str:
     factors = [factor_of(level) for level in LEVELS]
     return (
-        "The position error should lie within this radius with a probability of 95% or 99.9% (median over the drive). "
-        "The variance per axis is the sum of the filter's variance and the variance of correlated fix errors. The "
-        "latter is the total variance of the fixes minus the variances of their white noise and of the errors that the "
-        "filter models. The total is the square of the stated standard deviation. If none is stated, it is the "
-        "variance of the white noise or, if this noise is small, the square of 2.1 m. The radii are "
+        "With a probability of 95% or 99.9%, the position error should lie within the corresponding radius. The radii "
+        "in the table are medians over the drive. The variance per axis is the sum of the filter's variance and the "
+        "variance of correlated fix errors. The variance of correlated fix errors is the total variance of the fixes "
+        "minus the variances of their white noise and of the errors that the filter models. The total is the square "
+        "of the stated standard deviation. If none is stated, the total is the variance of the white noise or, if this "
+        "noise is small, the square of 2.1 m. The radii are "
         f"{factors[0]:.2f} and {factors[1]:.2f} standard deviations, from Student's t with {DOF:g} degrees of freedom, "
         "since a training drive determines a covariance from few independent errors. Covariances in estimates and "
         "exports are those of the filter, without correlated fix errors."
@@ -378,7 +379,7 @@ def explained_scores(view: EvaluationView) -> str:
         if not with_truth:
             drifts += " Since there is no truth, the drift is relative to the hidden fixes and includes their errors."
     if with_truth:
-        rmse = " RMSE: root of the mean square error. 50% and 95%: quantiles of the position error."
+        rmse = " RMSE: square root of the mean squared error. 50% and 95%: quantiles of the position error."
     return (
         f"Lower is better. Outages last {SHORT_OUTAGE_LENGTH:g}, {view.setup.outage_length_s:g} and "
         f"{LONG_OUTAGE_LENGTH:g} s.{drifts}{rmse} "

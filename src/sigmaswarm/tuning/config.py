@@ -12,11 +12,11 @@ from sigmaswarm.tuning.options import ACCELERATION, INERTIA, OptimizerName, Opti
 from sigmaswarm.wording import first_mistake
 
 SWARM = ("inertia", "cognitive", "social", "zero_velocity_at_bounds")
-"""Options of the optimizer pso only."""
+"""Options that only the optimizer pso has."""
 DEFERRED_OPTIONS = ("model", "kind", "use")
 """Options whose default depends on the drives or on the model."""
 RENAMED = {"margin": "inflation"}
-"""Current names of options of version 0.3.0."""
+"""Options that version 0.3.0 calls by another name: old name, current name."""
 SYNONYMS = {
     **dict.fromkeys(("n_trials", "restarts", "n_restarts", "repeats"), "trials"),
     **dict.fromkeys(("random_state", "random_seed", "rng"), "seed"),
@@ -229,7 +229,7 @@ def similar_name(name: str, known: Iterable[str]) -> str | None:
 
 
 def validated_config(kind: type[C], options: Mapping[str, Any]) -> C:
-    """Check the options of a tuning run; raise `InputError` for the first invalid one."""
+    """Check the options of a tuning run; raise `InputError` for the first invalid option."""
     try:
         config = kind(**options)
     except ValidationError as error:

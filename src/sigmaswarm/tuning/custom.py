@@ -74,7 +74,7 @@ def model_problem(logs: Sequence[Log], model: Model, config: SearchConfig) -> Mo
         raise InputError("there are no logs; pass at least one")
     if config.objective not in MODEL_OBJECTIVES:
         raise InputError(
-            f"the objective {config.objective!r} is not available for a model of your own; "
+            f"the objective {config.objective!r} is not available for a custom model; "
             f"choose one of {', '.join(MODEL_OBJECTIVES)}"
         )
     targets = [truth_rmse(log, model) for log in logs] if config.objective == "truth-rmse" else None

@@ -29,7 +29,7 @@ With truth, forecasts are added, since truth-pose includes the drift over only a
 simulated drives of 120 s, the 5 s drift on other drives was 1.9 m without forecasts and 0.8 m with them.
 
 If the fix errors are correlated, a filter that is tuned by forecasts reproduces these errors: with a u-blox M8, its
-position RMSE was 11 m instead of 4 m. For planar models forecasts are not used. Without truth, they overfit the filter
+position RMSE was 11 m instead of 4 m. For planar models, forecasts are not used. Without truth, they overfit the filter
 to the training roads: on a drive of another car, its position RMSE was 3.6 times that of the fixes. With truth, they
 increase the heading error of planar8 by 5% (ten cases).
 """

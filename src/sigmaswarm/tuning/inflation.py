@@ -2,15 +2,15 @@
 
 Inflation selects the largest noise whose cost is close to the lowest cost, similar to the one-standard-error rule (L.
 Breiman et al., Classification and Regression Trees, 1984, section 3.4.3). A longer drive determines the noise better,
-so it allows a smaller cost increase.
+so a smaller cost increase is allowed.
 
 For a planar model, all process noise is inflated except the random walk of the gyro's bias. The noise of the velocity
 is included, since it represents the tilt of roads. One drive hardly determines the random walk: an inflation to 1e-7
 (rad/s)2/s raised the heading error on another car's drive by 29%. For a model with roll and pitch, the random walks of
-the biases are inflated by the factor, and the noise of position and velocity by its square root. With the whole factor
-for position and velocity, the position RMSE on another car's drive is 0.86 instead of 0.65 times that of the fixes.
-Without inflation of position and velocity, the heading error with a cheap IMU is 50% larger. The noises of heading and
-yaw rate in robot-localization are not inflated, since they do not depend on roads.
+the biases are inflated by the factor, and the noise of position and velocity by the square root of the factor. With the
+whole factor for position and velocity, the position RMSE on another car's drive is 0.86 instead of 0.65 times that of
+the fixes. Without inflation of position and velocity, the heading error with a cheap IMU is 50% larger. The noises of
+heading and yaw rate in robot-localization are not inflated, since they do not depend on roads.
 
 Multiplication hardly changes a noise near zero. In a filter with roll and pitch, the noise of these angles, the random
 walks of the gyro's x and y biases, and the standard deviations of the initial biases therefore have minima
@@ -44,18 +44,17 @@ INFLATION, TILTED_INFLATION, WITH_TRUTH = 0.05, 0.02, 0.01
 
 The limits are those of planar models without truth, of other models without truth, and of tilted12 with truth.
 """
-MIN_DRIVES_WITH_TRUTH = (
-    3  # drives with truth from which the standard deviations of the initial biases are determined
-)
+MIN_DRIVES_WITH_TRUTH = 3
+"""Smallest number of drives with truth from which the standard deviations of the initial biases are determined."""
 REFERENCE_DURATION, TILTED_DURATION = 100.0, 150.0
-"""Total driving times (s) up to which the whole cost increase is allowed, for planar models and with roll and pitch.
+"""Total driving times (s) up to which the whole cost increase is allowed.
 
-Twice this time allows half of the increase. On the 72 pairs of drives of `benchmarks/road_matrix.py`, the position RMSE
-of planar8 is 1 to 2% lower with 100 s than with 150 s, and its 5 s drift is 3 to 4% lower. With roll and pitch, a
-filter was tuned on 200 s of kitti-09-30-0018 and tested on kitti-09-30-0033. The 95% radius contained 83% of its errors
-with 100 s, and 90% with 150 s; the position RMSE on the training roads differed by less than 1%. Shorter drives do not
-allow a larger increase: after tuning on 60 s of a highway, an increase of 0.086 instead of 0.05 raised the 5 s drift on
-other roads by 20%.
+The first time is for planar models, the second for models with roll and pitch. Twice the time allows half of the
+increase. On the 72 pairs of drives of `benchmarks/road_matrix.py`, the position RMSE of planar8 is 1 to 2% lower with
+100 s than with 150 s, and its 5 s drift is 3 to 4% lower. With roll and pitch, a filter was tuned on 200 s of
+kitti-09-30-0018 and tested on kitti-09-30-0033. The 95% radius contained 83% of its errors with 100 s, and 90% with
+150 s; the position RMSE on the training roads differed by less than 1%. Shorter drives do not allow a larger increase:
+after tuning on 60 s of a highway, an increase of 0.086 instead of 0.05 raised the 5 s drift on other roads by 20%.
 """
 MIN_BIAS_RATIO = 5.0
 """Smallest ratio bias^2 / variance, averaged over initial alignments and axes, at which gyro biases are significant.
@@ -105,7 +104,7 @@ def shown_bias(starts: Sequence[InitialState]) -> float:
 
 
 def predicted_bias(biases: Sequence[float]) -> float:
-    """Return the standard deviation (rad/s) of the gyro bias on another drive, from the true ones; 0 if unknown.
+    """Return the standard deviation (rad/s) of the gyro bias on another drive, from true biases; 0 if unknown.
 
     For a mean of zero, the bias on another drive has a Student's t distribution with n degrees of freedom (n drives).
     For n < 3, the standard deviation of this distribution is infinite, and the RMS of the biases is returned instead.

@@ -102,7 +102,7 @@ class LeverArmEstimate:
         if unknown:
             times = (1.96 * max(self.std) / self.within) ** 2
             remarks.append(
-                f"the 95% error of {' and '.join(unknown)} exceeds {self.within:g} m; for this accuracy the log needs "
+                f"{' and '.join(unknown)}: the 95% error exceeds {self.within:g} m; for this accuracy the log needs "
                 f"{times:.1f} times as many turns"
                 + ("; the value in drive.toml is kept" if any(self.stated) else "")
             )

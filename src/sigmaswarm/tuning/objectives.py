@@ -31,7 +31,7 @@ class Objective:
     scale_free : bool
         True if the cost does not depend on a common factor of all covariances.
     likelihood : bool
-        True for a negative log-likelihood, or a sum with such a term. Without truth the unit of the whole sum is nats.
+        True for a negative log-likelihood, or a sum with such a term. Without truth, the unit of the whole sum is nats.
     nats : float
         Total weight of the logarithmic terms; 0 if the cost is a positive error. If errors are 1% larger, a term of
         weight 1 increases by 0.01 nats per element of a measurement.

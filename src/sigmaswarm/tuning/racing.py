@@ -76,8 +76,8 @@ def race(
 ) -> RaceResult:
     """Evaluate points, shape (n, d), on the drives in the given order, and drop the worse half at each rung.
 
-    With `MIN_RACED_DRIVES` or more drives, points that are not better than ``leader`` are dropped, too; if there is no
-    leader or only one point, no point is dropped.
+    With `MIN_RACED_DRIVES` or more drives, points that are not better than ``leader`` by one standard error are also
+    dropped; if there is no leader or only one point, no point is dropped.
     """
     order = np.asarray(order)
     many, n, m = len(order) >= MIN_RACED_DRIVES, len(points), len(order)

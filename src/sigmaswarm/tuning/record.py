@@ -69,7 +69,7 @@ class ResultRecord(BaseModel):
     filter_steps: int = 0
     filter_steps_without_racing: int = 0
     lower_cost_at: dict[str, float] = Field(default_factory=dict)
-    """By parameter, the lowest relative change of the cost if only this parameter changes; only negative values."""
+    """Lowest relative change of the cost if only one parameter changes, by parameter; contains only negative values."""
 
 
 class TuningRecord(BaseModel):

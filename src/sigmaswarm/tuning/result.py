@@ -35,8 +35,8 @@ from sigmaswarm.wording import count_of, sort_remarks, to_do
 P = TypeVar("P", default=FilterParameters)
 SHOWN_REMARKS = 5  # number of remarks in the printed text
 INFLATION_REMARK = (
-    "after the search, the process noise was increased as far as it hardly changes the cost, for other roads and IMUs. "
-    "This step multiplied {}; --inflation 0 omits it"
+    "after the search, the process noise was increased until the cost rose slightly, so that the filter also suits "
+    "other roads and IMUs. This step multiplied {}; --inflation 0 omits it"
 )
 SENSORS_REMARK = (
     "a filter tuned with truth is valid only for the receiver and the IMU of its training drives. With other sensors "
@@ -329,12 +329,13 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
         )
         yield to_do("add innovation-nll or nis to the objective", why)
     if car and not (car.lateral_noise or car.velocity_noise) and "truth-pose" not in objective.name:
-        remedy = "for a car use the lateral constraint (--use lateral), or tune with truth-pose"
+        remedy = "for a car, use the lateral constraint (--use lateral), or tune with truth-pose"
         why = "the fixes alone hardly determine the heading, which may be wrong by tens of degrees"
         yield to_do(remedy, why)
     better = min(t.sensitivities, key=lambda s: s.lowest_rise, default=None)
     if better and better.lowest_rise < -MAX_INCREASE and factor == 1.0:
-        why = f"a change of {better.name} alone lowers the cost by {-better.lowest_rise:.0%}, so the search ended early"
+        lower = f"lowers the cost by {-better.lowest_rise:.0%}"
+        why = f"a change of {better.name} alone {lower}, so the search did not converge"
         polish = "" if t.config.polish else ", or add --polish 300"
         yield to_do(f"increase --generations or --trials{polish}", why)
     if car and objective.needs_truth:

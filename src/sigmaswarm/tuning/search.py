@@ -138,7 +138,9 @@ class TrialRunner:
                 cost = optimizer.global_cost
                 best = self.problem.parameters(optimizer.global_best) if np.isfinite(cost) else None
                 if self.progress(Progress(number, generation, done, total, cost, best)) is False:
-                    raise TuningStopped(f"stopped after {done} of {total} generations; resume to continue")
+                    raise TuningStopped(
+                        f"stopped after {done} of {total} generations; resume=True continues a run with a folder"
+                    )
         history = {"point": optimizer.global_best, **history}
         result = {
             "cost": optimizer.global_cost,

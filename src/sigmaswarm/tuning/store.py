@@ -172,9 +172,9 @@ def _require_same(file: Path, config: dict[str, Any]) -> dict[str, float] | None
 class ResultFolder:
     """The folder of a tuning run, created if missing.
 
-    With ``resume`` the folder may contain a run with the same configuration. Raises `InputError` if the folder contains
-    another tuning, or if it contains any tuning and ``resume`` is False. The message proposes ``--resume`` only if the
-    configuration is the same.
+    With ``resume``, the folder may contain a run with the same configuration. Raises `InputError` if the folder
+    contains another tuning, or if it contains any tuning and ``resume`` is False. The message proposes ``--resume``
+    only if the configuration is the same.
 
     ``center`` is the `CENTER` of the configuration. For a resumed run it is the saved center, which is missing in files
     of version 0.3.0.

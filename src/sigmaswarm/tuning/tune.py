@@ -224,13 +224,14 @@ def start_point(space: SearchSpace, given: FilterParameters) -> Array:
     wanted = space.fixed["model"], space.fixed["kind"]
     if (given.model, given.kind) != wanted:
         raise InputError(
-            f"start is a {given.model} ({given.kind}), but {' ('.join(wanted)}) is tuned; leave --model and --kind out"
+            f"the start filter is {given.model} ({given.kind}), but {' ('.join(wanted)}) is tuned; leave --model and "
+            "--kind out"
         )
     return space.point_of(given)
 
 
 def _center(problem: Problem[Any]) -> Array | None:
-    """Return the baseline as a search point; None for a custom model or the paper's uniform first swarm."""
+    """Return the baseline as a search point; None for a custom model or the paper's uniform first generation."""
     config = problem.config.model_dump()
     papers = all(config.get(name) == value for name, value in PAPER_OPTIONS.items())
     return None if papers else problem.baseline_point()

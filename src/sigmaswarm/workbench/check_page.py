@@ -171,7 +171,7 @@ class CheckPage(Page):
 
     @ui.refreshable_method
     def _evidence(self, finding: Finding) -> None:
-        """Show the plot of a finding before and (if known) after the repair; if it is rejected, show the reason."""
+        """Show the plot of a finding before and (if known) after its repair, and why the repair is rejected."""
         after, rejected = self.after.get(finding.code, ({}, ""))
         message(rejected, "bad")
         if shown := self.before.get(shown_by(finding.code)):
@@ -239,9 +239,7 @@ def _apply(drive: Drive, step: Step) -> Drive:
 def _try_repairs(drive: Drive, diagnosis: Diagnosis) -> Repaired:
     """Try each repair alone; return the results, see `Repaired`."""
     after: Repaired = {}
-    reason = (
-        "This repair is rejected, since with it a filter predicts the fixes less accurately. Check the log."
-    )
+    reason = "This repair is rejected, since it makes a filter's predictions of the fixes less accurate. Check the log."
     for code in dict.fromkeys(f.code for f in diagnosis.findings if f.repair is not None):
         repaired = sigmaswarm.repair(drive, diagnosis, only=[code])
         rejected = code in repaired.metadata.get("withheld", ())

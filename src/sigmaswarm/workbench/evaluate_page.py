@@ -28,7 +28,8 @@ class EvaluatePage(Page):
             text("h2", "Evaluate a filter")
             with line():
                 select("Filter", tunings, chosen["tuning"], self._choose_tuning)
-                rivals = {"": "no other", **{name: name for name in tunings if name != chosen["tuning"]}}
+                others = {name: name for name in tunings if name != chosen["tuning"]}
+                rivals = {"": "no other filter", **others}
                 against = chosen.get("against", "")
                 select("Compare with", rivals, against, partial(self._choose, "against"))
             drives = self.bench.drive_names

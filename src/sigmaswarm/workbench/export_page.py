@@ -25,7 +25,7 @@ class ExportPage(Page):
         super().__init__(bench)
         self.chosen: dict[str, Any] = {}
         self.outcomes: dict[str, tuple[str, str, str]] = {}
-        """Keys are targets; values: message about written files, error message, and a command that uses the files."""
+        """Keys: targets. Values: message about written files, error message, and command that uses the files."""
 
     def content(self) -> None:
         tunings, drives = self.bench.finished, self.bench.drive_names

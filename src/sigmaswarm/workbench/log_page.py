@@ -90,7 +90,7 @@ class LogPage(OpenLog):
         files, dropped = event.files, await ui.run_javascript("window.nameOfDrop()")
         if invalid := [file.name for file in files if not NAME.fullmatch(file.name)]:
             self.wrong = (
-                f"{invalid[0]}: this name can't be used; rename the file, with letters, digits, dots, - and _"
+                f"{invalid[0]}: this name can't be used; use a file name of letters, digits, dots, - and _"
             )
             self.status.refresh()
             return
@@ -142,7 +142,10 @@ class LogPage(OpenLog):
             return
         with box("section"):
             text("h2", "Agreement of the IMU with the fixes")
-            text("p", "Solid: measured by the IMU. Dashed: expected. Zoom with the mouse.", "soft")
+            about = (
+                "Solid: measured by the IMU. Dashed: expected from gravity or the fixes. Zoom with the mouse."
+            )
+            text("p", about, "soft")
             with box("grid"):
                 for agreement in self.found:
                     if agreement.key in ("gravity", "turning", "forward"):
@@ -190,7 +193,7 @@ class LogPage(OpenLog):
         self._command.refresh()
 
     def _make(self, name: str) -> None:
-        """Write the drive, replacing an earlier drive of this log with the same name, and remove its checked copy."""
+        """Write the drive and remove its checked copy; an earlier drive of this log with the same name is replaced."""
         if self.waiting:  # the log is being read again after a choice
             self.after_reading = partial(self._make, name)
             return

@@ -31,7 +31,9 @@ class OpenLog(Page):
     def status(self) -> None:
         self.messages()
         if self.wrong and self.inspection and self.inspection.tables:
-            text("p", "Choose the use of each column below (--map). After each choice the log is read again.")
+            text(
+                "p", "Choose the use of each column below (--map). After each choice, the log is read again."
+            )
         message(self.done, "good")
 
     def choose(self, **choices: Any) -> None:

@@ -14,7 +14,7 @@
   };
   new MutationObserver(restore).observe(document.documentElement, { childList: true, subtree: true });
 
-  // Read a dropped folder here, since a browser gives an uploader single files only.
+  // Read a dropped folder here, since a browser passes only single files to an uploader.
   window.droppedFolders = new Set();
   let nameOfDrop = "";
   window.nameOfDrop = () => { const name = nameOfDrop; nameOfDrop = ""; return name; };

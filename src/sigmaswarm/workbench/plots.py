@@ -108,7 +108,9 @@ def time_plot(
     on_select: Callable[[float, float], Any] | None = None,
     **layout: Any,
 ) -> None:
-    """Show series over time. Dragging the mouse zooms, which loads details, or selects a time span for ``on_select``.
+    """Show series over time.
+
+    Dragging the mouse zooms and loads details. If ``on_select`` is given, dragging instead selects a time span for it.
 
     For ``dashed`` and ``pale`` see `lines`. ``span``, s, is shaded if it is clearly shorter than the series.
     """

@@ -36,7 +36,7 @@ STEPS = {
     "check": ("Check", "faults, repairs, cuts"),
     "tune": ("Tune", "search for parameters"),
     "evaluate": ("Evaluate", "errors on drives that the tuning did not use"),
-    "export": ("Export", "C, ROS, Python, tracks"),
+    "export": ("Export", "C, ROS, Python, trajectories"),
 }
 FAVICON = (
     '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 32 32"><rect width="32" height="32" rx="7" fill="#0072b2"/>'

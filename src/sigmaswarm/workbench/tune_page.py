@@ -174,7 +174,7 @@ class TunePage(Page):
                 (drives if what == TRAIN else held_back).append(self.bench.read(name))
         if not drives:
             raise sigmaswarm.InputError(
-                f"no drive is chosen for the tuning; choose {TRAIN!r} for at least one"
+                f"no drive is chosen for the tuning; choose {TRAIN!r} for at least one drive"
             )
         return drives, held_back
 
@@ -206,7 +206,7 @@ class TunePage(Page):
             bar = ui.linear_progress(value=0.0, show_value=False, size="10px")
             bar.props('aria-label="generations" rounded')
             with box("figures"):
-                figures = [_figure(label) for label in ("generation", "trial", "best cost")]
+                figures = [_figure(label) for label in ("generation", "trial", "lowest cost")]
             with box("grid"):
                 cost = show_plot("Lowest cost", "generation", "cost", [])
                 track = show_map(run.shown_on, f"Track over {run.shown_on.name}")
@@ -244,7 +244,8 @@ class TunePage(Page):
         with box("section"):
             text("h2", "Tunings")
             rows = [[name, *_row(tuning)] for name, tuning in tunings.items()]
-            table(["name", "filter", "objective", "cost", "held out", "drives"], rows, "stacks")
+            heads = ["name", "filter", "objective", "cost", "cost on held-out drives", "training drives"]
+            table(heads, rows, "stacks")
             for _, wrong in loaded.values():
                 message(wrong, "bad")
             costs = {

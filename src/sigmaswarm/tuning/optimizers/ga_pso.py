@@ -33,7 +33,7 @@ class GeneticSwarm(MovingSwarm):
         best, best_cost = self.personal_best[elites], self.personal_cost[elites]
         v = self._accelerated(v, x, best)
         children = mutated(offspring(x, costs, n - len(elites), bounds, self.rng), bounds, self.rng)
-        # a child starts with zero velocity, and its best position is its first one
+        # a child starts with zero velocity, and its first position is its best position
         self.velocities = np.concatenate([v, np.zeros_like(children)])
         self.personal_best = np.concatenate([best, children])
         self.personal_cost = np.concatenate([best_cost, np.full(len(children), np.inf)])
