@@ -168,7 +168,7 @@ def _smoothed(
 def _tuned(
     receiver: Drive, seed: int, executor: Executor | None, progress: Callable[[Progress], None] | None
 ) -> FilterParameters:
-    """Tune the default filter without the option ``standstill`` on the good receiver's fixes.
+    """Tune the default filter, without ``standstill``, on the fixes of the more accurate receiver.
 
     Fixes with errors of a centimeter would make the noise of the standstill constraint very small. One wrongly detected
     standstill in an outage would move the track by meters, while the covariance stays small.

@@ -142,7 +142,7 @@ def test_a_fault_of_a_part_alone_is_not_repaired(sigmaswarm, good, here: Path):
     assert sigmaswarm("split", "log", "--out", "parts", "--train-fraction", "0.5").code == 0
     write_drive(flipped_yaw(read_drive("parts/urban-clear-00-test")), here / "sick-test")
     refused = sigmaswarm("doctor", "sick-test", "--fix", "mended")
-    assert refused.code == 2 and "log needs no repair, so use the part without --fix" in refused.err
+    assert refused.code == 2 and "log needs no repair; use this part as it is" in refused.err
 
 
 def test_split_of_a_faulty_drive_proposes_its_repair(sigmaswarm, sick: Path):

@@ -93,7 +93,7 @@ def test_a_delay_is_found_by_the_gyro(late: float):
 def test_noise_follows_no_convention():
     rng = np.random.default_rng(0)
     (found,) = found_in(with_column(rng.uniform(-3.0, 3.0, len(good().gps))))
-    assert found.what == "heading does not follow the positions in any known convention"
+    assert found.what == "the heading agrees with the direction of travel in no known convention"
 
 
 def test_a_fix_without_a_heading_has_none_after_a_repair():

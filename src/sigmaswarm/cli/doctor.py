@@ -148,7 +148,7 @@ def _refuse_parts(drives: "list[Drive]", given: list[Path]) -> None:
         if diagnosis.whole and has_repairable(diagnosis):
             steps, whole = repair_whole(diagnosis, folder)
             commands = [step.partition("    ")[0].partition(": ")[2] for step in steps]
-            remedy = ", then ".join(commands) or f"{whole} needs no repair, so use the part without --fix"
+            remedy = ", then ".join(commands) or f"{whole} needs no repair; use this part as it is"
             raise InputError(
                 f"{folder}: is a part of the drive {diagnosis.whole}, and would differ from the other part if it were "
                 f"repaired alone; {remedy}"

@@ -149,7 +149,7 @@ def repair_command(diagnosis: "Diagnosis", folder: "Location") -> Remedy:
 
 
 def diagnosis_of_whole(part: "Location") -> "tuple[Diagnosis, Path] | None":
-    """Diagnose the drive from which a part was split; None if its folder is not found."""
+    """Diagnose the drive from which a part was split; return None if the folder of this drive is not found."""
     from sigmaswarm.cli.whole_drive import find_whole
     from sigmaswarm.doctor.diagnose import diagnose
 

@@ -73,7 +73,7 @@ def split(
 def _parts(
     whole: "sigmaswarm.Drive", train_fraction: float, at: list[float] | None
 ) -> "Sequence[sigmaswarm.Drive]":
-    """Split a drive; if data between two times are left out, also leave out a part that is too short for a drive."""
+    """Split a drive; with two times, return only the longer part if the other is too short for a drive."""
     times = None if not at else at[0] if len(at) == 1 else (at[0], at[1])
     try:
         parts = sigmaswarm.split_time(whole, train_fraction, at=times)
@@ -101,7 +101,7 @@ def _longest_part(whole: "sigmaswarm.Drive", at: list[float]) -> "sigmaswarm.Dri
 
 
 def _options(train_fraction: float | None, at: list[float] | None) -> list[str]:
-    """Return the options of this command, for the command that splits the repaired drive."""
+    """Return the options that split the repaired drive in the same way."""
     if at:
         return ["--at", *(f"{time:.12g}" for time in at)]
     return [] if train_fraction is None else ["--train-fraction", f"{train_fraction:g}"]

@@ -17,7 +17,7 @@ MAX_FOLDERS = 1000  # maximum number of searched folders
 def find_whole(part: Location) -> tuple[Drive, Path] | None:
     """Return the drive from which a part was split, and the folder of this drive.
 
-    Return None if the drive is not near the part's folder.
+    Return None if it is not found near the part's folder (see `_near`).
 
     The part's drive.toml states the fingerprint of this drive.
     """

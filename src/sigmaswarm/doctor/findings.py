@@ -62,7 +62,7 @@ CONSEQUENCES = {
     "time-unit": "the time steps of a filter are wrong by this factor",
     "truth-clock": "errors relative to this truth, and filters that are tuned with it, are wrong",
     "unseen-motion": "a fault of axes, units or clocks makes the filter useless but remains hidden",
-    "unseen-yaw": "a wrong sign or unit makes the filter useless but remains hidden",
+    "unseen-yaw": "a wrong sign or unit, which would make the filter useless, cannot be seen",
 }
 """Consequences of faults, by code; codes of notes have none."""
 

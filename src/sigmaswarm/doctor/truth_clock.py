@@ -24,8 +24,9 @@ MAX_DIFFERENCE, MIN_RATIO, PEAK_WIDTH = 0.1, 3.0, 10.0
 def truth_delay(time: Array, fixes: Positions, truth_time: Array, truth: Positions) -> float | None:
     """Find the delay of the truth's clock, s, from the truth (m,) and the fixes (n,), east + i north, m.
 
-    Return None if the velocities agree at no delay or at more than one. The relative difference of the velocities v and
-    w at a delay is the sum of |v - w|^2 divided by the sum of |v|^2 + |w|^2, over the times at which both are known.
+    Return None if no delay makes the velocities agree, or if several delays do. The relative difference of the
+    velocities v and w at a delay is the sum of |v - w|^2 divided by the sum of |v|^2 + |w|^2, over the times at which
+    both are known.
     """
     if min(len(time), len(truth_time)) < 3:
         return None

@@ -184,7 +184,7 @@ def _equal(a: Array, b: Array, tolerance: float) -> tuple[Integers, Integers]:
 def save_landmarks(
     seen: Iterable[Landmarks], path: Path, names: Sequence[tuple[str, str]] | None = None
 ) -> None:
-    """Save landmarks of drives; if ``names`` (name, fingerprint) are given, ``seen`` may be a generator."""
+    """Save landmarks of drives; with ``names`` (name, fingerprint), read ``seen`` drive by drive, to save memory."""
     if names is None:
         seen = list(seen)
         names = [(marks.name, marks.sha256) for marks in seen]

@@ -54,14 +54,14 @@ def name_of_other(part: str) -> str:
 
 
 def name_of_whole(drive: Drive) -> str:
-    """Return the name of the drive that this part was cut from; "" if there is none, or the part is repaired alone."""
+    """Return the name of the whole drive of this part; "" for a whole drive, or for a part that is repaired alone."""
     cut = cut_of(drive.metadata)
     name = cut.get("drive")
     return name if isinstance(name, str) and not is_repaired_alone(drive) else ""
 
 
 def is_repaired_alone(part: Drive) -> bool:
-    """Return True if the rest of the drive has other faults than this part, such as another mounting of the IMU."""
+    """Return True for a part that is repaired alone, since its faults differ from those of the rest of the drive."""
     return bool(cut_of(part.metadata).get(REPAIR_ALONE))
 
 

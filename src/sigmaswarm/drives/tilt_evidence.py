@@ -40,9 +40,9 @@ class TiltEvidence:
     ``numbers`` (16,) have the order of the last members of InsGpsGyro in exported C code. FORCE and VARIANCE are the
     mean specific force, forward and left, and its variance, in m/s2 and (m/s2)^2. TURN and DRIFT (s) are the changes of
     the mean tilt, real and imaginary part, per unit of the tilt at the start and per unit of the gyro's biases about
-    the forward and left axes. The mean speed (m/s) follows. The alignment's mean is valid for the forward force
-    ASSUMED, and the alignment's covariance includes the variance of this force, ASSUMED_VARIANCE. CHANGE is the change
-    of x, y, vx, vy, theta per m/s2 of forward force.
+    the forward and left axes. The next entry is the mean speed, m/s. The alignment's mean is valid for the forward
+    force ASSUMED, and the alignment's covariance includes the variance of this force, ASSUMED_VARIANCE. CHANGE is the
+    change of x, y, vx, vy, theta per m/s2 of forward force.
     """
 
     numbers: Array

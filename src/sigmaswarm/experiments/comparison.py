@@ -30,7 +30,7 @@ MEASURES = {
 
 @dataclass(frozen=True)
 class Contender:
-    """One row of a comparison: an optimizer with its settings, such as ``pso:polish=300``, and a scale."""
+    """One row of a comparison: an optimizer with its settings, such as ``pso:polish=300``, and a search scale."""
 
     name: str
     scale: str

@@ -1,8 +1,8 @@
 """Parallel execution of the tasks of an experiment, in the threads of an executor or in forked processes.
 
-Each task saves its results in a folder, so an interrupted experiment can continue. Forked processes need 75% of the
-time of threads, since a tuning run spends 25% of its time in the Python interpreter, which runs one thread at a time.
-Forked processes also inherit drives and prepared timelines without copying.
+Each task saves its results in a folder, so an interrupted experiment can continue. With forked processes, a study takes
+75% of the time that it takes with threads, since the Python interpreter runs one thread at a time. Forked processes
+also inherit drives and prepared timelines without copying.
 """
 
 import os

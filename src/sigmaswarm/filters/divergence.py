@@ -211,7 +211,7 @@ def describe_restarts(drive: str, times: Sequence[float]) -> str:
 
 
 class _Contradiction:
-    """Record of an uninterrupted contradiction."""
+    """How long the measurements have contradicted the estimate without interruption."""
 
     def __init__(self) -> None:
         self._record = np.zeros(3)

@@ -319,7 +319,7 @@ def add_tilt_evidence(mean: Array, covariance: Array, seen: Array) -> None:
 def as_angles(state: Array, covariance: Array) -> Array:
     """Return the covariance (..., 12, 12) of states (..., 12), with roll, pitch and theta instead of the error e.
 
-    For small changes, e = A (roll, pitch, theta); the columns of A are the axes of these rotations.
+    For small changes of the angles, e = A (d_roll, d_pitch, d_theta); the columns of A are the axes of rotation.
     """
     theta, pitch = state[..., ATTITUDE[2]], state[..., ATTITUDE[1]]
     ct, st, tan, sec = np.cos(theta), np.sin(theta), np.tan(pitch), 1 / np.cos(pitch)

@@ -16,7 +16,7 @@ MIN_NUMBERS = 6  # smallest count of numbers in a row of an IMU
 
 
 def describe_kinds(log: Log) -> str:
-    """Describe a long table, with one value or sensor per row, and a command that converts it; else return ""."""
+    """Describe a long table (one value or sensor per row) and a command that converts it; "" for other tables."""
     if found := _between_sentences(log.path):
         return found
     for table, about in log.tables.items():

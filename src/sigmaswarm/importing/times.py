@@ -167,7 +167,7 @@ def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
 
 
 def rising_time(frame: pl.DataFrame, role: Role) -> str:
-    """Return the first column without a known name that increases from row to row, as text in s; else "COLUMN".
+    """Return the expression of a time, s: of the first column that increases and has no known name, else "COLUMN".
 
     A counter may wrap. A counter of rows, which increases by 1, is not a time.
     """

@@ -195,7 +195,7 @@ def scaled(text: str, factor: float) -> str:
 
 
 def _times(text: str, factor: float) -> str:
-    """Write a text times a power of ten, or divided by a short number; return "" if neither is possible."""
+    """Return ``text`` times ``factor``, written as ``*1eN`` or as a division by a short number; "" if inexact."""
     power, inverse = round(math.log10(factor)), 1 / factor
     if math.isclose(factor, 10.0**power, rel_tol=1e-12):
         return f"{text}*1e{power}"

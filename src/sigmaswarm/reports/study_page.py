@@ -207,8 +207,8 @@ def _tracks(record: StudyRecord) -> Section:
 
 def _comparisons(results: Results) -> Section:
     text = (
-        f"{results.label(MAIN_METHOD)} compared with every other method, drive by drive. Improvement (equation 5): the "
-        "relative reduction of the mean error, with a bootstrap interval over drives.",
+        f"{results.label(MAIN_METHOD)} compared with every other method, drive by drive. Improvement (equation 5 of "
+        "the paper): the relative reduction of the mean error, with a bootstrap interval over drives.",
         "p: Wilcoxon's signed-rank test, with Holm's correction over the methods. The rank-biserial correlation is the "
         "effect size: 1 if the PSO-UKF is better on every drive, -1 if it is worse on every drive.",
     )

@@ -61,8 +61,8 @@ def _extremes(columns: Columns, ends: NDArray[np.intp]) -> NDArray[np.intp]:
 class CloseUp:
     """All rows of a series that lie in a region, with a gap wherever the series leaves the region.
 
-    ``center`` is the middle of the region, m, shape (2,). The region is twice as wide as ``side`` (m), since a plot
-    with equal scales may show more than a square.
+    ``center`` is the middle of the region, m, shape (2,). ``side`` is the side of the plotted square, m.
+    The region is twice as wide, since a plot with equal scales may show more than this square.
     """
 
     def __init__(self, center: NDArray[np.float64], side: float) -> None:

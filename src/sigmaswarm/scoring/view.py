@@ -275,7 +275,7 @@ class EvaluationView:
         )
 
     def sentences(self, added: Iterable[str] = ()) -> tuple[str, ...]:
-        """Return the sentences below a table, the most important first; ``added`` follows the verdicts."""
+        """Return the sentences below a table, the most important first; the sentences ``added`` follow the verdicts."""
         positions = map(as_sentence, estimate_position_errors(self.scores, self.setup.data))
         one_drive = self._one_drive()
         first = (

@@ -117,7 +117,7 @@ class TuningRecord(BaseModel):
 
     @property
     def shown_std(self) -> float | None:
-        """Standard deviation of the fixes that the training drives show, m per axis; None if it is unknown."""
+        """Standard deviation of the fixes from truth or scatter of the training drives, m per axis; None if unknown."""
         known = [drive.shown_std_m for drive in self.data if drive.shown_std_m is not None]
         return float(np.median(known)) if known else None
 
@@ -128,7 +128,7 @@ class TuningRecord(BaseModel):
 
     @property
     def unusable(self) -> list[str]:
-        """Warnings of the tuning according to which the filter should not be used."""
+        """Warnings of the tuning that advise against using the filter."""
         return [one for one in (self.result.warnings if self.result else ()) if DO_NOT_USE in one]
 
     @property

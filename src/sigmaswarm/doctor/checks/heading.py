@@ -69,7 +69,7 @@ def _fitting(offsets: list[tuple[float, float]]) -> int:
 def _of_convention(evidence: Evidence, best: int, offset: float, rest: float) -> Iterator[Finding]:
     span = evidence.span
     if rest > MAX_DEVIATION:
-        what = "heading does not follow the positions in any known convention"
+        what = "the heading agrees with the direction of travel in no known convention"
         remedy = "convert the heading to rad, counter-clockwise from east, or leave the column out"
         yield Finding("heading-convention", "serious", what, WHERE, span, 0.95, remedy)
         return

@@ -219,7 +219,7 @@ def check_handled(evidence: Evidence) -> Iterator[Finding]:
 
 
 def find_steady_span(drive: Drive) -> tuple[float, float]:
-    """Return the first and last time, s, of the part in which the IMU tilts like a vehicle."""
+    """Return the first and last time, s, of the part in which the IMU tilts no faster than a vehicle."""
     imu, step = drive.imu, 0.5
     first, last = float(imu.time[0]), float(imu.time[-1])
     if imu.az is None or imu.gx is None or imu.gy is None or last - first < 4 * ENDS:

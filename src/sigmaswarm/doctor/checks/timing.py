@@ -93,7 +93,7 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _latency_option(evidence: Evidence) -> str:
-    """Return the options that add the delay of the fixes to the default filter, since --use replaces the default."""
+    """Return the default options and latency, since --use replaces the defaults."""
     return f"tune --use {' '.join((*evidence.suggestion.use, 'latency'))}"
 
 

@@ -51,7 +51,11 @@ def check_velocity(evidence: Evidence) -> Iterator[Finding]:
 
     if not alike(angle):
         fitting = [(k, name) for k, (name, read) in enumerate(CONVENTIONS.items(), 1) if alike(read(angle))]
-        what, confidence, repair = "course does not follow the positions in any known convention", 0.95, None
+        what, confidence, repair = (
+            "the course agrees with the direction of travel in no known convention",
+            0.95,
+            None,
+        )
         remedy = "convert the course to rad, counter-clockwise from east"
         if fitting:
             what, confidence = f"course is in {fitting[0][1]}", 0.99

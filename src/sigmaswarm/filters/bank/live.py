@@ -250,7 +250,9 @@ class LiveFilterBank(LiveFilter):
         return step_log[np.arange(first, last) % length]
 
     def _replace(self, result: SearchResult, replayed: int, leader: int) -> None:
-        """Replace the worst filters by the result of a search and by changed copies; process the later samples again.
+        """Replace the worst filters, then process the samples after the checkpoint again.
+
+        One filter is replaced by the result of a search, the others by changed copies of filters drawn by weight.
 
         ``replayed`` and ``leader`` are the fields ``logged`` and ``leader`` of the `PendingSearch`.
         """

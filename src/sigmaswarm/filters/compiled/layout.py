@@ -137,7 +137,7 @@ def state_rows(kernel: str) -> NDArray[np.intp]:
 
 
 def at(i: int, j: int) -> int:
-    """Return the row of P[i, j]."""
+    """Return the row of the state array that contains P[i, j]."""
     low, high = min(i, j), max(i, j)
     return P0 + high * (high + 1) // 2 + low
 

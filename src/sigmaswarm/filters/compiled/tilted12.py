@@ -4,8 +4,8 @@ The attitude of the mean is the quaternion in rows ATT_W ... ATT_Z. Rows I, J an
 east, north and up. This error is 0 except between a measurement and `fold`, which rotates the quaternion by the error.
 All other rows are those of planar8; K and L are the biases of gx and gy.
 
-A changes seven states (see transition.py). A P A^T is computed in two parts: first the seven rows of A P, mostly in
-scratch rows, then those of (A P) A^T.
+The transition matrix A changes seven states (see transition.py). A P A^T is computed in two parts: first the seven rows
+of A P, mostly in scratch rows, then those of (A P) A^T.
 """
 
 import math
