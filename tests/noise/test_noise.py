@@ -251,7 +251,7 @@ ERRORS = {
     ),
     "nan": (
         lambda log: replace(log, ay=np.where(log.time < 1, np.nan, log.ay)),
-        "ay has values that are not numbers",
+        "ay has values that are not finite numbers",
     ),
     "backwards": (lambda log: replace(log, time=log.time[::-1]), "increasing"),
 }
