@@ -136,9 +136,9 @@ def hidden(fault: str, sound: Diagnosis, sick: Diagnosis) -> bool:
     return bool({c for c in sound.codes if c.startswith("unseen-") and c != "unseen-clock"})
 
 
-def windows(drives: list[Drive], count: int, clocks: list[str]) -> None:
+def windows(drives: list[Drive], count: int, clocks: list[str], seed: int) -> None:
     """Print, by kind of clock, numbers of windows with a serious finding or a repair, and the effect on forecasts."""
-    rng, table = np.random.default_rng(0), defaultdict[str, Counter[str]](Counter)
+    rng, table = np.random.default_rng(seed), defaultdict[str, Counter[str]](Counter)
     alarms = []
     for number in range(count):
         drive = drives[number % len(drives)]
@@ -269,6 +269,7 @@ def main() -> None:
     parser.add_argument("--simulated", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=3000)
+    parser.add_argument("--seed", type=int, default=0, help="seed of the windows")
     parser.add_argument(
         "--clocks", nargs="+", choices=CLOCKS, default=CLOCKS, help="kinds of clocks of the windows"
     )
@@ -281,7 +282,7 @@ def main() -> None:
     elif options.what == "mounting":
         mountings(drives)
     else:
-        windows(list(drives), options.count, options.clocks)
+        windows(list(drives), options.count, options.clocks, options.seed)
 
 
 if __name__ == "__main__":
