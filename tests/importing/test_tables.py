@@ -25,7 +25,7 @@ from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.shared_frame import require_same_axes
 from sigmaswarm.importing.source import Part, TableChoice
 from sigmaswarm.importing.units import parse_unit
-from support import quickly, several, some
+from support import diagonal, quickly, several, some
 
 DRIVE = a_drive()
 IMU, GPS, TRUTH = DRIVE.imu, DRIVE.gps, DRIVE.truth
@@ -603,7 +603,8 @@ def test_coordinates_from_the_center_of_the_earth(tmp_path: Path, factor: float,
 
 
 @pytest.mark.parametrize(
-    "cell", some(["0", "0.0", "-999", "1e10", "-9999.0", "", "n/a", "NaN", "---.--", "-1.#IND", "181.0"])
+    "cell",
+    some(["0", "0.0", "-999", "1e10", "-9999.0", "", "n/a", "NaN", "---.--", "-1.#IND", "181.0", "1e38"]),
 )
 @pytest.mark.parametrize("count", quickly([(1,), (5,)], lambda count: count == 5))
 def test_placeholders_are_no_fixes(tmp_path: Path, cell: str, count: int):
@@ -626,7 +627,17 @@ def test_a_first_fix_far_from_the_rest_is_left_out(tmp_path: Path, place: tuple[
     assert any("km from the others is left out, including the first" in note for note in got.notes)
 
 
-@pytest.mark.parametrize("value", ["-999", "1e10", "9999", "nan", "-32768", "3.4028235e38"])
+HUGE = (
+    "1e38",
+    "-1e38",
+    "3.4028234663852886e38",
+    "9.96921e36",
+    "-9223372036854775808",
+    "1.7976931348623157e308",
+)
+
+
+@pytest.mark.parametrize("value", ["-999", "1e10", "9999", "nan", "-32768", "3.4028235e38", *HUGE])
 def test_placeholders_of_the_imu_are_no_samples(tmp_path: Path, value: str):
     rows = [[*r[:3], value, *r[4:]] if k in (5, 6, 500) else r for k, r in enumerate(ROWS)]
     (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(rows)]))
@@ -634,6 +645,18 @@ def test_placeholders_of_the_imu_are_no_samples(tmp_path: Path, value: str):
     got = imported(tmp_path)
     assert len(got.drive.imu) == len(IMU) - 3 and np.abs(got.drive.imu.az).max() < 20
     assert any("3 rows are left out, since a cell is empty" in note for note in got.notes)
+
+
+@pytest.mark.parametrize(("column", "value"), diagonal(["alt", "speed", "std_x"], HUGE))
+def test_huge_numbers_in_columns_of_the_fixes_are_placeholders(tmp_path: Path, value: str, column: str):
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    speed = np.hypot(np.gradient(GPS.x, GPS.time), np.gradient(GPS.y, GPS.time))
+    cells = {"alt": GPS.alt, "speed": speed, "std_x": GPS.std_x}[column].tolist()
+    rows = zip(GPS.time.tolist(), GPS.lat, GPS.lon, [value, *cells[1:]], strict=True)
+    (tmp_path / "gps.csv").write_text(table([f"t,lat,lon,{column}", *(",".join(map(str, r)) for r in rows)]))
+    got = imported(tmp_path)
+    np.testing.assert_allclose(getattr(got.drive.gps, column), cells[1:])
+    assert any(f"1 value of {column} is left out" in note for note in got.notes)
 
 
 @pytest.mark.parametrize(

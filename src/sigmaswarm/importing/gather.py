@@ -21,9 +21,10 @@ from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.quantities import (
     MAX_DAMAGED_SHARE,
     MAX_QUARTILE_RATIO,
+    MIN_HUGE,
     NO_NUMBER,
     NO_VALUE,
-    PLACEHOLDERS,
+    is_placeholder,
 )
 from sigmaswarm.importing.source import FILES, ImportProgress, Limits, Log, Part, Role
 from sigmaswarm.importing.times import of_one_table, rising_time, time_of, wrong_unit
@@ -138,7 +139,7 @@ class PartColumns:
         used = {n: e.numbers for n, e in self.expressions.items() if n not in ("t", "keep")}
         names = [c for c in sorted(set().union(*used.values())) if not frame.schema[c].is_nested()]
         numbers = frame.select(pl.col(names).cast(pl.Float64, strict=False))
-        marks = {s.name: mark for s in numbers if (mark := s.is_in(PLACEHOLDERS).fill_null(False)).any()}
+        marks = {s.name: mark for s in numbers if (mark := is_placeholder(s).fill_null(False)).any()}
         alone = {name: mark & _far(numbers[name], mark) for name, mark in marks.items()}
         for first, second in (("lat", "lon"), ("x", "y")):
             pair = [c for n in (first, second) for c in used.get(n, ()) if len(used[n]) == 1]
@@ -154,8 +155,9 @@ class PartColumns:
                 alone[forces[0]] = alone.get(forces[0], False) | (size == 0).fill_null(False)
         for column in used.get("speed", frozenset()) & {*names} if "lat" in used else ():
             invalid = (numbers[column] == -1).fill_null(False)  # as phones write it
-            if not (numbers[column].filter(~invalid) < -0.5).any():
-                alone[column] = invalid
+            marked = invalid | alone.get(column, False)
+            if not (numbers[column].filter(~marked) < -0.5).any():
+                alone[column] = marked
         for column, mark in alone.items():
             if count := int(mark.sum()):
                 value = float(numbers[column].filter(mark)[0])
@@ -168,7 +170,7 @@ def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
     """Mark values far from the median of the values not ``marked``, relative to the 1% to 99% range of these values."""
     rest = numbers.filter(~marked).drop_nulls().drop_nans()
     if not len(rest):
-        return pl.zeros(len(numbers), dtype=pl.Boolean, eager=True)
+        return (numbers.abs() >= MIN_HUGE).fill_null(False)
     low, middle, high = (float(rest.quantile(q) or 0.0) for q in (0.01, 0.5, 0.99))
     return ((numbers - middle).abs() > MIN_PLACEHOLDER_DISTANCE * (high - low) + 1e-9).fill_null(False)
 

@@ -14,12 +14,12 @@ from sigmaswarm.importing.degree_parts import degree_parts
 from sigmaswarm.importing.expressions import compile_expression
 from sigmaswarm.importing.names import Name, plain_words, read_name, read_names
 from sigmaswarm.importing.quantities import (
-    PLACEHOLDERS,
     Columns,
     degrees_as_meters,
     from_ecef,
     geographic_position,
     heading,
+    is_placeholder,
     quantity,
 )
 from sigmaswarm.importing.source import Fault, Guess, Part, Role
@@ -387,7 +387,8 @@ def _with_fix(columns: Columns) -> TimeExpression | None:
     if not text or any(columns.frame.schema[n].is_nested() for n in names):
         return None
     rows = columns.frame.with_columns(pl.selectors.float().fill_nan(None)).drop_nulls(names)
-    unset = [pl.col(n).cast(pl.Float64, strict=False).is_in([0.0, *PLACEHOLDERS]) for n in names]
+    numbers = [pl.col(n).cast(pl.Float64, strict=False) for n in names]
+    unset = [is_placeholder(number) | (number == 0) for number in numbers]
     repeated = [pl.col(n) == pl.col(n).shift() for n in names]
     fixes = rows.filter(~(pl.all_horizontal(unset) | pl.all_horizontal(repeated)).fill_null(value=False))
     kept = fixes.select(compile_expression(text, fixes.columns).truth.fill_null(value=False)).to_series()

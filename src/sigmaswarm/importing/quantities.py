@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import polars as pl
 
@@ -18,8 +19,10 @@ _ARCS = {60.0: "60", 1.0: "3600"}
 NO_NUMBER = r"^[^0-9A-Za-z]*$|#(?:IND|QNAN|SNAN|INF|N/A|NUM!|VALUE!|DIV/0!)"
 PLACEHOLDERS = (
     *(-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, 1e10, -1e10),
-    *(32767.0, -32768.0, 2147483647.0, -2147483648.0, 3.4028235e38, -3.4028235e38),
+    *(32767.0, -32768.0, 2147483647.0, -2147483648.0),
 )
+# Magnitude of placeholders such as 1e38 and the largest numbers of 32 and 64 bits; measurements in any unit are smaller
+MIN_HUGE = 1e15
 NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-", "invalid", *("*" * n for n in range(1, 20)))
 DIMENSIONS: dict[str, UnitDimension] = {
     **dict.fromkeys(("ax", "ay", "az"), "acceleration"),
@@ -49,6 +52,14 @@ _GYROS = (
 )
 
 
+Numbers = TypeVar("Numbers", pl.Series, pl.Expr)
+
+
+def is_placeholder(numbers: Numbers) -> Numbers:
+    """Mark numbers (float64) that usually stand for a missing value."""
+    return numbers.is_in(PLACEHOLDERS) | (numbers.abs() >= MIN_HUGE)
+
+
 @dataclass
 class Columns:
     frame: pl.DataFrame
@@ -76,7 +87,7 @@ class Columns:
         column = self.names[what].column
         if column not in self._numbers:
             values = column_numbers(self._signed(what))
-            self._numbers[column] = values.filter(~values.is_in(PLACEHOLDERS))
+            self._numbers[column] = values.filter(~is_placeholder(values))
         return self._numbers[column]
 
     def largest(self, what: str) -> float:
@@ -92,7 +103,7 @@ class Columns:
         if len(axes) < 3 or any(s.dtype.is_nested() for s in series):
             return pl.Series([], dtype=pl.Float64)
         known = [s.cast(pl.Float64, strict=False) for s in series]
-        squares = [s.set(s.is_in(PLACEHOLDERS), None).pow(2) for s in known]
+        squares = [s.set(is_placeholder(s), None).pow(2) for s in known]
         sizes = sum(squares[1:], squares[0]).sqrt()
         return sizes.filter(sizes > 0)
 
@@ -331,7 +342,7 @@ def _hemispheres(columns: Columns) -> dict[str, tuple[str, str]]:
         texts = [cell for cell in cells if re.fullmatch(f"(?i) *(?:[{name}]|{words}) *", cell)]
         numbers = rows[place].cast(pl.String).str.strip_chars()
         filled = numbers.filter(
-            ~numbers.cast(pl.Float64, strict=False).is_in(PLACEHOLDERS).fill_null(value=False)
+            ~is_placeholder(numbers.cast(pl.Float64, strict=False)).fill_null(value=False)
         )
         sure.append(named or (len(texts) == len(cells) and not filled.str.contains("^-|[NSEW]").any()))
         unset = name[1] if any(text.islower() for text in texts) else name[1].upper()
