@@ -127,6 +127,51 @@ def test_clocks(tmp_path: Path, name: str):
     require_right(tmp_path)
 
 
+def decimal(period: float, scale: float, begin: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a clock in units of 1/``scale`` s that wraps after ``period``, s, and begins at ``begin``, s."""
+    return lambda t: np.round((t + begin) * scale).astype(np.int64) % round(period * scale)
+
+
+@pytest.mark.parametrize(
+    ("period", "begin", "scale"),
+    diagonal([(10.0, 0.0), (10.0, 3.0), (100.0, 72.0), (1e3, 970.0), (1e6, 1e6 - 9)], [1e3, 1e6, 1e9]),
+)
+@pytest.mark.parametrize("head", some(["t", "ticks"]))
+def test_decimal_counters(tmp_path: Path, head: str, period: float, begin: float, scale: float):
+    name = {1e3: "ms", 1e6: "us", 1e9: "ns"}[scale]
+    write(tmp_path, clock=decimal(period, scale, begin), head="t" if head == "t" else f"time_{name}")
+    require_right(tmp_path)
+    assert any(f"a counter of {period:.0f} s wraps" in note for note in imported(tmp_path).notes)
+
+
+@pytest.mark.parametrize("hz", [1, 2, 4, 5])
+@pytest.mark.parametrize("begin", some([0.0, 0.3, 0.5]))
+def test_fixes_of_a_counter_that_wraps_each_second_are_refused(tmp_path: Path, hz: int, begin: float):
+    """The number of seconds between two fixes is unknown; in one table, the rows of the IMU show it."""
+    clock, k = decimal(1.0, 1e6, begin), np.arange(0, N // EVERY, HZ // EVERY // hz or 1)
+    imu, fixes = pl.DataFrame({"t": clock(T), **IMU}), pl.DataFrame({n: c[k] for n, c in FIXES.items()})
+    imu.write_csv(tmp_path / "imu.csv")
+    late = 0.01 * np.random.default_rng(hz).standard_normal(len(k)) * (hz < 4)
+    gps = fixes.with_columns(t=clock(T[::EVERY][k] + late))
+    gps.write_csv(tmp_path / "gps.csv")
+    with pytest.raises(InputError, match=r"ambiguous|do not overlap"):
+        imported(tmp_path)
+    row = pl.Series("row", EVERY * k)
+    log = imu.with_row_index("row").join(fixes.with_columns(row), on="row", how="left", maintain_order="left")
+    log.drop("row").write_csv(tmp_path / "log.csv")
+    (tmp_path / "imu.csv").unlink()
+    (tmp_path / "gps.csv").unlink()
+    require_right(tmp_path / "log.csv", len(k))
+
+
+def test_recordings_that_end_near_a_decimal_period_are_separate(tmp_path: Path):
+    """A pause within a counter of 10 s, or recordings from 0 with this duration, do not show the number of wraps."""
+    for clock in (lambda t: np.where(t < 20, t, t + 3.7) % 10, lambda t: np.round(t / 2, 3) % 10):
+        write(tmp_path, clock=clock)
+        with pytest.raises(InputError, match="recordings"):
+            imported(tmp_path)
+
+
 RESTARTED: Columns = {
     "t": np.round(T + 50, 3) % 60,
     "millis": np.round((T + 53) * 1e3).astype(int) % 2**16,

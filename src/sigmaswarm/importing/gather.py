@@ -59,6 +59,7 @@ class PartColumns:
     # For each column of the table: the placeholder of missing values, and its count
     placeholders: dict[str, tuple[float, int]] = field(default_factory=dict[str, tuple[float, int]])
     period: int = 0  # ns, period of a clock that wraps; 0 for other clocks, and before `unwrap`
+    unordered: bool = False  # True if the time decreases, and is not that of a clock that wraps
     set_back: int = 0  # ns, sum of the steps back of the clock before the chosen recording
     set_ahead: bool = False  # True if the clock jumps ahead between recordings
     counted: bool = False  # True if the time is computed from row numbers alone

@@ -130,7 +130,8 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
         )
     tick = (scaled_column(part.part.columns["t"]) or ("", 0.0))[1]
     require_unwrappable(time, tick, where)
-    time, part.period, note = unwrap(time, tick)  # from all rows: a counter may wrap before the first fix
+    # from all rows: a counter may wrap before the first fix
+    time, part.period, note = unwrap(time, tick, where, parts=bool(number))
     filled = np.asarray(_finite(values, len(time)).any(axis=0), bool)
     again = np.zeros(len(time), bool) if role == "imu" else _messages(time, values)
     if role != "imu":
@@ -150,10 +151,11 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
         time, values = time[filled], _rows(values, filled)
     if not note:  # rows without values, now left out, may have had other times
         time, digits = from_digits(time)
-        time, part.period, note = unwrap(time, tick)
+        time, part.period, note = unwrap(time, tick, where, parts=bool(number))
         note = "; ".join(filter(None, (digits, note)))
     if note:
         say(f"{where}: {note}")
+    part.unordered = bool((np.diff(time) < 0).any())
     chosen = recordings(time, pauses=role == "imu") if number else []
     ends = [(int(time[r.start]), int(time[r.stop - 1])) for r in chosen]
     back = [end - begin for (_, end), (begin, _) in pairwise(ends)]
