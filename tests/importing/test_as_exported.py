@@ -75,6 +75,49 @@ def options_in(said: str) -> list[list[str]]:
     return [re.findall(r'"([^"]+)"', part) for part in said.split("--map ")[1:]]
 
 
+def without_unit(folder: Path, per_m_s2: float, noise: float = 0.0) -> None:
+    """Write accelerations in another unit, as whole numbers, with noise in m/s2."""
+    rng = np.random.default_rng(1)
+    forces = {a: (IMU[a] + noise * rng.standard_normal(N)) * per_m_s2 for a in ("ax", "ay", "az")}
+    write(folder, imu=IMU | {a: np.round(force) for a, force in forces.items()})
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.5])
+@pytest.mark.parametrize(
+    ("unit", "per_m_s2"), [("cm/s2", 100), ("cm/s2", 100.5), ("mg", 1e3 / 9.80665), ("mg", 1.03e3 / 9.80665)]
+)
+def test_gravity_shows_whether_accelerations_are_in_cm_s2_or_mg(
+    tmp_path: Path, unit: str, per_m_s2: float, noise: float
+):
+    without_unit(tmp_path, per_m_s2, noise)
+    got = imported(tmp_path)
+    assert any(f"accelerations are read as {unit}" in note for note in got.notes)
+    assert np.median(got.drive.imu.az) == pytest.approx(
+        9.8 * per_m_s2 / {"cm/s2": 100, "mg": 1e3 / 9.80665}[unit], 0.01
+    )
+
+
+def test_accelerations_between_cm_s2_and_mg_are_refused_with_options_for_both(tmp_path: Path):
+    without_unit(tmp_path, 990 / 9.81)
+    with pytest.raises(InputError, match=r"in cm/s2 or mg, since gravity .* about 990") as caught:
+        imported(tmp_path)
+    options = [re.findall(r'"(imu\.[^"]+)"', part) for part in str(caught.value).split("--map ")[1:]]
+    assert [
+        float(np.median(imported(tmp_path, maps=maps).drive.imu.az)) for maps in options
+    ] == pytest.approx([9.90, 9.71], abs=0.01)
+    proposed = inspect_request(Request(tmp_path))
+    assert "in cm/s2 or mg" in " ".join(proposed.notes)
+
+
+@pytest.mark.parametrize("per_m_s2", [1e3, 1 / 0.3048, 1e6 / 9.80665])
+def test_the_remedy_for_other_units_of_acceleration_is_that_of_gravity(tmp_path: Path, per_m_s2: float):
+    without_unit(tmp_path, per_m_s2)
+    with pytest.raises(InputError, match="unknown unit") as caught:
+        imported(tmp_path)
+    (maps,) = options_in(str(caught.value))
+    assert np.median(imported(tmp_path, maps=maps).drive.imu.az) == pytest.approx(9.81, 0.01)
+
+
 GERMAN = str.maketrans(",.", ".,")
 
 

@@ -1,5 +1,6 @@
 """Convert columns to a drive's units, by the unit in the name or by the magnitude of the values."""
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -36,6 +37,8 @@ REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta",
 # Largest fraction of rows that may contradict the form of the others; they are presumably damaged
 MAX_DAMAGED_SHARE = 0.02
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
+# Middle between gravity in cm/s2 (981) and in mg (1000); the unit is unknown at smaller distances from it
+MIDDLE_OF_MG_AND_GAL, MAX_NEAR_MIDDLE = 990.3, 3.0
 # Largest ratio of the third to the first quartile of the magnitude of accelerations with gravity
 MAX_QUARTILE_RATIO = 1.5
 MAX_ACCELERATION = 100.0  # m/s2, largest acceleration of a car on a smooth road
@@ -210,10 +213,10 @@ def _without_unit(columns: Columns, what: str, role: Role) -> TimeExpression:
             return TimeExpression(
                 f"{text}*9.80665", "accelerations are read as g, since gravity has a value of about 1"
             )
-        if 930 < size < 1050 and largest < 8000:
-            note = "accelerations are read as mg, since gravity has a value of about 1000"
-            other = _maps(columns, role, axes, "{}*1e-2")
-            return TimeExpression(f"{text}*0.00980665", f"{note}; if they are in cm/s2, write {other}")
+        still = math.hypot(*(median_of(columns.numbers(a)) for a in axes))  # without turns and vibration
+        gravity = still if still > 0.9 * size > 0 else size
+        if 930 < gravity < 1050 and largest < 8000:
+            return _mg_or_gal(columns, what, role, axes, gravity)
         raw = max(usual[a] for a in axes) > 30 or largest > MAX_ACCELERATION
         return TimeExpression("", fault=_raw_counts(columns, what, role)) if raw else TimeExpression(text)
     whole = all((columns.numbers(a) == columns.numbers(a).round()).all() for a in axes)
@@ -224,6 +227,21 @@ def _without_unit(columns: Columns, what: str, role: Role) -> TimeExpression:
         note = f"angular rates are read as deg/s, since their values exceed 5; if they are in rad/s, write {option}"
         return TimeExpression(f"radians({text})", note)
     return TimeExpression(text)
+
+
+def _mg_or_gal(
+    columns: Columns, what: str, role: Role, axes: Sequence[str], gravity: float
+) -> TimeExpression:
+    """Read accelerations as mg or cm/s2, whichever is nearer to ``gravity``; refuse them halfway between."""
+    forms = {"cm/s2": "{}*1e-2", "mg": "{}*0.00980665"}
+    maps = {unit: _maps(columns, role, axes, form) for unit, form in forms.items()}
+    seen = f"gravity has a value of about {gravity:.4g}"
+    if abs(gravity - MIDDLE_OF_MG_AND_GAL) < MAX_NEAR_MIDDLE:
+        options = ", or ".join(f"{option} if they are in {unit}" for unit, option in maps.items())
+        return TimeExpression("", fault=f"accelerations are in cm/s2 or mg, since {seen}; write {options}")
+    unit, other = ("cm/s2", "mg") if gravity < MIDDLE_OF_MG_AND_GAL else ("mg", "cm/s2")
+    note = f"accelerations are read as {unit}, since {seen}; if they are in {other}, write {maps[other]}"
+    return TimeExpression(forms[unit].format(columns.text(what)), note)
 
 
 def _raw_counts(columns: Columns, what: str, role: Role) -> str:
