@@ -645,6 +645,7 @@ def test_placeholders_of_the_imu_are_no_samples(tmp_path: Path, value: str):
     got = imported(tmp_path)
     assert len(got.drive.imu) == len(IMU) - 3 and np.abs(got.drive.imu.az).max() < 20
     assert any("3 rows are left out, since a cell is empty" in note for note in got.notes)
+    assert any("is a placeholder" in note for note in got.notes) == (value != "nan")
 
 
 @pytest.mark.parametrize(("column", "value"), diagonal(["alt", "speed", "std_x"], HUGE))

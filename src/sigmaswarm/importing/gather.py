@@ -21,9 +21,9 @@ from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.quantities import (
     MAX_DAMAGED_SHARE,
     MAX_QUARTILE_RATIO,
-    MIN_HUGE,
     NO_NUMBER,
     NO_VALUE,
+    is_huge,
     is_placeholder,
 )
 from sigmaswarm.importing.source import FILES, ImportProgress, Limits, Log, Part, Role
@@ -171,7 +171,7 @@ def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
     """Mark values far from the median of the values not ``marked``, relative to the 1% to 99% range of these values."""
     rest = numbers.filter(~marked).drop_nulls().drop_nans()
     if not len(rest):
-        return (numbers.abs() >= MIN_HUGE).fill_null(False)
+        return is_huge(numbers).fill_null(False)
     low, middle, high = (float(rest.quantile(q) or 0.0) for q in (0.01, 0.5, 0.99))
     return ((numbers - middle).abs() > MIN_PLACEHOLDER_DISTANCE * (high - low) + 1e-9).fill_null(False)
 

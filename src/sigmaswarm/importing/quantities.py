@@ -59,8 +59,12 @@ Numbers = TypeVar("Numbers", pl.Series, pl.Expr)
 
 
 def is_placeholder(numbers: Numbers) -> Numbers:
-    """Mark numbers (float64) that usually stand for a missing value."""
-    return numbers.is_in(PLACEHOLDERS) | (numbers.abs() >= MIN_HUGE)
+    """Mark finite numbers (float64) that usually stand for a missing value."""
+    return numbers.is_in(PLACEHOLDERS) | is_huge(numbers)
+
+
+def is_huge(numbers: Numbers) -> Numbers:
+    return numbers.abs().is_between(MIN_HUGE, math.inf, closed="left")
 
 
 @dataclass
