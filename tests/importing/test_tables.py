@@ -271,6 +271,37 @@ def test_units_of_the_imu(tmp_path: Path, letter: str, unit: str, factor: float,
 
 
 @pytest.mark.parametrize(
+    ("force", "rate"),
+    diagonal(
+        ["accel_g_{}", "acc_g_{}", "accelerometer_G_{}", "Accel [g] {}", "a{}_in_g"],
+        ["gyro_dps_{}", "gyr_deg_s_{}", "gyroscope_deg_per_s_{}", "g{}_in_dps"],
+    ),
+)
+def test_units_in_the_middle_of_names(tmp_path: Path, force: str, rate: str):
+    names = [*(force.format(i) for i in "xyz"), *(rate.format(i) for i in "xyz")]
+    rows = imu_rows(dict.fromkeys(AXES[:3], 1 / G) | dict.fromkeys(AXES[3:], 180 / np.pi))
+    (tmp_path / "imu.csv").write_text(table([",".join(["t", *names]), *joined(rows)]))
+    write_fixes(tmp_path)
+    assert_close(imported(tmp_path).drive.imu, IMU, "time ax ay az gx gy gz", 1e-9)
+
+
+def test_g_in_a_name_may_mean_gravity(tmp_path: Path):
+    """Values in m/s2 are refused with an option that reads them; accelerations without g have priority."""
+    head = ["t", *(f"acc_g_{i}" for i in "xyz"), *AXES[3:]]
+    (tmp_path / "imu.csv").write_text(table([",".join(head), *joined(ROWS)]))
+    write_fixes(tmp_path)
+    with pytest.raises(InputError, match="scale is wrong") as caught:
+        imported(tmp_path)
+    got = imported(tmp_path, maps=re.findall(r'"(imu\.[^"]+)"', str(caught.value)))
+    assert_close(got.drive.imu, IMU, "ax ay az", 1e-4)
+    both = [
+        ",".join([row, *cells[1:4]]) for row, cells in zip(joined(ROWS), imu_rows({"az": 2.0}), strict=True)
+    ]
+    (tmp_path / "imu.csv").write_text(table([",".join([*head, "acc_x", "acc_y", "acc_z"]), *both]))
+    np.testing.assert_allclose(imported(tmp_path).drive.imu.az, 2 * IMU.az)
+
+
+@pytest.mark.parametrize(
     ("unit", "factor"),
     [
         ("km", 1e3),
