@@ -118,6 +118,36 @@ def test_the_remedy_for_other_units_of_acceleration_is_that_of_gravity(tmp_path:
     assert np.median(imported(tmp_path, maps=maps).drive.imu.az) == pytest.approx(9.81, 0.01)
 
 
+STRAIGHT = road(gz=0 * T)
+
+
+def write_rates(folder: Path, unit: str, columns: Columns) -> None:
+    """Write rates in deg/s with a unit in their names."""
+    rates = {f"{n} ({unit})": np.degrees(c) if n[0] == "g" else c for n, c in columns.items()}
+    write(folder, imu={n if n[0] == "g" else n[:2]: c for n, c in rates.items()}, gps=STRAIGHT[1])
+
+
+@pytest.mark.parametrize(
+    "unit", some(["grad/s", "Grad/s", "grad/sek", "Grad pro Sekunde", "gr/s", "grade/s"])
+)
+def test_grad_per_second_may_be_degrees_or_gradians(tmp_path: Path, unit: str):
+    write_rates(tmp_path, unit, STRAIGHT[0] | {"gx": 0.02 * np.sin(T)})
+    with pytest.raises(InputError, match=r"degrees per second.*gradians per second") as caught:
+        imported(tmp_path)
+    message = str(caught.value)
+    for form, factor in (("radians({})", 1.0), ("{}*pi/200", 0.9)):
+        options = {f"imu.{n}": f"imu.{n}={form.format(f'`{n} ({unit})`')}" for n in ("gx", "gy", "gz")}
+        assert all(f'--map "{option}"' in message for option in options.values())
+        got = imported(tmp_path, maps=[*options.values()]).drive.imu
+        np.testing.assert_allclose(got.gx, 0.02 * factor * np.sin(T), atol=1e-9)
+
+
+@pytest.mark.parametrize("unit", some(["grados/s", "gradi/s", "graus/s", "graden/s", "degrés/s", "°/sek"]))
+def test_degrees_in_other_languages(tmp_path: Path, unit: str):
+    write_rates(tmp_path, unit, STRAIGHT[0] | {"gx": 0.02 * np.sin(T)})
+    np.testing.assert_allclose(imported(tmp_path).drive.imu.gx, 0.02 * np.sin(T), atol=1e-9)
+
+
 GERMAN = str.maketrans(",.", ".,")
 
 

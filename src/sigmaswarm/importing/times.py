@@ -395,7 +395,12 @@ def unknown_unit(name: Name, column: str, dimension: str, role: Role, likely: st
     text = likely or f"{quoted_column(name.column)}*1.0"
     if name.unit and name.unit.dimension == "angle" and dimension == "rate":
         text = in_si(name.unit, quoted_column(name.column))
-    return f'{message}; specify the factor to SI units, for example --map "{role}.{column}={text}"'
+    message += "; specify the factor to SI units, for example --map"
+    if name.unit and dimension == "rate" and re.match(r"(?i)gr(?:ad[es]?)?(?![a-z])", name.unit.text.strip()):
+        plain = quoted_column(name.column)
+        degrees, gradians = (f'"{role}.{column}={t}"' for t in (f"radians({plain})", f"{plain}*pi/200"))
+        return f"{message} {degrees} if it is degrees per second, or --map {gradians} if it is gradians per second"
+    return f'{message} "{role}.{column}={text}"'
 
 
 def date_time(columns: Sequence[str], frame: pl.DataFrame) -> TimeExpression:
