@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
+from scipy.io import savemat
 
 from importing.logs import imported
 from sigmaswarm.drives.drive import Drive, Gps, Imu
@@ -24,6 +25,7 @@ from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.opening import Request
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.row_times import _gaps_of, gaps_by_distance
+from sigmaswarm.importing.source import TableChoice
 from support import diagonal, some
 
 N, HZ, EVERY = 800, 20, 4
@@ -116,6 +118,37 @@ def test_the_remedy_for_other_units_of_acceleration_is_that_of_gravity(tmp_path:
         imported(tmp_path)
     (maps,) = options_in(str(caught.value))
     assert np.median(imported(tmp_path, maps=maps).drive.imu.az) == pytest.approx(9.81, 0.01)
+
+
+SIX, PLACES = np.column_stack([*IMU.values()]), np.column_stack([*FIXES.values()])
+METERS = np.column_stack([*PATH.values()])[::EVERY]
+MATRICES: dict[str, Columns] = {
+    "times in the first columns": {"imu": np.c_[T, SIX], "gps": np.c_[T[::EVERY], PLACES]},
+    "meters": {"data": np.c_[T, SIX], "gnss": np.c_[T[::EVERY], METERS]},
+    "two matrices of the IMU": {
+        "acc": np.c_[T, SIX[:, :3]],
+        "gyr": np.c_[T, SIX[:, 3:]],
+        "fix": np.c_[T[::EVERY], PLACES],
+    },
+    "times outside": {"t": T, "imu": SIX, "tg": T[::EVERY], "gps": PLACES},
+    "transposed": {"imu": np.c_[T, SIX].T, "gps": np.c_[T[::EVERY], PLACES].T},
+}
+
+
+@pytest.mark.parametrize("form", some(MATRICES))
+def test_the_proposal_for_plain_matrices_works(tmp_path: Path, form: str):
+    savemat(tmp_path / "log.mat", MATRICES[form])
+    found = inspect_request(Request(tmp_path / "log.mat"))
+    assert found.works and "COLUMN" not in found.proposal + found.evidence
+    maps = [f"{name}={text}" for name, text in found.settings["maps"].items()]
+    require_right(tmp_path / "log.mat", maps=maps, choice=TableChoice(found.settings["tables"]))
+
+
+def test_a_position_that_rises_is_no_time(tmp_path: Path):
+    """The other columns of a position are read as its axes if the table has a time."""
+    place = np.c_[np.sort(PATH["x"]), PATH["y"], 0 * T]
+    savemat(tmp_path / "log.mat", {"imu": {"t": T, **IMU}, "gps": {"time": T, "pos": place}})
+    np.testing.assert_allclose(imported(tmp_path / "log.mat").drive.gps.x, place[:, 0])
 
 
 STRAIGHT = road(gz=0 * T)
@@ -1185,9 +1218,8 @@ def test_a_counter_of_rows_is_not_proposed_as_a_time(tmp_path: Path):
         pl.DataFrame({"t": T[::EVERY], **FIXES}).write_csv(tmp_path / "gps.csv")
         with pytest.raises(InputError) as caught:
             imported(tmp_path)
-        assert f'specify it with --map "imu.t={"takt*1e-6" if "takt" in names else "COLUMN"}"' in str(
-            caught.value
-        )
+        assert ('specify it with --map "imu.t=takt*1e-6"' in str(caught.value)) == ("takt" in names)
+        assert 'compute it from the row number, for example --map "imu.t=row/100"' in str(caught.value)
 
 
 @pytest.mark.parametrize("every", [3.0, 5.0, 10.0, 10.4])

@@ -199,11 +199,11 @@ def _complete(part: Part, log: Log, role: Role, first: Mapping[str, pl.DataFrame
     if "t" not in part.columns and (rows is not None or first is None):
         where = log.path if log.path.name == part.table else f"{log.path}, {printable(part.table)}"
         time = "--time {}" if role == "imu" and len(log.tables) == 1 else f'--map "{role}.t={{}}"'
-        column, rate = "COLUMN" if rows is None else rising_time(rows, role), 100 if role == "imu" else 1
+        column, rate = "" if rows is None else rising_time(rows, role), 100 if role == "imu" else 1
+        remedy = f"specify it with {time.format(column)}, or, " * bool(column)
         raise InputError(
-            f"{where}: no column is recognized as the time of the {role}; specify it with {time.format(column)}, or, "
-            f"if the rate is known, compute it from the row number, for example {time.format(f'row/{rate}')} for "
-            f"{rate} Hz"
+            f"{where}: no column is recognized as the time of the {role}; {remedy}if the rate is known, compute it "
+            f"from the row number, for example {time.format(f'row/{rate}')} for {rate} Hz"
         )
     for text in part.columns.values():
         try:

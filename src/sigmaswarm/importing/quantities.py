@@ -198,7 +198,7 @@ def _web_mercator(columns: Columns, role: Role) -> str:
 
 
 def _without_unit(columns: Columns, what: str, role: Role) -> TimeExpression:
-    """Read accelerations as g or mg if their magnitude then equals gravity, and rates above 5 as deg/s.
+    """Read accelerations as g, mg or cm/s2 if their magnitude then equals gravity, and rates above 5 as deg/s.
 
     Other values are read in SI units. Values that are too large for a car, and rates of whole numbers, are refused as
     raw counts.

@@ -167,7 +167,7 @@ def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
 
 
 def rising_time(frame: pl.DataFrame, role: Role) -> str:
-    """Return the first column without a known name that increases from row to row, as text in s; else "COLUMN".
+    """Return the first column without a known name that increases from row to row, as text in s; else "".
 
     A counter may wrap. A counter of rows, which increases by 1, is not a time.
     """
@@ -177,7 +177,7 @@ def rising_time(frame: pl.DataFrame, role: Role) -> str:
         for name, of in zip(names, steps, strict=True):
             if len(of) and (of <= 0).sum() <= falls * len(of) and not (of == 1).all():
                 return column_time(name, frame, role).expression or quoted_column(name.column)
-    return "COLUMN"
+    return ""
 
 
 def quoted_column(column: str) -> str:
