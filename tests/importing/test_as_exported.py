@@ -1262,3 +1262,37 @@ def test_date_and_clock_in_columns_without_names_are_joined(tmp_path: Path, form
     assert seen.works and "utc(c1, c2" in (seen.proposal or "")
     maps = [f"{column}={text}" for column, text in seen.settings["maps"].items()]
     require_right(tmp_path, gps=Path(gps), maps=maps)
+
+
+ALL = ("Accelerometer.csv", "Gyroscope.csv", "Location.csv")
+LACKING = {
+    ("Gyroscope.csv",): "no table of an accelerometer",
+    ("Accelerometer.csv", "Location.csv"): "no table of a gyroscope",
+    ("Accelerometer.csv", "Gyroscope.csv"): "no position fixes found",
+    ("Location.csv",): "no IMU samples found in Location.csv",
+}
+
+
+def write_phone(folder: Path, names: tuple[str, ...]) -> None:
+    for name, letter in zip(ALL[:2], "ag", strict=True):
+        if name in names:
+            pl.DataFrame({"time": T, **{i: IMU[f"{letter}{i}"] for i in "xyz"}}).write_csv(folder / name)
+    if ALL[2] in names:
+        pl.DataFrame({"time": T[::EVERY], **FIXES}).write_csv(folder / ALL[2])
+
+
+@pytest.mark.parametrize("names", LACKING)
+def test_the_table_that_is_missing_is_named(tmp_path: Path, names: tuple[str, ...]):
+    write_phone(tmp_path, names)
+    with pytest.raises(InputError, match=LACKING[names]):
+        imported(tmp_path)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_for_one_table_of_a_log_the_folder_is_named(tmp_path: Path, name: str):
+    write_phone(tmp_path, ALL)
+    (tmp_path / "notes.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(InputError, match=re.escape(f"name the folder {tmp_path} as SOURCE")) as caught:
+        imported(tmp_path / name)
+    assert all((other in str(caught.value)) == (other != "notes.csv") for other in (*ALL, "notes.csv"))
+    require_right(tmp_path)

@@ -48,8 +48,9 @@ _OF_TRUTH = re.compile(
     re.IGNORECASE,
 )
 _MAYBE_TRUTH = re.compile(r"ref", re.IGNORECASE)
-_FORCES = re.compile(r"acc", re.IGNORECASE)
-_RATES = re.compile(r"gyr|ang(?:ular)?_?(?:vel|rate)|rotation_?rate|rotationrate", re.IGNORECASE)
+FORCES = re.compile(r"acc", re.IGNORECASE)
+RATES = re.compile(r"gyr|ang(?:ular)?_?(?:vel|rate)|rotation_?rate|rotationrate", re.IGNORECASE)
+PLACES = re.compile(r"gps|gnss|fix|location|position", re.IGNORECASE)
 # Names of tables whose x, y, z are neither a position nor axes of the IMU
 _NO_PLACES = re.compile(
     r"mag|orient|attitude|gravity|quat|rotation|linear|baro|light|imu|velocity|twist|(?:^|[^a-z])vel",
@@ -239,7 +240,7 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
             columns.names[what], columns.degrees[what] = Name(column, what), text
         else:
             columns.names[what] = next(n for n in read_names(frame.columns) if n.column == column)
-    letter = "a" if _FORCES.search(table) else "g" if _RATES.search(table) else ""
+    letter = "a" if FORCES.search(table) else "g" if RATES.search(table) else ""
     if letter and not columns.has("lat", "lon"):
         for axis in "xyz":
             if axis in columns:
