@@ -44,6 +44,15 @@ def describe_change(percent: float, less: str, more: str) -> str:
     return f"{abs(percent):.0f}% {less if percent > 0 else more} than"
 
 
+def describe_pair(value: float, other: float, unit: str) -> str:
+    """Write two numbers with so many digits that they differ, at most 6."""
+    for digits in range(3, 7):
+        texts = f"{value:.{digits}g}", f"{other:.{digits}g}"
+        if texts[0] != texts[1]:
+            return f"{' instead of '.join(texts)} {unit}"
+    return f"both {value:.3g} {unit}"
+
+
 def rows_left_out(count: int, rows: str = "") -> str:
     """Return a note that rows are left out; ``rows`` describes these rows, as in " of imu.csv"."""
     return f"{count_of(count, 'row')}{rows} {'is' if count == 1 else 'are'} left out"

@@ -11,7 +11,7 @@ from sigmaswarm.cli.evaluate import print_evaluation
 from sigmaswarm.cli.output import Output, Remark
 from sigmaswarm.doctor.findings import CONSEQUENCES
 from sigmaswarm.filters.presets import baseline_of
-from sigmaswarm.wording import to_do
+from sigmaswarm.wording import describe_pair, to_do
 
 MAX_LINES = 25
 
@@ -96,3 +96,16 @@ def test_evaluate_prints_table_three_sentences_and_the_next_command(
     for line in lines[:written]:
         assert line.strip() in verbose
     assert "whiteness" in verbose and "whiteness" not in ended.out
+
+
+@pytest.mark.parametrize(
+    ("value", "other", "text"),
+    [
+        (0.5, 0.25, "0.5 instead of 0.25 m"),
+        (0.38341, 0.38339, "0.38341 instead of 0.38339 m"),
+        (0.3834, 0.3831, "0.3834 instead of 0.3831 m"),
+        (0.383, 0.383, "both 0.383 m"),
+    ],
+)
+def test_two_numbers_are_written_so_that_they_differ(value: float, other: float, text: str):
+    assert describe_pair(value, other, "m") == text

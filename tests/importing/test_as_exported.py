@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
+from scipy.io import savemat
 
 from importing.logs import imported
 from sigmaswarm.drives.drive import Drive, Gps, Imu
@@ -24,6 +25,7 @@ from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.opening import Request
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.row_times import _gaps_of, gaps_by_distance
+from sigmaswarm.importing.source import TableChoice
 from support import diagonal, some
 
 N, HZ, EVERY = 800, 20, 4
@@ -73,6 +75,110 @@ def require_right(folder: Path, fixes: int = N // EVERY, **options: object) -> N
 
 def options_in(said: str) -> list[list[str]]:
     return [re.findall(r'"([^"]+)"', part) for part in said.split("--map ")[1:]]
+
+
+def without_unit(folder: Path, per_m_s2: float, noise: float = 0.0) -> None:
+    """Write accelerations in another unit, as whole numbers, with noise in m/s2."""
+    rng = np.random.default_rng(1)
+    forces = {a: (IMU[a] + noise * rng.standard_normal(N)) * per_m_s2 for a in ("ax", "ay", "az")}
+    write(folder, imu=IMU | {a: np.round(force) for a, force in forces.items()})
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.5])
+@pytest.mark.parametrize(
+    ("unit", "per_m_s2"), [("cm/s2", 100), ("cm/s2", 100.5), ("mg", 1e3 / 9.80665), ("mg", 1.03e3 / 9.80665)]
+)
+def test_gravity_shows_whether_accelerations_are_in_cm_s2_or_mg(
+    tmp_path: Path, unit: str, per_m_s2: float, noise: float
+):
+    without_unit(tmp_path, per_m_s2, noise)
+    got = imported(tmp_path)
+    assert any(f"accelerations are read as {unit}" in note for note in got.notes)
+    assert np.median(got.drive.imu.az) == pytest.approx(
+        9.8 * per_m_s2 / {"cm/s2": 100, "mg": 1e3 / 9.80665}[unit], 0.01
+    )
+
+
+def test_accelerations_between_cm_s2_and_mg_are_refused_with_options_for_both(tmp_path: Path):
+    without_unit(tmp_path, 990 / 9.81)
+    with pytest.raises(InputError, match=r"in cm/s2 or mg, since gravity .* about 990") as caught:
+        imported(tmp_path)
+    options = [re.findall(r'"(imu\.[^"]+)"', part) for part in str(caught.value).split("--map ")[1:]]
+    assert [
+        float(np.median(imported(tmp_path, maps=maps).drive.imu.az)) for maps in options
+    ] == pytest.approx([9.90, 9.71], abs=0.01)
+    proposed = inspect_request(Request(tmp_path))
+    assert "in cm/s2 or mg" in " ".join(proposed.notes)
+
+
+@pytest.mark.parametrize("per_m_s2", [1e3, 1 / 0.3048, 1e6 / 9.80665])
+def test_the_remedy_for_other_units_of_acceleration_is_that_of_gravity(tmp_path: Path, per_m_s2: float):
+    without_unit(tmp_path, per_m_s2)
+    with pytest.raises(InputError, match="unknown unit") as caught:
+        imported(tmp_path)
+    (maps,) = options_in(str(caught.value))
+    assert np.median(imported(tmp_path, maps=maps).drive.imu.az) == pytest.approx(9.81, 0.01)
+
+
+SIX, PLACES = np.column_stack([*IMU.values()]), np.column_stack([*FIXES.values()])
+METERS = np.column_stack([*PATH.values()])[::EVERY]
+MATRICES: dict[str, Columns] = {
+    "times in the first columns": {"imu": np.c_[T, SIX], "gps": np.c_[T[::EVERY], PLACES]},
+    "meters": {"data": np.c_[T, SIX], "gnss": np.c_[T[::EVERY], METERS]},
+    "two matrices of the IMU": {
+        "acc": np.c_[T, SIX[:, :3]],
+        "gyr": np.c_[T, SIX[:, 3:]],
+        "fix": np.c_[T[::EVERY], PLACES],
+    },
+    "times outside": {"t": T, "imu": SIX, "tg": T[::EVERY], "gps": PLACES},
+    "transposed": {"imu": np.c_[T, SIX].T, "gps": np.c_[T[::EVERY], PLACES].T},
+}
+
+
+@pytest.mark.parametrize("form", some(MATRICES))
+def test_the_proposal_for_plain_matrices_works(tmp_path: Path, form: str):
+    savemat(tmp_path / "log.mat", MATRICES[form])
+    found = inspect_request(Request(tmp_path / "log.mat"))
+    assert found.works and "COLUMN" not in found.proposal + found.evidence
+    maps = [f"{name}={text}" for name, text in found.settings["maps"].items()]
+    require_right(tmp_path / "log.mat", maps=maps, choice=TableChoice(found.settings["tables"]))
+
+
+def test_a_position_that_rises_is_no_time(tmp_path: Path):
+    """The other columns of a position are read as its axes if the table has a time."""
+    place = np.c_[np.sort(PATH["x"]), PATH["y"], 0 * T]
+    savemat(tmp_path / "log.mat", {"imu": {"t": T, **IMU}, "gps": {"time": T, "pos": place}})
+    np.testing.assert_allclose(imported(tmp_path / "log.mat").drive.gps.x, place[:, 0])
+
+
+STRAIGHT = road(gz=0 * T)
+
+
+def write_rates(folder: Path, unit: str, columns: Columns) -> None:
+    """Write rates in deg/s with a unit in their names."""
+    rates = {f"{n} ({unit})": np.degrees(c) if n[0] == "g" else c for n, c in columns.items()}
+    write(folder, imu={n if n[0] == "g" else n[:2]: c for n, c in rates.items()}, gps=STRAIGHT[1])
+
+
+@pytest.mark.parametrize(
+    "unit", some(["grad/s", "Grad/s", "grad/sek", "Grad pro Sekunde", "gr/s", "grade/s"])
+)
+def test_grad_per_second_may_be_degrees_or_gradians(tmp_path: Path, unit: str):
+    write_rates(tmp_path, unit, STRAIGHT[0] | {"gx": 0.02 * np.sin(T)})
+    with pytest.raises(InputError, match=r"degrees per second.*gradians per second") as caught:
+        imported(tmp_path)
+    message = str(caught.value)
+    for form, factor in (("radians({})", 1.0), ("{}*pi/200", 0.9)):
+        options = {f"imu.{n}": f"imu.{n}={form.format(f'`{n} ({unit})`')}" for n in ("gx", "gy", "gz")}
+        assert all(f'--map "{option}"' in message for option in options.values())
+        got = imported(tmp_path, maps=[*options.values()]).drive.imu
+        np.testing.assert_allclose(got.gx, 0.02 * factor * np.sin(T), atol=1e-9)
+
+
+@pytest.mark.parametrize("unit", some(["grados/s", "gradi/s", "graus/s", "graden/s", "degrés/s", "°/sek"]))
+def test_degrees_in_other_languages(tmp_path: Path, unit: str):
+    write_rates(tmp_path, unit, STRAIGHT[0] | {"gx": 0.02 * np.sin(T)})
+    np.testing.assert_allclose(imported(tmp_path).drive.imu.gx, 0.02 * np.sin(T), atol=1e-9)
 
 
 GERMAN = str.maketrans(",.", ".,")
@@ -125,6 +231,51 @@ def test_clocks(tmp_path: Path, name: str):
     clock, head = CLOCKS[name]
     write(tmp_path, clock=clock, head=head)
     require_right(tmp_path)
+
+
+def decimal(period: float, scale: float, begin: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a clock in units of 1/``scale`` s that wraps after ``period``, s, and begins at ``begin``, s."""
+    return lambda t: np.round((t + begin) * scale).astype(np.int64) % round(period * scale)
+
+
+@pytest.mark.parametrize(
+    ("period", "begin", "scale"),
+    diagonal([(10.0, 0.0), (10.0, 3.0), (100.0, 72.0), (1e3, 970.0), (1e6, 1e6 - 9)], [1e3, 1e6, 1e9]),
+)
+@pytest.mark.parametrize("head", some(["t", "ticks"]))
+def test_decimal_counters(tmp_path: Path, head: str, period: float, begin: float, scale: float):
+    name = {1e3: "ms", 1e6: "us", 1e9: "ns"}[scale]
+    write(tmp_path, clock=decimal(period, scale, begin), head="t" if head == "t" else f"time_{name}")
+    require_right(tmp_path)
+    assert any(f"a counter of {period:.0f} s wraps" in note for note in imported(tmp_path).notes)
+
+
+@pytest.mark.parametrize("hz", [1, 2, 4, 5])
+@pytest.mark.parametrize("begin", some([0.0, 0.3, 0.5]))
+def test_fixes_of_a_counter_that_wraps_each_second_are_refused(tmp_path: Path, hz: int, begin: float):
+    """The number of seconds between two fixes is unknown; in one table, the rows of the IMU show it."""
+    clock, k = decimal(1.0, 1e6, begin), np.arange(0, N // EVERY, HZ // EVERY // hz or 1)
+    imu, fixes = pl.DataFrame({"t": clock(T), **IMU}), pl.DataFrame({n: c[k] for n, c in FIXES.items()})
+    imu.write_csv(tmp_path / "imu.csv")
+    late = 0.01 * np.random.default_rng(hz).standard_normal(len(k)) * (hz < 4)
+    gps = fixes.with_columns(t=clock(T[::EVERY][k] + late))
+    gps.write_csv(tmp_path / "gps.csv")
+    with pytest.raises(InputError, match=r"ambiguous|do not overlap"):
+        imported(tmp_path)
+    row = pl.Series("row", EVERY * k)
+    log = imu.with_row_index("row").join(fixes.with_columns(row), on="row", how="left", maintain_order="left")
+    log.drop("row").write_csv(tmp_path / "log.csv")
+    (tmp_path / "imu.csv").unlink()
+    (tmp_path / "gps.csv").unlink()
+    require_right(tmp_path / "log.csv", len(k))
+
+
+def test_recordings_that_end_near_a_decimal_period_are_separate(tmp_path: Path):
+    """A pause within a counter of 10 s, or recordings from 0 with this duration, do not show the number of wraps."""
+    for clock in (lambda t: np.where(t < 20, t, t + 3.7) % 10, lambda t: np.round(t / 2, 3) % 10):
+        write(tmp_path, clock=clock)
+        with pytest.raises(InputError, match="recordings"):
+            imported(tmp_path)
 
 
 RESTARTED: Columns = {
@@ -422,9 +573,9 @@ def test_rows_are_counted_where_fractions_are_wrong(tmp_path: Path, case: str):
         tmp_path / "imu.csv"
     )
     pl.DataFrame({"time": T[::EVERY], **FIXES}).write_csv(tmp_path / "gps.csv")
-    with pytest.raises(InputError, match=r"the clock goes back .* the row number: --map") as caught:
+    with pytest.raises(InputError, match=r"(the clock goes back|another clock).* the row number: --map") as c:
         imported(tmp_path)
-    require_right(tmp_path, maps=options_in(str(caught.value))[0])
+    require_right(tmp_path, maps=options_in(str(c.value))[0])
 
 
 @pytest.mark.parametrize(("names", "south"), diagonal(["{}", "ecef_{}", "ECEF {}"], [1, -1]))
@@ -1067,9 +1218,8 @@ def test_a_counter_of_rows_is_not_proposed_as_a_time(tmp_path: Path):
         pl.DataFrame({"t": T[::EVERY], **FIXES}).write_csv(tmp_path / "gps.csv")
         with pytest.raises(InputError) as caught:
             imported(tmp_path)
-        assert f'specify it with --map "imu.t={"takt*1e-6" if "takt" in names else "COLUMN"}"' in str(
-            caught.value
-        )
+        assert ('specify it with --map "imu.t=takt*1e-6"' in str(caught.value)) == ("takt" in names)
+        assert 'compute it from the row number, for example --map "imu.t=row/100"' in str(caught.value)
 
 
 @pytest.mark.parametrize("every", [3.0, 5.0, 10.0, 10.4])
@@ -1112,3 +1262,37 @@ def test_date_and_clock_in_columns_without_names_are_joined(tmp_path: Path, form
     assert seen.works and "utc(c1, c2" in (seen.proposal or "")
     maps = [f"{column}={text}" for column, text in seen.settings["maps"].items()]
     require_right(tmp_path, gps=Path(gps), maps=maps)
+
+
+ALL = ("Accelerometer.csv", "Gyroscope.csv", "Location.csv")
+LACKING = {
+    ("Gyroscope.csv",): "no table of an accelerometer",
+    ("Accelerometer.csv", "Location.csv"): "no table of a gyroscope",
+    ("Accelerometer.csv", "Gyroscope.csv"): "no position fixes found",
+    ("Location.csv",): "no IMU samples found in Location.csv",
+}
+
+
+def write_phone(folder: Path, names: tuple[str, ...]) -> None:
+    for name, letter in zip(ALL[:2], "ag", strict=True):
+        if name in names:
+            pl.DataFrame({"time": T, **{i: IMU[f"{letter}{i}"] for i in "xyz"}}).write_csv(folder / name)
+    if ALL[2] in names:
+        pl.DataFrame({"time": T[::EVERY], **FIXES}).write_csv(folder / ALL[2])
+
+
+@pytest.mark.parametrize("names", LACKING)
+def test_the_table_that_is_missing_is_named(tmp_path: Path, names: tuple[str, ...]):
+    write_phone(tmp_path, names)
+    with pytest.raises(InputError, match=LACKING[names]):
+        imported(tmp_path)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_for_one_table_of_a_log_the_folder_is_named(tmp_path: Path, name: str):
+    write_phone(tmp_path, ALL)
+    (tmp_path / "notes.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(InputError, match=re.escape(f"name the folder {tmp_path} as SOURCE")) as caught:
+        imported(tmp_path / name)
+    assert all((other in str(caught.value)) == (other != "notes.csv") for other in (*ALL, "notes.csv"))
+    require_right(tmp_path)

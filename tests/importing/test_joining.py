@@ -1,6 +1,8 @@
 """A role with several tables: the times of the first table, interpolated values of the others, wrapped angles."""
 
+import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,8 @@ import pytest
 from importing.logs import imported
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.importing.inspection import inspect_request
+from sigmaswarm.importing.opening import Request
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import TableChoice
 
@@ -128,3 +132,29 @@ def test_a_chosen_table_is_that_of_the_role_s_log(
     assert (drive.truth is not None) == ("truth" in others)
     with pytest.raises(InputError, match=r"no table 'none\.csv'; choose from fixes\.csv, imu\.csv"):
         imported(circle, choice=TableChoice({"imu": "none.csv"}), gps=files["gps"])
+
+
+@pytest.mark.parametrize("late", [7200, -3600, 36_000, 100_000, 30])
+@pytest.mark.parametrize("rate", [100, 1000])
+def test_tables_of_the_imu_that_do_not_overlap_are_described_before_the_import(
+    tmp_path: Path, late: int, rate: int
+):
+    """The clock of the gyro is ahead; the message contains the expression for whole hours."""
+    epoch, time = 1_714_000_000, np.arange(0, 20, 1 / rate)
+    force = {"x": 0 * time, "y": 0 * time + 5, "z": 0 * time + 9.81}
+    write(tmp_path, "accelerometer.csv", time=epoch + time, **force)
+    write(tmp_path, "gyroscope.csv", time=epoch + late + time, x=0 * time, y=0 * time, z=0 * time + RATE)
+    places = {"x": 20 * np.sin(RATE * FIXES), "y": -20 * np.cos(RATE * FIXES)}
+    write(tmp_path, "gps.csv", time=epoch + FIXES, **places)
+    found = inspect_request(Request(tmp_path))
+    (said,) = [note for note in found.notes if "do not overlap in time" in note]
+    assert not found.works and f"gyroscope.csv covers {epoch + late} to" in said
+    with pytest.raises(InputError, match=r"gyroscope\.csv covers"):
+        imported(tmp_path)
+    example = re.search(r'for example t = "(.+)" for gyroscope.csv, since the clocks differ by', said)
+    assert bool(example) == (late % 3600 == 0)
+    if example:
+        first, second = found.recipe.roles["imu"]
+        second = replace(second, columns={**second.columns, "t": example[1]})
+        recipe = replace(found.recipe, roles={**found.recipe.roles, "imu": (first, second)})
+        assert len(imported(tmp_path, recipe=recipe).drive.imu) == len(time)

@@ -25,7 +25,7 @@ from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.shared_frame import require_same_axes
 from sigmaswarm.importing.source import Part, TableChoice
 from sigmaswarm.importing.units import parse_unit
-from support import quickly, several, some
+from support import diagonal, quickly, several, some
 
 DRIVE = a_drive()
 IMU, GPS, TRUTH = DRIVE.imu, DRIVE.gps, DRIVE.truth
@@ -268,6 +268,37 @@ def test_units_of_the_imu(tmp_path: Path, letter: str, unit: str, factor: float,
     (tmp_path / "imu.csv").write_text(table([",".join(head), *joined(rows)]), encoding="utf-8")
     write_fixes(tmp_path)
     assert_close(imported(tmp_path).drive.imu, IMU, "time ax ay az gx gy gz", 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("force", "rate"),
+    diagonal(
+        ["accel_g_{}", "acc_g_{}", "accelerometer_G_{}", "Accel [g] {}", "a{}_in_g"],
+        ["gyro_dps_{}", "gyr_deg_s_{}", "gyroscope_deg_per_s_{}", "g{}_in_dps"],
+    ),
+)
+def test_units_in_the_middle_of_names(tmp_path: Path, force: str, rate: str):
+    names = [*(force.format(i) for i in "xyz"), *(rate.format(i) for i in "xyz")]
+    rows = imu_rows(dict.fromkeys(AXES[:3], 1 / G) | dict.fromkeys(AXES[3:], 180 / np.pi))
+    (tmp_path / "imu.csv").write_text(table([",".join(["t", *names]), *joined(rows)]))
+    write_fixes(tmp_path)
+    assert_close(imported(tmp_path).drive.imu, IMU, "time ax ay az gx gy gz", 1e-9)
+
+
+def test_g_in_a_name_may_mean_gravity(tmp_path: Path):
+    """Values in m/s2 are refused with an option that reads them; accelerations without g have priority."""
+    head = ["t", *(f"acc_g_{i}" for i in "xyz"), *AXES[3:]]
+    (tmp_path / "imu.csv").write_text(table([",".join(head), *joined(ROWS)]))
+    write_fixes(tmp_path)
+    with pytest.raises(InputError, match="scale is wrong") as caught:
+        imported(tmp_path)
+    got = imported(tmp_path, maps=re.findall(r'"(imu\.[^"]+)"', str(caught.value)))
+    assert_close(got.drive.imu, IMU, "ax ay az", 1e-4)
+    both = [
+        ",".join([row, *cells[1:4]]) for row, cells in zip(joined(ROWS), imu_rows({"az": 2.0}), strict=True)
+    ]
+    (tmp_path / "imu.csv").write_text(table([",".join([*head, "acc_x", "acc_y", "acc_z"]), *both]))
+    np.testing.assert_allclose(imported(tmp_path).drive.imu.az, 2 * IMU.az)
 
 
 @pytest.mark.parametrize(
@@ -603,7 +634,8 @@ def test_coordinates_from_the_center_of_the_earth(tmp_path: Path, factor: float,
 
 
 @pytest.mark.parametrize(
-    "cell", some(["0", "0.0", "-999", "1e10", "-9999.0", "", "n/a", "NaN", "---.--", "-1.#IND", "181.0"])
+    "cell",
+    some(["0", "0.0", "-999", "1e10", "-9999.0", "", "n/a", "NaN", "---.--", "-1.#IND", "181.0", "1e38"]),
 )
 @pytest.mark.parametrize("count", quickly([(1,), (5,)], lambda count: count == 5))
 def test_placeholders_are_no_fixes(tmp_path: Path, cell: str, count: int):
@@ -626,7 +658,17 @@ def test_a_first_fix_far_from_the_rest_is_left_out(tmp_path: Path, place: tuple[
     assert any("km from the others is left out, including the first" in note for note in got.notes)
 
 
-@pytest.mark.parametrize("value", ["-999", "1e10", "9999", "nan", "-32768", "3.4028235e38"])
+HUGE = (
+    "1e38",
+    "-1e38",
+    "3.4028234663852886e38",
+    "9.96921e36",
+    "-9223372036854775808",
+    "1.7976931348623157e308",
+)
+
+
+@pytest.mark.parametrize("value", ["-999", "1e10", "9999", "nan", "-32768", "3.4028235e38", *HUGE])
 def test_placeholders_of_the_imu_are_no_samples(tmp_path: Path, value: str):
     rows = [[*r[:3], value, *r[4:]] if k in (5, 6, 500) else r for k, r in enumerate(ROWS)]
     (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(rows)]))
@@ -634,6 +676,19 @@ def test_placeholders_of_the_imu_are_no_samples(tmp_path: Path, value: str):
     got = imported(tmp_path)
     assert len(got.drive.imu) == len(IMU) - 3 and np.abs(got.drive.imu.az).max() < 20
     assert any("3 rows are left out, since a cell is empty" in note for note in got.notes)
+    assert any("is a placeholder" in note for note in got.notes) == (value != "nan")
+
+
+@pytest.mark.parametrize(("column", "value"), diagonal(["alt", "speed", "std_x"], HUGE))
+def test_huge_numbers_in_columns_of_the_fixes_are_placeholders(tmp_path: Path, value: str, column: str):
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    speed = np.hypot(np.gradient(GPS.x, GPS.time), np.gradient(GPS.y, GPS.time))
+    cells = {"alt": GPS.alt, "speed": speed, "std_x": GPS.std_x}[column].tolist()
+    rows = zip(GPS.time.tolist(), GPS.lat, GPS.lon, [value, *cells[1:]], strict=True)
+    (tmp_path / "gps.csv").write_text(table([f"t,lat,lon,{column}", *(",".join(map(str, r)) for r in rows)]))
+    got = imported(tmp_path)
+    np.testing.assert_allclose(getattr(got.drive.gps, column), cells[1:])
+    assert any(f"1 value of {column} is left out" in note for note in got.notes)
 
 
 @pytest.mark.parametrize(

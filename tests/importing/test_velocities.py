@@ -1,5 +1,6 @@
 """A stated speed or course that contradicts the positions is omitted; similar columns are not."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import polars as pl
 import pytest
 
 from importing.logs import imported
+from sigmaswarm.importing.velocities import without_wrong_velocity
 from sigmaswarm.simulation.scenarios import simulate
 from support import some
 
@@ -64,6 +66,18 @@ def test_a_speed_or_course_that_the_positions_contradict_is_left_out(tmp_path: P
     assert got.drive.gps.speed is None and got.drive.gps.course is None
     (note,) = [n for n in got.notes if "left out" in n]
     assert said in note
+
+
+@pytest.mark.parametrize("rows", [slice(0, 30), slice(None, None, 3), slice(-1, None)])
+@pytest.mark.parametrize("name", ["speed", "course"])
+@pytest.mark.parametrize("wrong", [True, False])
+def test_rows_without_a_speed_or_course_are_not_compared(rows: slice, name: str, wrong: bool):
+    fixes, said = road(), list[str]()
+    fixes["speed"] *= 3.6 if wrong else 1.0
+    fixes[name][rows] = np.nan
+    got = without_wrong_velocity(T, {n: c for n, c in fixes.items() if n != "t"}, "gps", (), said.append)
+    assert ("speed" in got, len(said)) == (not wrong, wrong)
+    assert not wrong or re.search(r"the speed is 3\.[56]\d* times", said[0])
 
 
 def test_the_unit_that_the_ratio_shows_is_the_remedy_and_helps(tmp_path: Path):

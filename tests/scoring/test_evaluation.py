@@ -299,8 +299,8 @@ def test_a_sentence_states_if_the_baseline_is_better(evaluation: Evaluation):
     }
     sentences = Evaluation({"town": DriveResult(others | {"tuned": good} | close)}).view.warnings()
     assert sentences == (
-        "The tuned filter is NOT better than the filter that uses only the fixes in the 5 s outage drift (2 instead "
-        "of 2 m).",
+        "The tuned filter is NOT better than the filter that uses only the fixes in the 5 s outage drift (both "
+        "2 m).",
         "The tuned filter is worse than the baseline in 1 of 4 measures: heading error 0.4 deg instead of 0.3 deg.",
     )
     other = {"against": replace(good, outage_drift=3.0, long_outage_drift=1.5)}
@@ -309,7 +309,7 @@ def test_a_sentence_states_if_the_baseline_is_better(evaluation: Evaluation):
     )
     assert (
         "The tuned filter is NOT better than the other filter in the 30 s outage drift (7 instead of 1.5 m), heading "
-        "error (0.4 instead of 0.4 deg)." in whole.view.sentences()[1:]
+        "error (both 0.4 deg)." in whole.view.sentences()[1:]
     )
     farther = replace(sheet, position_rmse=0.4)
     (here,) = worse(Evaluation({"town": DriveResult(others | {"untuned": farther, "tuned": good})}))

@@ -31,10 +31,10 @@ from sigmaswarm.importing.positions import (
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.shared_frame import assumed_origin, require_same_axes
 from sigmaswarm.importing.source import ROLES, Role
-from sigmaswarm.importing.timeline import STEPS
+from sigmaswarm.importing.timeline import DECIMAL_PERIODS, MINUTE, STEPS, wraps_too_fast
 from sigmaswarm.importing.times import FASTEST_IMU, MAX_STEP, MIN_FIX_INTERVAL, SLOWEST_IMU
 from sigmaswarm.importing.velocities import without_wrong_velocity
-from sigmaswarm.wording import rows_left_out
+from sigmaswarm.wording import printable, rows_left_out
 
 # For fixes made from the truth: seed of the noise, and largest number of fixes
 SEED, MAX_FIXES = 0, 10_000_000
@@ -171,6 +171,16 @@ def _in_same_period(
     clocks = {role: (parts[0].part.columns["t"], parts[0].period) for role, parts in gathered.items()}
     for role, time in times.items():
         period = max(clocks["imu"][1], clocks[role][1])
+        if 0 < period < MINUTE and gathered[role][0].unordered:  # by wraps between the rows
+            raise wraps_too_fast(period / SECOND, f"{role}: {printable(gathered[role][0].part.table)}")
+        own = clocks[role][0] != clocks["imu"][0] or (not clocks[role][1] and int(np.ptp(time)) > period)
+        if clocks["imu"][1] in DECIMAL_PERIODS and period < MINUTE and own:
+            rate = SECOND * (len(imu) - 1) / int(np.ptp(imu))
+            raise InputError(
+                f"imu: the counter {clocks['imu'][0]} wraps every {period / SECOND:g} s and the {role} has another "
+                "clock, so the offset between the clocks is unknown; specify another time column, or, if both clocks "
+                f'begin at 0 s, compute the time from the row number: --map "imu.t=row/{rate:.4g}"'
+            )
         if role == "imu" or not period or clocks[role][0] != clocks["imu"][0]:
             continue
         first, last = (int(edge) // period for edge in (imu[0] - time[-1], imu[-1] - time[0]))

@@ -16,6 +16,7 @@ from sigmaswarm.importing.assemble import REQUIRED, assemble, assemble_imu
 from sigmaswarm.importing.formats import unsupported_format
 from sigmaswarm.importing.gather import ROW, PartColumns, complete_parts, gather
 from sigmaswarm.importing.gravity import impossible_rates, require_gravity_in_force, wrong_scale
+from sigmaswarm.importing.guess import FORCES, PLACES, RATES
 from sigmaswarm.importing.long_tables import describe_kinds
 from sigmaswarm.importing.magnetometer import with_magnetometer
 from sigmaswarm.importing.mounting import AUTO, find_mount
@@ -328,7 +329,9 @@ def missing_sensor(
         if role not in roles or recipe.roles.get(role) or (role == "gps" and recipe.gps_from_truth):
             continue
         path = request.home(role)
-        there = list_names(logs[path].tables)
+        there, siblings = list_names(logs[path].tables), _siblings(path, role)
+        if siblings:
+            remedy = f"name the folder {quote(str(path.parent))} as SOURCE, which also contains {list_names(siblings)}"
         if example := _headers(logs[path]) or (role == "imu" and describe_kinds(logs[path])):
             remedy = f"{example}; or {remedy}"
         texts = (*logs[path].remarks, *guesses[path].notes)
@@ -341,6 +344,7 @@ def missing_sensor(
         if role == "imu" and lacking and {*columns} & {*IMU}:
             there = f"the IMU has no column for {list_names(lacking)}"
             return f"{path}: {there}; {remedy}, or name the columns with --map"
+        there += _lacking_table(logs[path]) if role == "imu" else ""
         around = sorted(path.iterdir()) if role == "gps" and path.is_dir() else ()
         if receiver_log := next((f for f in around if f.suffix.lower() in RECEIVER_LOGS), None):
             remedy = f"add the log with the fixes: --gps {quote(str(receiver_log))}"
@@ -356,6 +360,27 @@ def missing_sensor(
             f"{path}: no {what} found in {there or 'the log'}{more}; {remedy}, or name the columns with --map"
         )
     return ""
+
+
+def _siblings(path: Path, role: Role) -> list[str]:
+    """List the tables next to a table whose names are those of other sensors."""
+    if not path.is_file() or path.suffix.lower() != ".csv":
+        return []
+    names = sorted(
+        f.name for f in path.parent.iterdir() if f.suffix.lower() == ".csv" and f.name != path.name
+    )
+    sensors = (FORCES, RATES, PLACES) if role == "imu" else (PLACES,)
+    return [name for name in names if any(sensor.search(name) for sensor in sensors)]
+
+
+def _lacking_table(log: Log) -> str:
+    """Name the sensor without a table if the log has tables of accelerometer or gyro only."""
+    names = [
+        name for name, table in log.tables.items() if {"x", "y", "z"} <= {c.lower() for c in table.columns}
+    ]
+    forces, rates = (any(sensor.search(name) for name in names) for sensor in (FORCES, RATES))
+    lacking = "an accelerometer" if rates else "a gyroscope"
+    return f", since there is no table of {lacking}" if forces != rates else ""
 
 
 def _headers(log: Log) -> str:

@@ -23,7 +23,8 @@ from sigmaswarm.importing.quantities import (
     MAX_QUARTILE_RATIO,
     NO_NUMBER,
     NO_VALUE,
-    PLACEHOLDERS,
+    is_huge,
+    is_placeholder,
 )
 from sigmaswarm.importing.source import FILES, ImportProgress, Limits, Log, Part, Role
 from sigmaswarm.importing.times import of_one_table, rising_time, time_of, wrong_unit
@@ -58,6 +59,7 @@ class PartColumns:
     # For each column of the table: the placeholder of missing values, and its count
     placeholders: dict[str, tuple[float, int]] = field(default_factory=dict[str, tuple[float, int]])
     period: int = 0  # ns, period of a clock that wraps; 0 for other clocks, and before `unwrap`
+    unordered: bool = False  # True if the time decreases, and is not that of a clock that wraps
     set_back: int = 0  # ns, sum of the steps back of the clock before the chosen recording
     set_ahead: bool = False  # True if the clock jumps ahead between recordings
     counted: bool = False  # True if the time is computed from row numbers alone
@@ -138,7 +140,7 @@ class PartColumns:
         used = {n: e.numbers for n, e in self.expressions.items() if n not in ("t", "keep")}
         names = [c for c in sorted(set().union(*used.values())) if not frame.schema[c].is_nested()]
         numbers = frame.select(pl.col(names).cast(pl.Float64, strict=False))
-        marks = {s.name: mark for s in numbers if (mark := s.is_in(PLACEHOLDERS).fill_null(False)).any()}
+        marks = {s.name: mark for s in numbers if (mark := is_placeholder(s).fill_null(False)).any()}
         alone = {name: mark & _far(numbers[name], mark) for name, mark in marks.items()}
         for first, second in (("lat", "lon"), ("x", "y")):
             pair = [c for n in (first, second) for c in used.get(n, ()) if len(used[n]) == 1]
@@ -154,8 +156,9 @@ class PartColumns:
                 alone[forces[0]] = alone.get(forces[0], False) | (size == 0).fill_null(False)
         for column in used.get("speed", frozenset()) & {*names} if "lat" in used else ():
             invalid = (numbers[column] == -1).fill_null(False)  # phones write -1 for an unknown speed
-            if not (numbers[column].filter(~invalid) < -0.5).any():
-                alone[column] = invalid
+            marked = invalid | alone.get(column, False)
+            if not (numbers[column].filter(~marked) < -0.5).any():
+                alone[column] = marked
         for column, mark in alone.items():
             if count := int(mark.sum()):
                 value = float(numbers[column].filter(mark)[0])
@@ -168,7 +171,7 @@ def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
     """Mark values far from the median of the values not ``marked``, relative to the 1% to 99% range of these values."""
     rest = numbers.filter(~marked).drop_nulls().drop_nans()
     if not len(rest):
-        return pl.zeros(len(numbers), dtype=pl.Boolean, eager=True)
+        return is_huge(numbers).fill_null(False)
     low, middle, high = (float(rest.quantile(q) or 0.0) for q in (0.01, 0.5, 0.99))
     return ((numbers - middle).abs() > MIN_PLACEHOLDER_DISTANCE * (high - low) + 1e-9).fill_null(False)
 
@@ -196,11 +199,11 @@ def _complete(part: Part, log: Log, role: Role, first: Mapping[str, pl.DataFrame
     if "t" not in part.columns and (rows is not None or first is None):
         where = log.path if log.path.name == part.table else f"{log.path}, {printable(part.table)}"
         time = "--time {}" if role == "imu" and len(log.tables) == 1 else f'--map "{role}.t={{}}"'
-        column, rate = "COLUMN" if rows is None else rising_time(rows, role), 100 if role == "imu" else 1
+        column, rate = "" if rows is None else rising_time(rows, role), 100 if role == "imu" else 1
+        remedy = f"specify it with {time.format(column)}, or, " * bool(column)
         raise InputError(
-            f"{where}: no column is recognized as the time of the {role}; specify it with {time.format(column)}, or, "
-            f"if the rate is known, compute it from the row number, for example {time.format(f'row/{rate}')} for "
-            f"{rate} Hz"
+            f"{where}: no column is recognized as the time of the {role}; {remedy}if the rate is known, compute it "
+            f"from the row number, for example {time.format(f'row/{rate}')} for {rate} Hz"
         )
     for text in part.columns.values():
         try:

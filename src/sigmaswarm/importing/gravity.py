@@ -60,7 +60,8 @@ def wrong_scale(imu: Imu, parts: Sequence[Part], rates: Mapping[str, str]) -> li
         faults.append(f"{', '.join(texts.values())} {what}, {scale}")
 
     if (size := float(np.median(np.linalg.norm(force, axis=0)))) > MAX_FORCE:
-        per = min(PER_G, key=lambda known: abs(size / known - 1)) if len(force) == len(FORCES) else PER_G[0]
+        known = (*PER_G, GRAVITY**2)  # the latter for m/s2 that were read as g
+        per = min(known, key=lambda k: abs(size / k - 1)) if len(force) == len(FORCES) else PER_G[0]
         texts = {n: text for part in parts for n, text in part.columns.items() if n in FORCES}
         add(texts, f"have a median magnitude of {size:.4g} m/s2", f"({{}})*9.80665/{per:g}")
     if rates:

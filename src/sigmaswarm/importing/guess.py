@@ -14,12 +14,12 @@ from sigmaswarm.importing.degree_parts import degree_parts
 from sigmaswarm.importing.expressions import compile_expression
 from sigmaswarm.importing.names import Name, plain_words, read_name, read_names
 from sigmaswarm.importing.quantities import (
-    PLACEHOLDERS,
     Columns,
     degrees_as_meters,
     from_ecef,
     geographic_position,
     heading,
+    is_placeholder,
     quantity,
 )
 from sigmaswarm.importing.source import Fault, Guess, Part, Role
@@ -48,8 +48,9 @@ _OF_TRUTH = re.compile(
     re.IGNORECASE,
 )
 _MAYBE_TRUTH = re.compile(r"ref", re.IGNORECASE)
-_FORCES = re.compile(r"acc", re.IGNORECASE)
-_RATES = re.compile(r"gyr|ang(?:ular)?_?(?:vel|rate)|rotation_?rate|rotationrate", re.IGNORECASE)
+FORCES = re.compile(r"acc", re.IGNORECASE)
+RATES = re.compile(r"gyr|ang(?:ular)?_?(?:vel|rate)|rotation_?rate|rotationrate", re.IGNORECASE)
+PLACES = re.compile(r"gps|gnss|fix|location|position", re.IGNORECASE)
 # Names of tables whose x, y, z are neither a position nor axes of the IMU
 _NO_PLACES = re.compile(
     r"mag|orient|attitude|gravity|quat|rotation|linear|baro|light|imu|velocity|twist|(?:^|[^a-z])vel",
@@ -240,7 +241,7 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
             columns.names[what], columns.degrees[what] = Name(column, what), text
         else:
             columns.names[what] = next(n for n in read_names(frame.columns) if n.column == column)
-    letter = "a" if _FORCES.search(table) else "g" if _RATES.search(table) else ""
+    letter = "a" if FORCES.search(table) else "g" if RATES.search(table) else ""
     if letter and not columns.has("lat", "lon"):
         for axis in "xyz":
             if axis in columns:
@@ -388,7 +389,8 @@ def _with_fix(columns: Columns) -> TimeExpression | None:
     if not text or any(columns.frame.schema[n].is_nested() for n in names):
         return None
     rows = columns.frame.with_columns(pl.selectors.float().fill_nan(None)).drop_nulls(names)
-    unset = [pl.col(n).cast(pl.Float64, strict=False).is_in([0.0, *PLACEHOLDERS]) for n in names]
+    numbers = [pl.col(n).cast(pl.Float64, strict=False) for n in names]
+    unset = [is_placeholder(number) | (number == 0) for number in numbers]
     repeated = [pl.col(n) == pl.col(n).shift() for n in names]
     fixes = rows.filter(~(pl.all_horizontal(unset) | pl.all_horizontal(repeated)).fill_null(value=False))
     kept = fixes.select(compile_expression(text, fixes.columns).truth.fill_null(value=False)).to_series()

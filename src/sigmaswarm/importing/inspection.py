@@ -21,11 +21,12 @@ from sigmaswarm.importing.gather import ROW, with_row_numbers
 from sigmaswarm.importing.gravity import tilted_mount
 from sigmaswarm.importing.guess import Z_DOWN
 from sigmaswarm.importing.increments import RATE, increments
+from sigmaswarm.importing.joining import EVER, without_overlap
 from sigmaswarm.importing.opening import Request, opened
 from sigmaswarm.importing.proposal import Proposal, check_proposal, propose_columns
 from sigmaswarm.importing.quantities import in_units
 from sigmaswarm.importing.recipe import Recipe
-from sigmaswarm.importing.source import ROLES, Fault, ImportProgress, Log, Role
+from sigmaswarm.importing.source import ROLES, Fault, ImportProgress, Log, Part, Role
 from sigmaswarm.importing.times import column_numbers, time_of, time_of_rows
 from sigmaswarm.importing.unnamed import columns_by_values
 
@@ -139,8 +140,39 @@ def _obstacles(
 ) -> list[str]:
     if missing := convert.missing_sensor(recipe, request, logs, guesses, ROLES):
         return [missing]
-    _, faults = convert.complete_all(request, logs, recipe, first)
+    completed, faults = convert.complete_all(request, logs, recipe, first)
+    home = request.home("imu")
+    parts = [part for role, part in completed[home] if role == "imu" and "t" in part.columns]
+    spans = [_span(first[home][part.table], part.columns["t"]) for part in parts[1:] and parts]
+    if without_overlap("imu", parts, spans):  # the first rows may end before the other table begins
+        whole = (_batches_of(logs[home], part) for part in parts)
+        ends = [
+            [_span(rows, part.columns["t"]) for rows in batches]
+            for part, batches in zip(parts, whole, strict=True)
+        ]
+        spans = [(min(low for low, _ in of), max(high for _, high in of)) for of in ends]
+    if apart := without_overlap("imu", parts, spans):
+        faults.append(f"{request.log}: {apart}")
     return faults or [f"{request.log}: {message}" for message in missing_columns(recipe)]
+
+
+def _batches_of(log: Log, part: Part) -> Iterator[pl.DataFrame]:
+    columns = log.tables[part.table].columns
+    used = compile_expression(part.columns["t"], (*columns, ROW)).columns & {*columns}
+    yield from (rows for _, rows, _ in log.batches({part.table: used or columns}))
+
+
+def _span(rows: pl.DataFrame, time: str) -> tuple[float, float]:
+    """Return begin and end of the rows, s."""
+    numbered = with_row_numbers(rows)
+    try:
+        times = numbered.select(time_expression(time, numbered).alias("t"))["t"].drop_nulls()
+    except pl.exceptions.PolarsError:  # a list, or a text that is not a date
+        return EVER
+    if not len(times):
+        return EVER
+    low, high = (float(v) / SECOND for v in (times.min(), times.max()))  # pyright: ignore[reportArgumentType]
+    return low, high
 
 
 def _unread(

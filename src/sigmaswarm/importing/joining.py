@@ -14,7 +14,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import SECOND, Nanoseconds
 from sigmaswarm.importing.gather import PartColumns
 from sigmaswarm.importing.positions import Say, Values, valid_positions, with_longitudes
-from sigmaswarm.importing.source import Role
+from sigmaswarm.importing.source import Part, Role
 from sigmaswarm.importing.timeline import (
     MAX_REPEATED_SHARE,
     from_digits,
@@ -39,6 +39,10 @@ MAX_EMPTY_SHARE = 0.1
 MIN_SHARED = 0.5
 # Largest number of changes of the position within bursts, relative to the number of bursts, if each burst is one fix
 MAX_OTHER_SHARE = 0.1
+# s, largest difference between the begins of two tables of a sensor, apart from an offset of their clocks
+MAX_START = 5.0
+EVER = (-np.inf, np.inf)  # span of a table without rows, s
+RECIPE = "correct their times in a recipe (--show --save-recipe FILE writes one), and import with --recipe"
 POSITIONS = ("lat", "lon", "x", "y")
 # Largest differences between the coordinates of a fix in two messages
 MAX_ROUNDED_DEGREES, MAX_ROUNDED_M = 1e-5, 1.0
@@ -58,6 +62,10 @@ def join(
     ``recording`` is the number of the recording, from 1, if a clock restarts within a table.
     """
     (time, values), *others = [_in_order(part, role, recording, say) for part in parts]
+    times = (time, *(t for t, _ in others))
+    spans = [(t[0] / SECOND, t[-1] / SECOND) if len(t) else EVER for t in times]
+    if apart := without_overlap(role, [part.part for part in parts], spans):
+        raise InputError(apart)
     for other_time, other in others:
         if not len(other_time):
             continue
@@ -66,8 +74,7 @@ def join(
             say(f"{role}: {rows_left_out(left)}, since not all tables of the sensor cover their times")
         if not inside.any():
             raise InputError(
-                f"{role}: the tables do not overlap in time; correct their times in a recipe (--show --save-recipe "
-                "FILE writes one), and import with --recipe FILE"
+                f"{role}: no row of the first table is within the times of another table; {RECIPE}"
             )
         time, values = time[inside], {k: v[inside] for k, v in values.items()}
         at, known_at = ((t - other_time[0]) / SECOND for t in (time, other_time))
@@ -78,6 +85,26 @@ def join(
                 added = values.get(target, 0.0) if name.startswith("+") else 0.0
                 values[target] = added + _between(at, known_at[known], column[known], PERIODS.get(target))
     return _complete_rows(time, _with_known_headings(values), role, required, say)
+
+
+def without_overlap(role: Role, parts: Sequence[Part], spans: Sequence[tuple[float, float]]) -> str:
+    """Describe a part whose span (begin and end, s) does not overlap that of the first part; otherwise return ""."""
+    for part, (begin, end) in zip(parts[1:], spans[1:], strict=False):
+        first = spans[0]
+        if begin <= first[1] and first[0] <= end:
+            continue
+        seen = (
+            f"{printable(name)} covers {low:.10g} to {high:.10g} s"
+            for name, (low, high) in ((parts[0].table, first), (part.table, (begin, end)))
+        )
+        hours = round((begin - first[0]) / 3600)
+        move = next((m for m in (3600 * hours, 18, -18) if m and abs(begin - first[0] - m) < MAX_START), 0)
+        why = "the leap seconds" if abs(move) == 18 else f"{abs(move) // 3600} h"
+        later = f"{part.columns['t']} {'-' if move > 0 else '+'} {abs(move)}"
+        example = f', for example t = "{later}" for {printable(part.table)}, since the clocks differ by {why}'
+        apart = f"{' and '.join(seen)}, so the tables do not overlap in time"
+        return f"{role}: {apart}; {RECIPE}{example if move else ''}"
+    return ""
 
 
 def _with_known_headings(values: Values) -> Values:
@@ -131,7 +158,8 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
         )
     tick = (scaled_column(part.part.columns["t"]) or ("", 0.0))[1]
     require_unwrappable(time, tick, where)
-    time, part.period, note = unwrap(time, tick)  # from all rows: a counter may wrap before the first fix
+    # from all rows: a counter may wrap before the first fix
+    time, part.period, note = unwrap(time, tick, where, parts=bool(number))
     filled = np.asarray(_finite(values, len(time)).any(axis=0), bool)
     again = np.zeros(len(time), bool) if role == "imu" else _messages(time, values)
     if role != "imu":
@@ -151,10 +179,11 @@ def _in_order(part: PartColumns, role: Role, number: int | None, say: Say) -> tu
         time, values = time[filled], _rows(values, filled)
     if not note:  # rows without values, now left out, may have had other times
         time, digits = from_digits(time)
-        time, part.period, note = unwrap(time, tick)
+        time, part.period, note = unwrap(time, tick, where, parts=bool(number))
         note = "; ".join(filter(None, (digits, note)))
     if note:
         say(f"{where}: {note}")
+    part.unordered = bool((np.diff(time) < 0).any())
     chosen = recordings(time, pauses=role == "imu") if number else []
     ends = [(int(time[r.start]), int(time[r.stop - 1])) for r in chosen]
     back = [end - begin for (_, end), (begin, _) in pairwise(ends)]

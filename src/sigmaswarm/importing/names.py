@@ -256,6 +256,7 @@ def _family(name: Name) -> str:
     """Return the name without its axis if another family takes precedence, otherwise ""."""
     stated = not name.plain.endswith("rate") and _stated(name.plain, name.unit)
     weak = re.match(_SHORT, name.plain) or stated or name.plain.startswith("lin")  # may be without gravity
+    weak = weak or (name.words[-2:-1] == ("g",) and name.meaning in _AXES[:3])  # may be gravity itself
     return re.sub("^[xyz]|[xyz]$", "", re.sub("^[pqr]$", "pqr", name.plain)) if weak else ""
 
 
@@ -312,10 +313,8 @@ def _read(column: str, text: str) -> Name:
         return Name(column, plain)
     if words[-1:] and words[-1] in "xyz":  # gyro_dps_x
         name = _with_unit(column, words[:-1], words[-1])
-        fits = (
-            name.unit and name.unit.dimension in ("acceleration", "rate", "angle") and name.unit.text != "g"
-        )
-        if name.meaning in _AXES and fits:  # g may be gravity
+        axes = _AXES[:3] if name.unit and name.unit.text == "g" else _AXES
+        if name.unit and name.unit.dimension in ("acceleration", "rate", "angle") and name.meaning in axes:
             return name
     return _with_unit(column, words)
 

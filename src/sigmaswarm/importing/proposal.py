@@ -20,6 +20,7 @@ from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.table_files import MAX_VALUE
 from sigmaswarm.errors import InputError, SigmaswarmError
 from sigmaswarm.importing.names import plain_words, read_name, unit_of
+from sigmaswarm.importing.positions import RADIUS_68
 from sigmaswarm.importing.quantities import AXES
 from sigmaswarm.importing.rates import unit_of_rates
 from sigmaswarm.importing.source import Part, Role
@@ -105,7 +106,8 @@ def meaning_of(name: str) -> Meaning | None:
     horizontal = rest & {"h", "horizontal", "pos", "position"} and rest & {"acc", "accuracy"}
     length = unit is None or unit.dimension == "length"
     if (rest & ACCURACY or horizontal) and length and not rest & NO_PLACE:
-        return Meaning("gps", "std_x", f"{column_text}/sqrt(2)")
+        # phones report the radius of a 68% circle as accuracy; receivers report hAcc or eph, for both axes together
+        return Meaning("gps", "std_x", f"{column_text}/{RADIUS_68 if 'accuracy' in rest else 'sqrt(2)'}")
     rates = RATE | ({"roll", "pitch"} if unit and unit.dimension == "rate" else set())
     if rest & ACCURACY or not rest & (rates | FORCE) or "gps" in rest:
         return None

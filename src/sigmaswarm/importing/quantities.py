@@ -1,8 +1,10 @@
 """Convert columns to a drive's units, by the unit in the name or by the magnitude of the values."""
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import polars as pl
 
@@ -18,8 +20,10 @@ _ARCS = {60.0: "60", 1.0: "3600"}
 NO_NUMBER = r"^[^0-9A-Za-z]*$|#(?:IND|QNAN|SNAN|INF|N/A|NUM!|VALUE!|DIV/0!)"
 PLACEHOLDERS = (
     *(-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, 1e10, -1e10),
-    *(32767.0, -32768.0, 2147483647.0, -2147483648.0, 3.4028235e38, -3.4028235e38),
+    *(32767.0, -32768.0, 2147483647.0, -2147483648.0),
 )
+# Magnitude of placeholders such as 1e38 and the largest numbers of 32 and 64 bits; measurements in any unit are smaller
+MIN_HUGE = 1e15
 NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-", "invalid", *("*" * n for n in range(1, 20)))
 DIMENSIONS: dict[str, UnitDimension] = {
     **dict.fromkeys(("ax", "ay", "az"), "acceleration"),
@@ -33,6 +37,8 @@ REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta",
 # Largest fraction of rows that may contradict the form of the other rows; such rows are presumably damaged
 MAX_DAMAGED_SHARE = 0.02
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
+# Middle between gravity in cm/s2 (981) and in mg (1000); the unit is unknown at smaller distances from it
+MIDDLE_OF_MG_AND_GAL, MAX_NEAR_MIDDLE = 990.3, 3.0
 # Largest ratio of the third to the first quartile of the magnitude of accelerations with gravity
 MAX_QUARTILE_RATIO = 1.5
 MAX_ACCELERATION = 100.0  # m/s2, largest acceleration of a car on a smooth road
@@ -49,6 +55,18 @@ _GYROS = (
     "common 16-bit sensors: 131 counts per deg/s at +-250 deg/s, 65.5 at +-500 deg/s, 32.8 at +-1000 deg/s, "
     "16.4 at +-2000 deg/s; mrad/s: each column*1e-3; deg/s: radians(column)"
 )
+
+
+Numbers = TypeVar("Numbers", pl.Series, pl.Expr)
+
+
+def is_placeholder(numbers: Numbers) -> Numbers:
+    """Mark finite numbers (float64) that usually stand for a missing value."""
+    return numbers.is_in(PLACEHOLDERS) | is_huge(numbers)
+
+
+def is_huge(numbers: Numbers) -> Numbers:
+    return numbers.abs().is_between(MIN_HUGE, math.inf, closed="left")
 
 
 @dataclass
@@ -78,7 +96,7 @@ class Columns:
         column = self.names[what].column
         if column not in self._numbers:
             values = column_numbers(self._signed(what))
-            self._numbers[column] = values.filter(~values.is_in(PLACEHOLDERS))
+            self._numbers[column] = values.filter(~is_placeholder(values))
         return self._numbers[column]
 
     def largest(self, what: str) -> float:
@@ -94,7 +112,7 @@ class Columns:
         if len(axes) < 3 or any(s.dtype.is_nested() for s in series):
             return pl.Series([], dtype=pl.Float64)
         known = [s.cast(pl.Float64, strict=False) for s in series]
-        squares = [s.set(s.is_in(PLACEHOLDERS), None).pow(2) for s in known]
+        squares = [s.set(is_placeholder(s), None).pow(2) for s in known]
         sizes = sum(squares[1:], squares[0]).sqrt()
         return sizes.filter(sizes > 0)
 
@@ -182,7 +200,7 @@ def _web_mercator(columns: Columns, role: Role) -> str:
 
 
 def _without_unit(columns: Columns, what: str, role: Role) -> TimeExpression:
-    """Read accelerations as g or mg if their magnitude then equals gravity, and rates above 5 as deg/s.
+    """Read accelerations as g, mg or cm/s2 if their magnitude then equals gravity, and rates above 5 as deg/s.
 
     Other values are read in SI units. Values that are too large for a car, and rates of whole numbers, are refused as
     raw counts.
@@ -201,10 +219,10 @@ def _without_unit(columns: Columns, what: str, role: Role) -> TimeExpression:
             return TimeExpression(
                 f"{text}*9.80665", "accelerations are read as g, since gravity has a value of about 1"
             )
-        if 930 < size < 1050 and largest < 8000:
-            note = "accelerations are read as mg, since gravity has a value of about 1000"
-            other = _maps(columns, role, axes, "{}*1e-2")
-            return TimeExpression(f"{text}*0.00980665", f"{note}; if they are in cm/s2, write {other}")
+        still = math.hypot(*(median_of(columns.numbers(a)) for a in axes))  # without turns and vibration
+        gravity = still if still > 0.9 * size > 0 else size
+        if 930 < gravity < 1050 and largest < 8000:
+            return _mg_or_gal(columns, what, role, axes, gravity)
         raw = max(usual[a] for a in axes) > 30 or largest > MAX_ACCELERATION
         return TimeExpression("", fault=_raw_counts(columns, what, role)) if raw else TimeExpression(text)
     whole = all((columns.numbers(a) == columns.numbers(a).round()).all() for a in axes)
@@ -215,6 +233,21 @@ def _without_unit(columns: Columns, what: str, role: Role) -> TimeExpression:
         note = f"angular rates are read as deg/s, since their values exceed 5; if they are in rad/s, write {option}"
         return TimeExpression(f"radians({text})", note)
     return TimeExpression(text)
+
+
+def _mg_or_gal(
+    columns: Columns, what: str, role: Role, axes: Sequence[str], gravity: float
+) -> TimeExpression:
+    """Read accelerations as mg or cm/s2, whichever is nearer to ``gravity``; refuse them halfway between."""
+    forms = {"cm/s2": "{}*1e-2", "mg": "{}*0.00980665"}
+    maps = {unit: _maps(columns, role, axes, form) for unit, form in forms.items()}
+    seen = f"gravity has a value of about {gravity:.4g}"
+    if abs(gravity - MIDDLE_OF_MG_AND_GAL) < MAX_NEAR_MIDDLE:
+        options = ", or ".join(f"{option} if they are in {unit}" for unit, option in maps.items())
+        return TimeExpression("", fault=f"accelerations are in cm/s2 or mg, since {seen}; write {options}")
+    unit, other = ("cm/s2", "mg") if gravity < MIDDLE_OF_MG_AND_GAL else ("mg", "cm/s2")
+    note = f"accelerations are read as {unit}, since {seen}; if they are in {other}, write {maps[other]}"
+    return TimeExpression(forms[unit].format(columns.text(what)), note)
 
 
 def _raw_counts(columns: Columns, what: str, role: Role) -> str:
@@ -333,7 +366,7 @@ def _hemispheres(columns: Columns) -> dict[str, tuple[str, str]]:
         texts = [cell for cell in cells if re.fullmatch(f"(?i) *(?:[{name}]|{words}) *", cell)]
         numbers = rows[place].cast(pl.String).str.strip_chars()
         filled = numbers.filter(
-            ~numbers.cast(pl.Float64, strict=False).is_in(PLACEHOLDERS).fill_null(value=False)
+            ~is_placeholder(numbers.cast(pl.Float64, strict=False)).fill_null(value=False)
         )
         sure.append(named or (len(texts) == len(cells) and not filled.str.contains("^-|[NSEW]").any()))
         unset = name[1] if any(text.islower() for text in texts) else name[1].upper()

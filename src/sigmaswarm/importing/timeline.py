@@ -16,6 +16,8 @@ from sigmaswarm.wording import count_of, list_names, rows_left_out
 
 MINUTE = 60 * SECOND
 BITS = (16, 24, 31, 32)  # lengths of counters, bits
+# Periods of counters with a constant number of decimal digits, ns
+DECIMAL_PERIODS = tuple(10**k * SECOND for k in range(7))
 # Periods after which counters wrap, ns
 WRAPS: tuple[tuple[int, str], ...] = (
     (2**32 * 1000, "a counter of 2^32 microseconds"),
@@ -31,7 +33,10 @@ WRAPS: tuple[tuple[int, str], ...] = (
     (43_200 * SECOND, "a clock of 12 hours"),
     (3600 * SECOND, "minutes and seconds"),
     (MINUTE, "the seconds of the minute"),
+    *((period, f"a counter of {period // SECOND} s") for period in DECIMAL_PERIODS),
 )
+# Smallest period and longest step of a counter that wraps after less than a minute, in usual steps
+MIN_PERIOD_STEPS, MAX_SHORT_STEP = 15, 5
 # Smallest number of rows of a separate recording; shorter runs of rows out of order are sorted
 MIN_ROWS = 20
 # s, smallest distance of a wrong time from the times of the rows around it; largest number of checked clock jumps
@@ -74,10 +79,13 @@ def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
     return fine, "the times are hours, minutes and seconds (hhmmss) and are converted"
 
 
-def unwrap(time: Nanoseconds, tick: float = 0.0) -> tuple[Nanoseconds, int, str]:
+def unwrap(
+    time: Nanoseconds, tick: float = 0.0, where: str = "", *, parts: bool = False
+) -> tuple[Nanoseconds, int, str]:
     """Unwrap a counter that wrapped; return the times, its period, ns, and a sentence; 0 and "" for other clocks.
 
-    ``tick``: unit of the counter, s; 0 if it is unknown.
+    ``tick``: unit of the counter, s; 0 if it is unknown. ``parts``: True if the user chose one of several recordings,
+    whose durations may be equal. Refuse a decimal counter that wraps too fast for the rate of the rows.
     """
     steps = np.diff(time)
     ahead = steps[steps > 0]
@@ -99,8 +107,16 @@ def unwrap(time: Nanoseconds, tick: float = 0.0) -> tuple[Nanoseconds, int, str]
         if period == 86_400 * SECOND and wraps.any():
             edge = np.abs((np.r_[time[1:][wraps], time[:-1][wraps]] + period // 2) % period - period // 2)
             inside |= int(np.ptp(time)) <= period and int(edge.max()) <= 60 * SECOND
-        begun = period == MINUTE and int(time[0]) < 0.1 * SECOND  # recordings of a minute each
-        if wraps.any() and np.array_equal(wraps, wraps & near) and inside and not begun:
+        # Recordings of a minute each; three or more of them hardly end with the same sample.
+        alike = period == MINUTE or (period in DECIMAL_PERIODS and period > SECOND)
+        begun = alike and int(time[0]) < 0.1 * SECOND and (parts or np.count_nonzero(wraps) == 1)
+        if not (wraps.any() and np.array_equal(wraps, wraps & near) and inside) or begun:
+            continue
+        if period in DECIMAL_PERIODS and period < MIN_PERIOD_STEPS * usual:
+            raise wraps_too_fast(period / SECOND, where)
+        # after a pause, the number of wraps would be unknown
+        paused = period < MINUTE and int(np.max(steps % period)) > MAX_SHORT_STEP * usual
+        if not (paused and period in DECIMAL_PERIODS):
             fitting.append((float(np.median(np.abs(steps[wraps] + period - usual))), period, name))
     if not fitting:
         return time, 0, ""
@@ -115,10 +131,15 @@ def require_unwrappable(time: Nanoseconds, tick: float, where: str) -> None:
     span = int(np.ptp(time)) / SECOND if len(time) else 0.0
     period = next((2**bits * tick for bits in BITS if 0.9 < span / max(2**bits * tick, 1e-12) < 1.001), None)
     if backwards >= MAX_DECREASING_SHARE and period and int(time.min()) >= 0:
-        raise InputError(
-            f"{where}: the counter of the time wraps every {period:.3g} s, which is too fast for the rate of the rows, "
-            "so their times are ambiguous; specify another time column"
-        )
+        raise wraps_too_fast(period, where)
+
+
+def wraps_too_fast(period: float, where: str) -> InputError:
+    """Return the refusal of a counter; ``period``: its period, s."""
+    return InputError(
+        f"{where}: the counter of the time wraps every {period:.3g} s, which is too fast for the rate of the rows, "
+        "so their times are ambiguous; specify another time column"
+    )
 
 
 def recordings(time: Nanoseconds, *, pauses: bool) -> list[slice]:

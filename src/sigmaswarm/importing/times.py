@@ -167,7 +167,7 @@ def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
 
 
 def rising_time(frame: pl.DataFrame, role: Role) -> str:
-    """Return the expression of a time, s: of the first column that increases and has no known name, else "COLUMN".
+    """Return the expression of a time, s: of the first column that increases and has no known name, else "".
 
     A counter may wrap. A counter of rows, which increases by 1, is not a time.
     """
@@ -177,7 +177,7 @@ def rising_time(frame: pl.DataFrame, role: Role) -> str:
         for name, of in zip(names, steps, strict=True):
             if len(of) and (of <= 0).sum() <= falls * len(of) and not (of == 1).all():
                 return column_time(name, frame, role).expression or quoted_column(name.column)
-    return "COLUMN"
+    return ""
 
 
 def quoted_column(column: str) -> str:
@@ -395,7 +395,12 @@ def unknown_unit(name: Name, column: str, dimension: str, role: Role, likely: st
     text = likely or f"{quoted_column(name.column)}*1.0"
     if name.unit and name.unit.dimension == "angle" and dimension == "rate":
         text = in_si(name.unit, quoted_column(name.column))
-    return f'{message}; specify the factor to SI units, for example --map "{role}.{column}={text}"'
+    message += "; specify the factor to SI units, for example --map"
+    if name.unit and dimension == "rate" and re.match(r"(?i)gr(?:ad[es]?)?(?![a-z])", name.unit.text.strip()):
+        plain = quoted_column(name.column)
+        degrees, gradians = (f'"{role}.{column}={t}"' for t in (f"radians({plain})", f"{plain}*pi/200"))
+        return f"{message} {degrees} if it is degrees per second, or --map {gradians} if it is gradians per second"
+    return f'{message} "{role}.{column}={text}"'
 
 
 def date_time(columns: Sequence[str], frame: pl.DataFrame) -> TimeExpression:

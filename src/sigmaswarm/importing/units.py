@@ -25,13 +25,21 @@ _BASE_WORDS = {
         1852.0: "nmi nm",
     },
     "T": {
-        **{1.0: "s sec secs second seconds", 1e-3: "ms msec msecs millisec millis millisecond milliseconds"},
+        **{
+            1.0: "s sec secs sek second seconds",
+            1e-3: "ms msec msecs millisec millis millisecond milliseconds",
+        },
         1e-6: "us usec usecs microsec micros microsecond microseconds",
         1e-9: "ns nsec nsecs nanosec nanosecs nanos nanosecond nanoseconds",
         **{60.0: "min mins minute minutes", 3600.0: "h hr hrs hour hours", 86400.0: "d day days"},
     },
     "A": {
-        **{1.0: "rad radian radians", 1e-3: "mrad", 1e-6: "urad", _DEGREE: "deg degs degree degrees"},
+        **{
+            1.0: "rad radian radians",
+            1e-3: "mrad",
+            1e-6: "urad",
+            _DEGREE: "deg degs degree degrees degres grados gradi graus graden",
+        },
         **{
             _DEGREE / 1e3: "mdeg",
             _DEGREE / 100: "cdeg",
@@ -39,7 +47,11 @@ _BASE_WORDS = {
             _DEGREE / 60: "arcmin",
             _DEGREE / 3600: "arcsec",
         },
-        **{_DEGREE / 3.6e6: "mas", 2 * math.pi: "rev revolutions turn turns", math.pi / 200: "gon"},
+        **{
+            _DEGREE / 3.6e6: "mas",
+            2 * math.pi: "rev revolutions turn turns",
+            math.pi / 200: "gon gradian gradians",
+        },
     },
 }
 BASES = {
@@ -103,7 +115,7 @@ NOT_UNITS = (
 )
 COUNTS = ("lsb", "lsbs", "counts", "count", "adc", "raw", "ticks", "bits", "digits")
 _PLAIN = str.maketrans(
-    {"µ": "u", "μ": "u", "²": "2", "°": "deg", "·": " ", "⋅": " ", "−": "-", "⁻": "-", "¹": "1"}
+    {"é": "e", "µ": "u", "μ": "u", "²": "2", "°": "deg", "·": " ", "⋅": " ", "−": "-", "⁻": "-", "¹": "1"}
 )
 # A sign of division, a base unit with its power, or a sign of multiplication
 _TOKEN = re.compile(r"(/|per\b)|([a-z]+)\s*((?:\^|\*\*)?\s*-?\s*\d)?|([*.\s])")

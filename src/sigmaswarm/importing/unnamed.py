@@ -16,6 +16,10 @@ from sigmaswarm.importing.units import G, in_si
 
 UNNAMED = re.compile(r"(?:c|.*_)\d+|.*\[\d+\]")
 TIMES = ("received", "stamp")  # columns with the times of messages
+CLOCK = re.compile(r"t_?[a-z]{0,4}|time.*", re.IGNORECASE)  # names of times next to a matrix
+POSITIONS = re.compile(
+    r"(?:gps|gnss|fix|pos|utm|enu|xy)[a-z]*_\d", re.IGNORECASE
+)  # columns of a matrix of positions
 # Magnitudes of gravity in the order of trial; 1 comes last, since a quaternion has the same magnitude
 GRAVITY = (G, *PER_G, 1.0)
 TOLERANCE = 0.05  # largest relative deviation of the median specific force from gravity
@@ -23,6 +27,7 @@ MIN_SPREAD = 1e-3  # smallest relative spread of the specific force; a quaternio
 DATE_AND_CLOCK = r"^\d+[-/.]\d+[-/.]\d+$", r"^\d+:\d+:\d+"  # forms of day and time of day in two columns
 MIN_TURN_RATIO = 2.0  # smallest ratio of the 95% to the 25% quantile of angular rates
 MIN_FALLS = 0.9  # smallest share of new seconds at which a fraction falls; after a gap it may rise
+MAX_DEGREE_STEP = 1e-3  # deg, largest median step of latitude and longitude
 MAX_DEGREES = 2.0  # largest range of latitude and longitude in a log
 
 
@@ -31,11 +36,12 @@ def columns_by_values(frame: pl.DataFrame, role: Role) -> dict[str, str]:
     if role == "imu" and (found := _letters(frame)):
         return found
     names = [name for name in frame.columns if UNNAMED.fullmatch(name)]
-    if len(frame) < 2 or any(name not in (*names, *TIMES) and "." not in name for name in frame.columns):
+    others = [name for name in frame.columns if name not in (*names, *TIMES) and "." not in name]
+    if len(frame) < 2 or any(not CLOCK.fullmatch(name) for name in others):
         return {}
     values = {name: frame[name].cast(pl.Float64, strict=False).to_numpy() for name in names}
     axes = _axes(values)
-    place = _place(values) if role == "gps" else axes if "gx" in axes else {}
+    place = (_place(values) or _meters(values)) if role == "gps" else axes if "gx" in axes else {}
     # in a table with an IMU, the IMU's rate determines the unit of the times
     time = next(_times(frame, "imu" if "gx" in axes else role, _summed(values)), "")
     return (
@@ -101,6 +107,17 @@ def _summed(values: dict[str, Array]) -> dict[str, str]:
     return {}
 
 
+def _meters(values: dict[str, Array]) -> dict[str, str]:
+    """Return the first two columns of a matrix of positions, without a time before them; {} for degrees."""
+    names = [name for name in values if POSITIONS.fullmatch(name)]
+    if names and np.all(np.diff(values[names[0]]) > 0) and len(names) > 2:
+        names = names[1:]
+    if not 2 <= len(names) <= 3 or len({name.rpartition("_")[0] for name in names}) > 1:
+        return {}
+    far = all(np.nanmedian(np.abs(np.diff(values[n]))) > MAX_DEGREE_STEP for n in names[:2])
+    return dict(zip("xy", names, strict=False)) if far else {}
+
+
 def _are_fractions(whole: Array, part: Array) -> bool:
     """Return True if numbers in [0, 1) rise within a second, fall where the next begins, and make the steps even.
 
@@ -139,6 +156,7 @@ def _axes(values: dict[str, Array]) -> dict[str, str]:
     """Find three columns whose magnitude is gravity, and the rates in three other columns if there are any."""
     place = _place(values).values()  # with an altitude, their magnitude is about constant
     names = [name for name, column in values.items() if np.isfinite(column).any() and name not in place]
+    names = [name for name in names if not np.all(np.diff(values[name]) > 0)]  # without times
     for k in _forces(values, names, GRAVITY):
         return dict(zip(AXES, [*names[k : k + 3], *_rates(values, names, k)], strict=False))
     return {}

@@ -30,8 +30,11 @@ _SPEED = ("speed", "course", "vx", "vy")
 def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterable[Part], say: Say) -> Values:
     """Return the columns (n,); leave out speed and course if the positions x, y contradict one of them.
 
-    ``parts``: the role's parts, whose expressions the messages quote.
+    ``parts``: the role's parts, whose expressions the messages quote. Rows with NaN are not compared.
     """
+    recorded, compared = values, {name: c for name, c in values.items() if name in ("x", "y", *_SPEED)}
+    known = np.all([np.isfinite(column) for column in compared.values()], axis=0)
+    time, values = time[known], {name: column[known] for name, column in compared.items()}
     texts = {name: text for part in parts for name, text in part.columns.items() if name in _SPEED}
     slowest = MIN_SPEED if "speed" not in values and "vx" not in values else MIN_COMPARED_SPEED
     begin, end = _stretches(time, values["x"], values["y"], slowest)
@@ -62,11 +65,11 @@ def without_wrong_velocity(time: Array, values: Values, role: str, parts: Iterab
         if (middle := float(np.median(apart))) > MAX_COURSE_ERROR:
             wrong = f"the course differs from the course between the positions by {np.degrees(middle):.0f} deg (median)"
     if not wrong:
-        return values
+        return recorded
     stated = ", ".join(f"{name}={text}" for name, text in texts.items())
     are = "is" if len(texts) == 1 else "are"
     say(f"{role}: {stated or 'speed and course'} {are} left out, since {wrong}")
-    return {name: column for name, column in values.items() if name not in _SPEED}
+    return {name: column for name, column in recorded.items() if name not in _SPEED}
 
 
 def _ratio(

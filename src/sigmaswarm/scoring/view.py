@@ -29,7 +29,7 @@ from sigmaswarm.scoring.remarks import (
 from sigmaswarm.scoring.score import MIN_HEADING_SPEED
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH
 from sigmaswarm.tables import Cell, Column, Table
-from sigmaswarm.wording import as_sentence, describe_change
+from sigmaswarm.wording import as_sentence, describe_change, describe_pair
 
 LATE_START = 5.0  # s from the start of a drive; if the scores start later, this is reported
 NO_TRUTH = (
@@ -181,7 +181,7 @@ class EvaluationView:
         for method in (m for m in (AGAINST, FIXES, BASELINE) if m in self.names):
             name = in_sentence(method, self.names[method])
             lost = [
-                f"{self.measures[m].title} ({tuned:.3g} instead of {other:.3g} {self.measures[m].unit})"
+                f"{self.measures[m].title} ({describe_pair(tuned, other, self.measures[m].unit)})"
                 for m in (*DRIFTS, *["heading_rmse_deg"] * (method != FIXES))
                 if m in self.measures
                 and (tuned := mean_of("tuned", m)) is not None

@@ -173,12 +173,23 @@ def _tables(content: Mapping[str, Any], name: str, depth: int) -> Iterator[tuple
             yield from _tables(alike, f"{name}.{field}" if name else field, depth + 1)
         elif isinstance(value, np.ndarray):
             vectors |= dict(_columns(field, cast("np.ndarray[Any, Any]", value)))
+    times = {len(v) for v in content.values() if isinstance(v, np.ndarray) and v.ndim == 1 and _rises(v)}
+    for field in [f for f, v in vectors.items() if f.endswith("_x") and len(v) not in times and _rises(v)]:
+        numbered = {
+            field[:-1] + axis: f"{field[:-1]}{k}" for k, axis in enumerate("xyz")
+        }  # the first is a time
+        if field not in content and numbered.keys() <= vectors.keys():
+            vectors = {numbered.get(f, f): v for f, v in vectors.items()}
     lengths = [len(v) for v in vectors.values() if len(v) > 1]
     for length in dict.fromkeys(sorted(lengths, key=lengths.count, reverse=True)):
         columns = {f: v for f, v in vectors.items() if len(v) == length}
         if len(columns) > 1:
             first = length == max(lengths, key=lengths.count)
             yield (name or ROOT_TABLE) + ("" if first else f" ({length})"), columns
+
+
+def _rises(values: "np.ndarray[Any, Any]") -> bool:
+    return len(values) > 2 and values.dtype.kind in "fiu" and bool(np.all(values[1:] > values[:-1]))
 
 
 def _columns(field: str, value: "np.ndarray[Any, Any]") -> Iterator[tuple[str, Any]]:
