@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from sigmaswarm.doctor.checks.accelerometer import check_accelerometer
 from sigmaswarm.doctor.checks.gyro import check_gyro, check_tilt
-from sigmaswarm.doctor.checks.heading import check_heading
+from sigmaswarm.doctor.checks.heading import check_heading, check_stated_heading
 from sigmaswarm.doctor.checks.mounting import check_handled, check_mirrored, check_mounting, check_reverse
 from sigmaswarm.doctor.checks.noise import check_noise
 from sigmaswarm.doctor.checks.observability import check_observability, check_use
@@ -35,6 +35,7 @@ CHECKS = (
     check_truth,
     check_velocity,
     check_heading,
+    check_stated_heading,
     check_odometer,
     check_noise,
     check_sampling,
