@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sigmaswarm.arrays import Array
+from sigmaswarm.doctor.checks.mounting import BACKWARD, check_reverse
 from sigmaswarm.doctor.checks.velocity import CONVENTIONS
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
@@ -38,7 +39,6 @@ MIN_STATED_OFFSET, STATED_SIGMAS = math.radians(20), 3.0
 GYRO_BIAS_STD = math.radians(0.5)  # rad/s, assumed for the time from the first IMU sample to the course
 # rad, added for slow vehicles: errors of fixes that last for a minute change the course, but not its stated deviation
 SLOW_COURSE_STD = math.radians(20)
-BACKWARD = math.radians(150)  # smallest difference that driving backward explains
 
 
 def check_heading(evidence: Evidence) -> Iterator[Finding]:
@@ -88,6 +88,9 @@ def check_stated_heading(evidence: Evidence) -> Iterator[Finding]:
     )
     if abs(offset) <= max(MIN_STATED_OFFSET, STATED_SIGMAS * std):
         return
+    backward = abs(offset) > BACKWARD
+    if backward and any(check_reverse(replace(evidence, drive=plain))):
+        return
     stated, right = math.degrees(drive.heading), math.degrees(seen) % 360.0
     what = (
         f"heading_deg = {stated:g} differs by {math.degrees(offset):+.0f} deg from the heading that the course until "
@@ -99,9 +102,8 @@ def check_stated_heading(evidence: Evidence) -> Iterator[Finding]:
         f"write heading_deg = {right:.0f} at the top of drive.toml, or import with --heading-from-north "
         f"{(90.0 - right) % 360.0:.0f}"
     )
-    backward = abs(offset) > BACKWARD
     if backward:
-        remedy += ". Keep the heading if the vehicle drives backward at first"
+        remedy = f"keep this heading if the vehicle drives backward at first; otherwise {remedy}"
     span = float(imu.time[0]), start.time
     severity = "warning" if backward else "serious"
     yield Finding("heading-offset", severity, what, "drive.toml, heading_deg", span, 0.99, remedy)
