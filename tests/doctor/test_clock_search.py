@@ -142,8 +142,31 @@ def test_a_log_that_begins_in_reverse(seed: int, slow: float):
     assert found["reverse-start"].span[1] == pytest.approx(16, abs=2)
     assert f"--at {18 if slow == 1 else 17} --out parts" in found["reverse-start"].remedy
     known = replace(robot(True, seed, slow), metadata={"heading_deg": 40.0})
-    assert "reverse-start" not in sigmaswarm.diagnose(known).codes
+    assert not {"reverse-start", "heading-offset"} & sigmaswarm.diagnose(known).codes
     assert "reverse-start" not in sigmaswarm.diagnose(robot(False, seed, slow)).codes
+
+
+@pytest.mark.parametrize(
+    ("until", "fast"), quickly([(45.0, 8.0), (30.0, 8.0), (40.0, 10.0)], lambda until, fast: until == 45.0)
+)
+def test_a_long_start_in_reverse_is_one_finding(until: float, fast: float):
+    """The direction of ax and ay relative to the motion changes by 180 deg, but the IMU was not moved."""
+    rng, t = np.random.default_rng(60), np.arange(0, 160, 0.02)
+    back, on = np.clip(np.minimum((t - 2) / 3, (until - 4 - t) / 3), 0, 1), np.clip((t - until) / 4, 0, 1)
+    speed = fast * on * (0.75 + 0.25 * np.sin((t - until) / 6)) - 6.0 * back
+    rate = np.where(np.abs(speed) > 0.8, 0.12 * np.sin(t / 9) * np.sign(speed), 0.0)
+    theta = 0.7 + np.cumsum(rate) * 0.02
+    position = np.cumsum(speed * np.exp(1j * theta)) * 0.02
+    noise = rng.standard_normal((6, len(t))) * np.array([[0.05]] * 3 + [[0.002]] * 3)
+    force = np.array([np.gradient(speed, 0.02), speed * rate, 0 * t + 9.81])
+    imu = Imu(t, *(force + noise[:3])[:2], rate + noise[5], force[2] + noise[2], noise[3], noise[4])
+    k = slice(None, None, 10)
+    fixes = position[k] + 0.7 * (rng.standard_normal(len(t[k])) + 1j * rng.standard_normal(len(t[k])))
+    drive = Drive("robot", imu, Gps(t[k], fixes.real, fixes.imag))
+    (found,) = (f for f in sigmaswarm.diagnose(drive).findings if f.severity != "note")
+    assert found.code == "reverse-start" and found.cut == pytest.approx(until, abs=4)
+    _, rest = sigmaswarm.split_time(drive, at=float(found.cut))
+    assert not {"reverse-start", "mounting-changed"} & sigmaswarm.diagnose(rest).codes
 
 
 def test_at_walking_speed_no_offset_is_invented():

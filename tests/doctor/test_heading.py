@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.doctor.checks.heading import check_heading
+from sigmaswarm.doctor.checks.heading import check_heading, check_stated_heading
 from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.doctor.evidence import Evidence, gather
 from sigmaswarm.doctor.findings import Diagnosis, Finding
@@ -111,3 +111,27 @@ def test_a_fix_without_a_heading_has_none_after_a_repair():
 def test_fixes_that_are_late_as_a_whole_are_no_delay_of_the_heading():
     drive = replace(good(), gps=replace(good().gps, time=good().gps.time + 18.0))
     assert not [found for found in check_heading(gather(drive)) if found.code == "heading-delay"]
+
+
+def stated(heading: float) -> list[Finding]:
+    """Findings about the good drive without its headings, with a heading_deg in drive.toml."""
+    gps = replace(good().gps, heading=None, std_heading=None)
+    drive = replace(good(), gps=gps, metadata={**good().metadata, "heading_deg": heading % 360.0})
+    return list(check_stated_heading(replace(evidence(), drive=drive)))
+
+
+@pytest.mark.parametrize("off", [90.0, -45.0, 180.0, None])
+def test_a_stated_heading_that_contradicts_the_course_is_reported_and_its_remedy_helps(off: float | None):
+    """Without a number: the heading is clockwise from north."""
+    truth = good().truth
+    assert truth is not None
+    true = float(np.degrees(np.interp(good().imu.time[0], truth.time, np.unwrap(truth.theta))))
+    assert not stated(true) and not stated(true + 12.0) and not stated(true - 12.0)
+    (found,) = stated(90.0 - true if off is None else true + off)
+    assert found.code == "heading-offset" and found.severity == ("warning" if off == 180.0 else "serious")
+    assert off is not None or "clockwise from north" in found.what
+    told = re.search(r"heading_deg = (\d+) .* --heading-from-north (\d+)", found.remedy)
+    assert told
+    for right in (float(told[1]), 90.0 - float(told[2])):
+        assert abs(wrap_angle(np.radians(right - true))) < np.radians(8.0)
+        assert not stated(right)

@@ -394,3 +394,29 @@ def test_windows_of_a_minute_are_never_called_sure_and_reversed():
         if found and found.confidence != "no" and error > np.radians(20):
             wrong.append((start, error))
     assert not wrong
+
+
+@pytest.mark.parametrize(
+    ("angles", "seed"),
+    quickly(
+        [((180, 0, 0), 1), ((0, 0, 180), 2), ((100, 40, -120), 3)], lambda angles, _: angles == (180, 0, 0)
+    ),
+)
+def test_a_vehicle_without_springs_is_no_reversed_axis(angles: tuple[float, float, float], seed: int):
+    """Noise of the gyro and the error of the estimate, times the yaw rate, looked like a lean into turns."""
+    rng, t = np.random.default_rng(seed), np.arange(0, 150, 0.02)
+    speed = 8 * np.clip((t - 3) / 4, 0, 1) * (0.75 + 0.25 * np.sin(t / 6))
+    rate = np.where(speed > 1, 0.15 * np.sin(t / 9), 0.0)
+    theta = 0.7 + np.cumsum(rate) * 0.02
+    x, y = np.cumsum(speed * np.cos(theta)) * 0.02, np.cumsum(speed * np.sin(theta)) * 0.02
+
+    def noise(std: float) -> np.ndarray:
+        return rng.normal(0, std, len(t))
+
+    ax, ay, gz = np.gradient(speed, t) + noise(0.05), speed * rate + noise(0.05), rate + noise(0.002)
+    imu = Imu(t, ax, ay, gz, az=9.81 + noise(0.05), gx=noise(0.002), gy=noise(0.002))
+    east, north = (np.interp(t[3::10], t, v) + rng.normal(0, 0.7, len(t[3::10])) for v in (x, y))
+    drive = Drive("robot", imu, Gps(t[3::10], east, north))
+    found, error = estimate(drive, Rotation.from_euler("xyz", angles, degrees=True).as_matrix())
+    assert found.confidence == "sure", found.reason
+    assert np.degrees(error) < 1

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import sigmaswarm
 from sigmaswarm.doctor.mounting import angle_of, rotate_imu
-from sigmaswarm.importing.mounting import parse_mount
+from sigmaswarm.importing.mounting import find_mount, parse_mount
 from support import quickly
 
 
@@ -48,9 +48,30 @@ def test_the_mounting_is_found(tmp_path: Path, roll: float, pitch: float, yaw: f
 def test_a_log_that_does_not_show_it_is_refused_with_the_reason(tmp_path: Path):
     log = log_of(sigmaswarm.simulate("cruise", gps="white-1m"), tmp_path / "log")
     with pytest.raises(
-        sigmaswarm.InputError, match=r"does not show the mounting .the course hardly changes.*specify it"
+        sigmaswarm.InputError,
+        match=r"does not show the mounting .the course hardly changes.*specify the mounting",
     ):
         sigmaswarm.import_log(log / "imu.csv", gps=log / "fixes.csv", mount="auto")
+
+
+@pytest.mark.parametrize(
+    ("axis", "at"), quickly([("y", 40.0), ("z", 40.0), ("z", 80.0), ("x", 80.0)], lambda axis, at: at == 40.0)
+)
+def test_no_mounting_is_estimated_for_a_log_whose_imu_was_moved(axis: str, at: float):
+    """The error names the time of the movement. Its command leads to two parts with a mounting each."""
+    drive = sigmaswarm.simulate("urban", duration=120, gps="white-1m", run=4)
+    other = rotate_imu(drive.imu, Rotation.from_euler(axis, 90, degrees=True).as_matrix())
+    names, late = ("ax", "ay", "az", "gx", "gy", "gz"), drive.imu.time > at
+    moved = {n: np.where(late, getattr(other, n), getattr(drive.imu, n)) for n in names}
+    drive = replace(drive, imu=replace(drive.imu, **moved))
+    with pytest.raises(
+        sigmaswarm.InputError, match=r"the IMU was moved at t = .*split DRIVE --at"
+    ) as refused:
+        find_mount(drive)
+    cut = float(str(refused.value).split("--at ")[1].split()[0])
+    assert cut == pytest.approx(at, abs=6)
+    for part in sigmaswarm.split_time(drive, at=cut):
+        assert "mounting-changed" not in sigmaswarm.diagnose(part).codes
 
 
 def test_the_text_of_a_mounting_is_the_rotation_it_names():

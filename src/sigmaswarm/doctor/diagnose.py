@@ -5,8 +5,14 @@ from dataclasses import replace
 
 from sigmaswarm.doctor.checks.accelerometer import check_accelerometer
 from sigmaswarm.doctor.checks.gyro import check_gyro, check_tilt
-from sigmaswarm.doctor.checks.heading import check_heading
-from sigmaswarm.doctor.checks.mounting import check_handled, check_mirrored, check_mounting, check_reverse
+from sigmaswarm.doctor.checks.heading import check_heading, check_stated_heading
+from sigmaswarm.doctor.checks.mounting import (
+    OR_BACKWARD,
+    check_handled,
+    check_mirrored,
+    check_mounting,
+    check_reverse,
+)
 from sigmaswarm.doctor.checks.noise import check_noise
 from sigmaswarm.doctor.checks.observability import check_observability, check_use
 from sigmaswarm.doctor.checks.odometer import check_odometer
@@ -35,6 +41,7 @@ CHECKS = (
     check_truth,
     check_velocity,
     check_heading,
+    check_stated_heading,
     check_odometer,
     check_noise,
     check_sampling,
@@ -81,6 +88,8 @@ def _diagnosed(drive: Drive) -> Diagnosis:
     found = [finding for check in CHECKS for finding in check(evidence)]
     if any(finding.code == "mounting-changed" for finding in found):  # the parts have different axes
         found = [f for f in found if f.repair is None or f.repair.action not in AXIS_ACTIONS]
+    if any(finding.code == "reverse-start" for finding in found):  # it explains this change of the axes
+        found = [f for f in found if f.code != "mounting-changed" or OR_BACKWARD not in f.what]
     withheld = drive.metadata.get("withheld", ())
     found = [_contradicted(finding) if finding.code in withheld else finding for finding in found]
     found.sort(key=lambda finding: SEVERITIES.index(finding.severity))

@@ -41,6 +41,9 @@ GYRO_WINDOW = 10.0  # s, window over which the axis of turning is fitted
 # Accelerometers are reversed if `_leaning` of their negative values exceeds MIN_LEANING. A mounting rotated by more
 # than 90 degrees is refused if its `_leaning` is below -MIN_LEANING, since an axis is reversed.
 MIN_LEANING = 0.5
+# rad per m/s2, smallest lean of a body on springs. Cars: 0.003 or more; vehicles without springs, of which the gyro's
+# noise and the error of the mounting remain: below 0.0003.
+MIN_LEAN = 0.001
 # rad, largest angle between the median specific force and the estimated vertical axis
 MAX_TILT = math.radians(15.0)
 # rad; a larger change of gravity between windows shows that the mounting is not constant
@@ -176,7 +179,8 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
 def _leaning(imu: Imu) -> Array:
     """Return how much the body leans outward in turns, and backward when it gains speed: two numbers from -1 to 1.
 
-    Both numbers are positive for a body on springs. If an axis of the IMU is reversed, one of them is negative.
+    Both numbers are positive for a body on springs. If an axis of the IMU is reversed, one of them is negative. A
+    number is 0 if the body does not lean, as on a robot without springs.
     """
     time = np.arange(imu.time[0] + 2.0, imu.time[-1] - 2.0, 0.2)
     if len(time) < 50:
@@ -186,10 +190,12 @@ def _leaning(imu: Imu) -> Array:
         return smoothed(imu.time, values, time, 0.4) - smoothed(imu.time, values, time, 4.0)
 
     roll, pitch = (swift(integral(imu.time, getattr(imu, name))) for name in ("gx", "gy"))
-    products = np.array([roll * swift(imu.ay), -pitch * swift(imu.ax)])
+    force = np.array([swift(imu.ay), -swift(imu.ax)])
+    products = np.array([roll, pitch]) * force
     starts = np.arange(0, max(len(time) - 49, 1), 50)  # of windows of 10 s
     agreement = np.add.reduceat(products, starts, axis=1)
-    return np.sum(agreement, axis=1) / np.maximum(np.sum(np.abs(agreement), axis=1), 1e-12)
+    leans = np.abs(np.sum(products, axis=1)) > MIN_LEAN * np.sum(force**2, axis=1)
+    return leans * np.sum(agreement, axis=1) / np.maximum(np.sum(np.abs(agreement), axis=1), 1e-12)
 
 
 def _scaled(imu: Imu, sensor: Literal["a", "g"], factor: float) -> Imu:

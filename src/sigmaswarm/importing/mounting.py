@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sigmaswarm.arrays import Array
+from sigmaswarm.doctor.checks.mounting import check_mounting
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.mounting import rotate_imu
 from sigmaswarm.drives.drive import Drive
@@ -26,6 +27,11 @@ def find_mount(drive: Drive) -> tuple[Drive, str, str]:
         raise InputError(
             "mount auto: the track of the fixes is a mirror image of the IMU's motion; exchange x and y, or lat and "
             "lon, with --map"
+        )
+    if moved := next((f for f in check_mounting(evidence) if f.code == "mounting-changed"), None):
+        raise InputError(
+            f"mount auto: {moved.what}, so no mounting is valid for the whole log; import without mount auto, "
+            f"split the drive ({moved.command}), and repair both parts with sigmaswarm doctor parts --fix mended"
         )
     if mounting is None or mounting.confidence == "no":
         required = "required: ax, ay, az with gravity, gx, gy, gz, and a moving vehicle"

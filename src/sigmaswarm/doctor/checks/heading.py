@@ -1,16 +1,19 @@
-"""Check the heading of two antennas or a compass against course and gyro: convention, mounting, delay."""
+"""Check stated headings, and headings of two antennas or a compass, against course and gyro."""
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from sigmaswarm.arrays import Array
+from sigmaswarm.doctor.checks.mounting import BACKWARD, check_reverse
 from sigmaswarm.doctor.checks.velocity import CONVENTIONS
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
 from sigmaswarm.doctor.fixes import Mask
 from sigmaswarm.doctor.windows import integral
+from sigmaswarm.drives.alignment import STATED_HEADING_STD, StartFailure, find_start, is_slow
 from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.geodesy import wrap_angle
 
@@ -29,6 +32,13 @@ MIN_DELAY, MAX_MISFIT_RATIO = 0.15, 0.8
 WINDOW = 5.0  # s, over which turns of the heading and of the gyro are compared
 MIN_FIXES = 30
 WHERE = "gps.csv, heading"
+
+# A stated heading contradicts the course if they differ by more than MIN_STATED_OFFSET rad and STATED_SIGMAS standard
+# deviations.
+MIN_STATED_OFFSET, STATED_SIGMAS = math.radians(20), 3.0
+GYRO_BIAS_STD = math.radians(0.5)  # rad/s, assumed for the time from the first IMU sample to the course
+# rad, added for slow vehicles: errors of fixes that last for a minute change the course, but not its stated deviation
+SLOW_COURSE_STD = math.radians(20)
 
 
 def check_heading(evidence: Evidence) -> Iterator[Finding]:
@@ -50,6 +60,53 @@ def check_heading(evidence: Evidence) -> Iterator[Finding]:
             "recipe, with a shifted t. A filter assumes one time for each row"
         )
         yield Finding("heading-delay", "warning", what, WHERE, evidence.span, 0.95, remedy)
+
+
+def check_stated_heading(evidence: Evidence) -> Iterator[Finding]:
+    """Compare ``heading_deg`` of drive.toml with the course of the first meters."""
+    drive, yaw = evidence.drive, evidence.yaw
+    if (
+        drive.heading is None
+        or evidence.moved
+        or evidence.mirrored
+        or (yaw.column, yaw.factor) != ("gz", 1.0)
+    ):
+        return
+    unstated = {name: value for name, value in drive.metadata.items() if name != "heading_deg"}
+    plain = replace(drive, metadata=unstated, gps=replace(drive.gps, heading=None, std_heading=None))
+    start, imu = find_start(plain), drive.imu
+    if isinstance(start, StartFailure):
+        return
+    turned = float(np.interp(start.time, imu.time, integral(imu.time, imu.gz)))
+    seen = float(wrap_angle(float(start.mean[4]) - turned))
+    offset = float(wrap_angle(drive.heading - seen))
+    std = math.hypot(
+        math.sqrt(start.covariance[4, 4]),
+        STATED_HEADING_STD,
+        GYRO_BIAS_STD * (start.time - float(imu.time[0])),
+        SLOW_COURSE_STD if is_slow(drive) else 0.0,
+    )
+    if abs(offset) <= max(MIN_STATED_OFFSET, STATED_SIGMAS * std):
+        return
+    backward = abs(offset) > BACKWARD
+    if backward and any(check_reverse(replace(evidence, drive=plain))):
+        return
+    stated, right = math.degrees(drive.heading), math.degrees(seen) % 360.0
+    what = (
+        f"heading_deg = {stated:g} differs by {math.degrees(offset):+.0f} deg from the heading that the course until "
+        f"t = {start.time:.0f} s shows"
+    )
+    if abs(wrap_angle(math.pi / 2 - drive.heading - seen)) < max(MIN_STATED_OFFSET, std):
+        what += ", as if heading_deg were clockwise from north"
+    remedy = (
+        f"write heading_deg = {right:.0f} at the top of drive.toml, or import with --heading-from-north "
+        f"{(90.0 - right) % 360.0:.0f}"
+    )
+    if backward:
+        remedy = f"keep this heading if the vehicle drives backward at first; otherwise {remedy}"
+    span = float(imu.time[0]), start.time
+    severity = "warning" if backward else "serious"
+    yield Finding("heading-offset", severity, what, "drive.toml, heading_deg", span, 0.99, remedy)
 
 
 def _offset(off: Array) -> tuple[float, float]:

@@ -27,6 +27,7 @@ MIN_PART, MIN_COHERENCE, MIN_TURNED = 20.0, 0.7, math.radians(45.0)
 MIN_MOTION = 0.4
 # Smallest change of the direction of acceleration, rad, that driving backward explains
 BACKWARD = math.radians(150.0)
+OR_BACKWARD = ", or the vehicle drives backward before or after this time"
 # Largest relative deviation of the magnitude of the specific force from its median, for 90% of the intervals of 5 s. In
 # drives it is up to 0.04; if az is in g and ax, ay in m/s2, it is 0.2 or more.
 MAX_SIZE_CHANGE = 0.1
@@ -86,7 +87,7 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
             if moved
             else "the direction of the vehicle's acceleration in ax and ay"
         )
-        backward = ", or the vehicle drives backward from then on" if not moved and angle > BACKWARD else ""
+        backward = OR_BACKWARD if not moved and angle > BACKWARD else ""
         what = f"the IMU was moved at t = {time:.0f} s{backward}: {seen} changes by {math.degrees(angle):.0f} deg"
         command = split_command(time)
         remedy = f"split the drive at this time: {command}. The two parts have different mountings"
