@@ -61,6 +61,22 @@ def test_a_slow_robot_starts_within_its_deviation(speed: float, noise: float) ->
         assert error < 3.5 * std < np.radians(45.0)
 
 
+@pytest.mark.parametrize("speed", [0.3, 0.4])
+def test_a_slow_robot_that_drives_to_and_fro_in_a_small_area_starts(speed: float) -> None:
+    """Its fixes are never 10 m apart, but their noise is 2 cm."""
+    rng, t = np.random.default_rng(1), np.arange(0, 200, 0.02)
+    v = speed * np.clip((t - 5) / 4, 0, 1)
+    w = np.where(t % 30 > 24, np.pi / 6, 0.0) * np.where(t // 30 % 2, 1, -1)
+    theta = 0.7 + np.cumsum(w) * 0.02
+    x, y = np.cumsum(v * np.cos(theta)) * 0.02, np.cumsum(v * np.sin(theta)) * 0.02
+    ax, ay, gz = (rng.normal(0, std, len(t)) for std in (0.05, 0.05, 0.002))
+    imu = Imu(t, ax + np.gradient(v, t), ay + v * w, gz + w + 0.003)
+    east, north = (np.interp(t[5::25], t, c) + rng.normal(0, 0.02, len(t[5::25])) for c in (x, y))
+    truth = Truth(t, x, y, v * np.cos(theta), v * np.sin(theta), theta)
+    error, std = heading_error(Drive("robot", imu, Gps(t[5::25], east, north), truth))
+    assert error < 3 * std < np.radians(10)
+
+
 def test_a_biased_gyro_does_not_bend_a_long_window() -> None:
     error, std = heading_error(robot(0.3, 0.02, 1, bias=0.02))  # 69 deg in the minute that it takes
     assert error < np.radians(10.0) and std < np.radians(5.0)

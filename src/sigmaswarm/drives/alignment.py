@@ -37,6 +37,10 @@ SLOW_TRAVEL = 10.0  # m, smallest travel in a window for slow vehicles
 SLOW_SPEED = 0.15  # m/s, smallest mean speed of slow vehicles; fixes of a parked receiver drift more slowly
 SLOW_CHORD = 1.5 * MIN_TRAVEL  # m; on a slow drive, fixes within `MAX_DURATION` are never farther apart
 SLOW_HEADING_STD = np.radians(12.0)  # rad, as `MAX_HEADING_STD`, including the effect of the gyro's bias
+# For slow vehicles that drive to and fro in a small area: smallest distance, m, largest standard deviation of the
+# heading, rad, and largest residual relative to the travel. The last two exclude parked receivers, whose positions
+# wander.
+NEAR_CHORD, NEAR_HEADING_STD, NEAR_MISFIT = 2.0, np.radians(3.0), 0.04
 SLOW_FIXES = 8  # smallest number of fixes in a window for slow vehicles
 SLOW_INTERVAL = 1.0  # s, smallest interval between used fixes; errors of closer fixes are correlated
 SLOW_STEP = 2.0  # s between trials of windows for slow vehicles
@@ -103,7 +107,9 @@ def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | Sta
             return found
     if headed.any():
         return _stated_start(drive, headed)
-    slow = _slow_start(drive, usable) if alignments.slow else None
+    slow = None
+    if alignments.slow:
+        slow = _slow_start(drive, usable) or _slow_start(drive, usable, near=True)
     return slow or alignments.failure_reason()
 
 
@@ -115,9 +121,9 @@ def is_slow(drive: Drive) -> bool:
     return bool(len(time)) and float(np.mean(np.abs(position - position[first]) >= MIN_TRAVEL)) < 0.01
 
 
-def _slow_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | None:
+def _slow_start(drive: Drive, usable: NDArray[np.bool_], *, near: bool = False) -> InitialState | None:
     """Return the earliest alignment of a slow vehicle; for each fix, shorter windows are tried first."""
-    windows = [Alignments(drive, usable, longest) for longest in SLOW_DURATIONS]
+    windows = [Alignments(drive, usable, longest, near=near) for longest in SLOW_DURATIONS]
     tried = -np.inf
     for k, time in enumerate(windows[0].time):
         if time - tried >= SLOW_STEP:
@@ -156,11 +162,16 @@ class Alignments:
 
     ``usable`` (number of fixes,) marks the fixes to use, by default all fixes. ``time`` (m,) are the times of the used
     fixes within the IMU's time span, s. ``longest``: longest duration of an alignment, s; above `MAX_DURATION` for slow
-    vehicles.
+    vehicles. ``near``: for slow vehicles in a small area, accept `NEAR_CHORD` if the heading is accurate.
     """
 
     def __init__(
-        self, drive: Drive, usable: NDArray[np.bool_] | None = None, longest: float = MAX_DURATION
+        self,
+        drive: Drive,
+        usable: NDArray[np.bool_] | None = None,
+        longest: float = MAX_DURATION,
+        *,
+        near: bool = False,
     ) -> None:
         self._drive = drive
         self._slowly = longest > MAX_DURATION
@@ -174,7 +185,10 @@ class Alignments:
         self._chord = np.abs(self._position - self._position[self._first])
         shortest, fewest = (longest / 2, SLOW_FIXES) if self._slowly else (MIN_DURATION, ALIGNMENT_FIXES)
         self._many = (self.time - self.time[self._first] >= shortest) & (count >= fewest)
-        self._worth = self._many & (self._chord >= MIN_CHORD)
+        self._worth = self._many & (self._chord >= (NEAR_CHORD if near else MIN_CHORD))
+        self._slow_limits = (
+            (NEAR_HEADING_STD, NEAR_MISFIT) if near else (SLOW_HEADING_STD, MAX_MISFIT)
+        )  # of the heading's standard deviation, and of the misfit
         self._found: dict[int, InitialState | None] = {}
 
     def at(self, k: int) -> InitialState | None:
@@ -239,8 +253,9 @@ class Alignments:
             share = float(1.0 / (1.0 + (fit.bias_std / SLOW_BIAS_STD) ** 2))
             fit.subtract(share * fit.yaw_bias)
         fit.add_bias_variance(share * fit.bias_std**2)
-        far = fit.travel >= max(SLOW_TRAVEL, SLOW_SPEED * fit.span) and fit.misfit <= MAX_MISFIT * fit.travel
-        usable = far and fit.heading_std <= SLOW_HEADING_STD and abs(fit.yaw_bias) < MAX_BIAS
+        largest_std, misfit = self._slow_limits
+        far = fit.travel >= max(SLOW_TRAVEL, SLOW_SPEED * fit.span) and fit.misfit <= misfit * fit.travel
+        usable = far and fit.heading_std <= largest_std and abs(fit.yaw_bias) < MAX_BIAS
         return fit.state(tilts=False) if usable else None
 
     def _fit(self, rows: Indices) -> AlignmentFit:
