@@ -207,7 +207,27 @@ def test_the_readme_of_the_c_states_the_expressions_of_the_import(tmp_path: Path
         again, imu=replace(again.imu, **{n: np.degrees(getattr(again.imu, n)) for n in AXES[3:]})
     )
     mended = sigmaswarm.repair(degrees, sigmaswarm.diagnose(degrees))
-    assert "gyro-unit" in mended.metadata["repaired"] and "imu_axes" not in mended.metadata
+    assert "gyro-unit" in mended.metadata["repaired"]
+    stated = again.metadata["imu_axes"]
+    in_radians = {axis: f"radians({stated[axis]})" for axis in AXES[3:]}
+    assert mended.metadata["imu_axes"] == stated | in_radians
+
+
+def test_the_axes_state_the_repairs_of_signs_and_units():
+    """The expressions lead from the columns of the log to the repaired axes, or there are none."""
+    sound = sigmaswarm.simulate("urban", duration=90.0, imu_rate=50.0, gps="white-1m")
+    axes = {axis: f"{axis}_of_log" for axis in AXES}
+    imu = replace(sound.imu, gz=-sound.imu.gz, **{n: getattr(sound.imu, n) / 9.80665 for n in AXES[:3]})
+    wrong = replace(sound, imu=imu, metadata={**sound.metadata, "imu_axes": axes})
+    mended = sigmaswarm.repair(wrong, sigmaswarm.diagnose(wrong))
+    assert {"gyro-sign", "accelerometer-unit"} <= {*mended.metadata["repaired"]}
+    names = {f"{axis}_of_log": getattr(wrong.imu, axis) for axis in AXES}
+    for axis, text in mended.metadata["imu_axes"].items():
+        np.testing.assert_allclose(
+            eval(text, {"radians": np.radians}, names), getattr(mended.imu, axis), rtol=1e-6
+        )
+    turned = replace(wrong, metadata={**wrong.metadata, "imu_mounting_deg": [0.0, 0.0, 90.0]})
+    assert "imu_axes" not in sigmaswarm.repair(turned, sigmaswarm.diagnose(turned)).metadata
 
 
 @pytest.mark.parametrize("model", ["planar5", "robot-localization"])

@@ -135,8 +135,9 @@ def _check_options(options: ExportOptions, *, ros: bool) -> None:
 def _notes(target: Target, record: "TuningRecord", *, replay: bool) -> Iterator[str]:
     if record.mounting and target == "c99":
         angles = ", ".join(f"{angle:.4g}" for angle in record.mounting)
+        axes = "listed in the README.md of the export" if record.imu_axes else "and SI units of the sensor"
         yield (
-            "pass each IMU sample to ins_gps_turn_imu(), in the axes listed in the README.md of the export. This "
+            f"pass each IMU sample to ins_gps_turn_imu(), in the axes {axes}. This "
             f"function applies the mounting of the training drives (roll, pitch, yaw: {angles} deg)"
             f"{'. The samples in replay.csv are rotated already' if replay else ''}"
         )

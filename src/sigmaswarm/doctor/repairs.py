@@ -16,7 +16,7 @@ from sigmaswarm.doctor.findings import Diagnosis, Repair
 from sigmaswarm.doctor.fixes import with_exchanged_axes
 from sigmaswarm.doctor.mounting import rotate_imu
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.mounting import with_rotation, without_axes
+from sigmaswarm.drives.mounting import AXES_KEY, axes_of, with_rotation, without_axes
 from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.tables import NO_HEADING, Imu
 from sigmaswarm.geodesy import wrap_angle
@@ -41,13 +41,15 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
     if not found:
         return drive
     repairs = [r for _, r in found]
-    rotation = _rotation(drive, [r for r in repairs if r.action in AXIS_ACTIONS])
+    of_axes = [r for r in repairs if r.action in AXIS_ACTIONS]
+    rotation = _rotation(drive, of_axes)
+    axes = _axes(drive, of_axes, rotation)
     drive = _applied(drive, repairs)
     # these actions also change units or single axes
     if {r.action for r in repairs} & AXIS_ACTIONS - {"rotate", "turn"}:
         drive = replace(drive, metadata=without_axes(drive.metadata))
     repaired = [*drive.metadata.get("repaired", []), *dict.fromkeys(code for code, _ in found)]
-    return replace(drive, metadata=with_rotation(drive.metadata, rotation) | {"repaired": repaired})
+    return replace(drive, metadata=with_rotation(drive.metadata, rotation) | axes | {"repaired": repaired})
 
 
 def _applied(drive: Drive, repairs: Sequence[Repair]) -> Drive:
@@ -62,16 +64,61 @@ def _applied(drive: Drive, repairs: Sequence[Repair]) -> Drive:
 def _rotation(drive: Drive, repairs: Sequence[Repair]) -> Array | None:
     """Return the total rotation (3, 3) of repairs of the IMU's axes; None if they are not a rotation.
 
-    The repairs are applied to samples that are unit vectors; factors (units, scales) are ignored. If the IMU lacks
-    one of the six axes, only ax, ay and gz are used; they can be rotated about z or exchanged.
+    Factors (units, scales) are ignored. If the IMU lacks one of the six axes, only ax, ay and gz are used; they can be
+    rotated about z or exchanged.
     """
-    names = [n for n in ("ax", "ay", "az", "gx", "gy", "gz") if getattr(drive.imu, n) is not None]
-    columns = {name: np.eye(3)["xyz".index(name[1])] for name in names}
-    imu, six = _applied(replace(drive, imu=Imu(np.zeros(3), **columns)), repairs).imu, len(names) == 6
+    imu = _of_unit_vectors(drive, repairs)
+    six = len(_names(imu)) == 6
     force = _unit_rows(imu.ax, imu.ay, imu.az if six else imu.gz)
     rates = _unit_rows(imu.gx, imu.gy, imu.gz) if six else force
     same = np.allclose(force, rates, atol=1e-6) and np.allclose(force @ force.T, np.eye(3), atol=1e-6)
     return force if same and np.linalg.det(force) > 0 else None
+
+
+def _axes(drive: Drive, repairs: Sequence[Repair], rotation: Array | None) -> dict[str, dict[str, str]]:
+    """Return the expressions of the IMU's axes after repairs of units or signs, for the metadata; {} if unknown.
+
+    The metadata's mounting describes a rotation, so the expressions contain only factors and signs before it.
+    """
+    stated, names = axes_of(drive.metadata), _names(drive.imu)
+    turned = rotation is not None or drive.mounting is not None
+    if not names <= stated.keys() or not repairs:
+        return {}
+    imu, axes = _of_unit_vectors(drive, repairs), dict[str, str]()
+    for sensor in "ag":
+        there = [name for name in sorted(names) if name[0] == sensor]
+        rows = np.array([getattr(imu, name) for name in there])
+        if rotation is not None and len(there) == 3:
+            rows = rotation.T @ rows
+        uniform = np.allclose(
+            rows, rows[0, "xyz".index(there[0][1])] * np.eye(3)[["xyz".index(n[1]) for n in there]]
+        )
+        if turned and not uniform:
+            return {}
+        for name, row in zip(there, rows, strict=True):
+            (used,) = np.nonzero(np.abs(row) > 1e-9)
+            if len(used) != 1 or (source := sensor + "xyz"[used[0]]) not in stated:
+                return {}
+            axes[name] = _scaled(stated[source], float(row[used[0]]))
+    return {AXES_KEY: axes}
+
+
+def _scaled(text: str, factor: float) -> str:
+    if math.isclose(factor, 1.0, rel_tol=1e-9):
+        return text
+    if math.isclose(factor, -1.0, rel_tol=1e-9):
+        return f"-({text})"
+    return f"radians({text})" if math.isclose(factor, math.pi / 180) else f"({text})*{factor:.8g}"
+
+
+def _names(imu: Imu) -> set[str]:
+    return {name for name in ("ax", "ay", "az", "gx", "gy", "gz") if getattr(imu, name) is not None}
+
+
+def _of_unit_vectors(drive: Drive, repairs: Sequence[Repair]) -> Imu:
+    """Apply repairs to an IMU of three samples; in sample k, each sensor's axis k is 1 and the others are 0."""
+    columns = {name: np.eye(3)["xyz".index(name[1])] for name in _names(drive.imu)}
+    return _applied(replace(drive, imu=Imu(np.zeros(3), **columns)), repairs).imu
 
 
 def _unit_rows(*rows: Array | None) -> Array:
