@@ -54,6 +54,8 @@ def test_correlated_fix_errors_lead_to_a_range(nis: float):
         "between 0.5 and 2 m RMS, since there is no truth. The upper value includes errors that consecutive fixes"
     )
     assert describe_position(recorded(nis, 0.0), 0.2).startswith("about 0.5 m RMS")
+    unknown = describe_position(recorded(0.2, 0.4), 2.1)  # the covariance includes no error of 2.1 m per axis
+    assert "With common errors of the fixes of 2.1 m per axis, it is about 3 m RMS" in unknown
     assert "an error that all fixes have in common" in describe_position(recorded(nis, 0.0))
 
 

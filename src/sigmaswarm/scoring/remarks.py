@@ -175,21 +175,24 @@ def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
     """Describe a filter's position error on a drive without truth: an estimate, followed by the evidence.
 
     The estimate is the RMS of the filter's position standard deviations. If the innovations are far smaller than
-    expected, or smaller and correlated, the error may be as large as an innovation that the filter expects.
-    Innovations do not show errors that consecutive fixes have in common. ``lasting`` is the RMS of these errors (m per
+    expected, or smaller and correlated, the error is unknown: as large as an innovation that the filter expects, or as
+    errors that consecutive fixes have in common. Innovations do not show these common errors. ``lasting`` is the RMS of these errors (m per
     axis), which the covariance does not include.
     """
     own, missed = consistency.own_sigma or 0.0, consistency.missed or 0.0
-    expected = consistency.expected or 0.0
     (low, high), nis = consistency.nis_band, f"mean NIS {consistency.mean_nis:.2g}, should be 2"
+    expected = consistency.expected or 0.0
     alike = consistency.autocorrelation[0] > MAX_CORRELATION
+    largest = (own**2 + 2 * lasting**2) ** 0.5
     if consistency.mean_nis < low and (alike or consistency.mean_nis < MIN_INFORMATIVE_NIS):
-        guess = (
-            f". It may be as large as {expected:.2g} m RMS, the difference between prediction and fix that the filter "
-            "expects"
-            if expected > own
-            else ""
-        )
+        guess = ""
+        if largest > max(expected, own):
+            guess = f". With common errors of the fixes of {lasting:.2g} m per axis, it is about {largest:.2g} m RMS"
+        elif expected > own:
+            guess = (
+                f". It may be as large as {expected:.2g} m RMS, the difference between prediction and fix that the "
+                "filter expects"
+            )
         return (
             f"unknown, since there is no truth{guess}. The filter's covariance gives {own:.2g} m RMS, but it is not "
             f"reliable: the innovations are smaller than expected ({nis}). The receiver smooths its fixes, or their "
@@ -199,7 +202,6 @@ def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
     included = f"The fixes, with their own errors, differ from the predictions by {missed:.2g} m RMS"
     if consistency.mean_nis > high:
         return f"more than the {size} that the filter estimates. {included}, more than the filter expects ({nis})"
-    largest = (own**2 + 2 * lasting**2) ** 0.5
     if largest > MAX_LASTING_RATIO * own:
         return (
             f"between {own:.2g} and {largest:.2g} m RMS, since there is no truth. The upper value includes errors that "
