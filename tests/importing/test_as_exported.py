@@ -26,7 +26,7 @@ from sigmaswarm.importing.opening import Request
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.row_times import _gaps_of, gaps_by_distance
 from sigmaswarm.importing.source import TableChoice
-from support import diagonal, some
+from support import diagonal, make_drive, some
 
 N, HZ, EVERY = 800, 20, 4
 T = np.arange(N) / HZ
@@ -1296,3 +1296,18 @@ def test_for_one_table_of_a_log_the_folder_is_named(tmp_path: Path, name: str):
         imported(tmp_path / name)
     assert all((other in str(caught.value)) == (other != "notes.csv") for other in (*ALL, "notes.csv"))
     require_right(tmp_path)
+
+
+def test_degrees_in_columns_named_north_and_east_lead_to_options_that_work(tmp_path: Path):
+    drive = make_drive(duration=60.0)
+    imu, gps = drive.imu, drive.gps
+    pl.DataFrame({"t": imu.time, "ax": imu.ax, "ay": imu.ay, "gz": imu.gz}).write_csv(tmp_path / "imu.csv")
+    speed = 3.6 * np.hypot(np.gradient(gps.x, gps.time), np.gradient(gps.y, gps.time))
+    columns = {"N [°]": 50.0 + gps.y / 111_200, "E [°]": 8.0 + gps.x / 71_500, "Tempo [km/h]": speed}
+    pl.DataFrame({"Zeitpunkt [s]": gps.time, **columns}).write_csv(tmp_path / "gps.csv")
+    notes = inspect_request(Request(tmp_path)).notes
+    maps = [m for note in notes for m in re.findall(r'"(gps\.\w+=[^"]*)"', note)]
+    assert sorted(maps) == ["gps.lat=`N [°]`", "gps.lon=`E [°]`", "gps.x=", "gps.y="]
+    read = imported(tmp_path, maps=maps).drive
+    np.testing.assert_allclose(read.gps.time, gps.time)
+    np.testing.assert_allclose(np.ptp(read.gps.x), np.ptp(gps.x), rtol=0.01)

@@ -264,6 +264,9 @@ def next_steps(diagnosis: "Diagnosis", out: Path, drive: "Drive") -> Iterator[st
         if no_start:
             yield from (f"next: {repair}", "      (then a filter may be able to start)")
             return
+        if copy is None:
+            yield f"next: {repair}, then check it again"
+            return
     elif no_start:
         yield f"next: {no_start.remedy}"
         return

@@ -139,7 +139,7 @@ def tune(
         )
     elif unusable:
         check = f"sigmaswarm doctor {join(map(str, drives))}"
-        output.next(f"next: {check}    (check the training drives, then tune as stated above)")
+        output.next(f"next: {check}    (then tune with more --trials, or on other drives)")
     else:
         output.details("the command for a filter with the receiver's velocity", *velocity)
         if any(remark.startswith(TO_DO) for remark in tuning.remarks):

@@ -104,7 +104,7 @@ _MAVLINK = {
 _TRANSLATED = {
     word: name
     for name, words in {
-        "time": "zeit uhrzeit heure tiempo hora tempo ora tijd czas",
+        "time": "zeit uhrzeit zeitpunkt heure tiempo hora tempo ora tijd czas",
         "timestamp": "zeitstempel horodatage",
         "date": "datum fecha",
         "acceleration": "beschleunigung beschl aceleracion aceleracao accelerazione versnelling przyspieszenie",

@@ -1,5 +1,6 @@
 """Find the columns with the time of a table, and the expression of the time in seconds."""
 
+import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -330,7 +331,9 @@ def _prefixed(names: Sequence[Name], words: str) -> list[tuple[Name, str]]:
 
 def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> TimeExpression | None:
     """Find a column that is named like a time and is not always 0, preferably a changing one; else a running clock."""
-    times = [name for name in names if name.meaning == "t"]
+    times = [
+        n for n in names if n.meaning == "t" and not (n.unit and n.unit.dimension == "speed")
+    ]  # Tempo [km/h]
     for name in sorted(times, key=lambda name: frame[name.column].n_unique() < 2):
         numbers = column_numbers(frame[name.column])
         if not (len(numbers) > 1 and (numbers == 0).all()):
@@ -393,6 +396,10 @@ def unknown_unit(name: Name, column: str, dimension: str, role: Role, likely: st
         f"column {quoted(name.column)}: the unit {quoted(name.unit.text if name.unit else '')} is {kind}"
     )
     text = likely or f"{quoted_column(name.column)}*1.0"
+    if known and column in ("x", "y") and name.unit and name.unit.dimension == "angle" and role != "imu":
+        place, called = {"x": ("lon", "longitude"), "y": ("lat", "latitude")}[column]
+        degrees = scaled(quoted_column(name.column), name.unit.factor * 180 / math.pi)
+        return f'{message}; if it is a {called}, write --map "{role}.{place}={degrees}" "{role}.{column}="'
     if name.unit and name.unit.dimension == "angle" and dimension == "rate":
         text = in_si(name.unit, quoted_column(name.column))
     message += "; specify the factor to SI units, for example --map"

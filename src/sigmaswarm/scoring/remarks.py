@@ -176,8 +176,8 @@ def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
 
     The estimate is the RMS of the filter's position standard deviations. If the innovations are far smaller than
     expected, or smaller and correlated, the error is unknown: as large as an innovation that the filter expects, or as
-    errors that consecutive fixes have in common. Innovations do not show these common errors. ``lasting`` is the RMS of these errors (m per
-    axis), which the covariance does not include.
+    errors that consecutive fixes have in common. Innovations do not show these common errors. ``lasting`` is the RMS of
+    these errors (m per axis), which the covariance does not include.
     """
     own, missed = consistency.own_sigma or 0.0, consistency.missed or 0.0
     (low, high), nis = consistency.nis_band, f"mean NIS {consistency.mean_nis:.2g}, should be 2"
