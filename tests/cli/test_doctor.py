@@ -427,3 +427,17 @@ def test_copies_replace_earlier_ones_only_on_request_and_never_the_drive(sigmasw
     for command in (("doctor", drive, "--fix", drive.parent), ("convert", drive, drive.parent)):
         ended = sigmaswarm(*command, "--overwrite")
         assert ended.code == 2 and "is a drive that this command reads; name another folder" in ended.err
+
+
+def test_a_fault_that_nothing_repairs_leads_to_no_split(sigmaswarm, here: Path):
+    drive = library.simulate("urban", duration=60.0, imu_rate=50.0, gps="white-1m")
+    slow = {
+        name: replace(table, time=1000 * table.time)
+        for name, table in (("imu", drive.imu), ("gps", drive.gps))
+    }
+    sigmaswarm_drive = replace(drive, name="ms", truth=None, **slow)
+    write_drive(sigmaswarm_drive, here / "ms")
+    for command in (("doctor", "ms"), ("doctor", "ms", "--fix", "mended")):
+        said = sigmaswarm(*command).out
+        assert "next: correct the serious faults in the log, then check it again" in said
+        assert "sigmaswarm split" not in said
