@@ -228,6 +228,12 @@ def test_the_axes_state_the_repairs_of_signs_and_units():
         )
     turned = replace(wrong, metadata={**wrong.metadata, "imu_mounting_deg": [0.0, 0.0, 90.0]})
     assert "imu_axes" not in sigmaswarm.repair(turned, sigmaswarm.diagnose(turned)).metadata
+    three = replace(sound.imu, az=None, gx=None, gy=None, ax=-sound.imu.ax, ay=-sound.imu.ay)
+    names = {axis: axes[axis] for axis in ("ax", "ay", "gz")}
+    backward = replace(sound, imu=three, metadata={**sound.metadata, "imu_axes": names})
+    mended = sigmaswarm.repair(backward, sigmaswarm.diagnose(backward)).metadata
+    assert mended["imu_mounting_deg"] == pytest.approx([0.0, 0.0, 180.0], abs=3.0)
+    assert mended.get("imu_axes", names) == names  # the rotation contains the change of the signs
 
 
 @pytest.mark.parametrize("model", ["planar5", "robot-localization"])

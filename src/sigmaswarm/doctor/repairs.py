@@ -43,11 +43,12 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
     repairs = [r for _, r in found]
     of_axes = [r for r in repairs if r.action in AXIS_ACTIONS]
     rotation = _rotation(drive, of_axes)
-    axes = _axes(drive, of_axes, rotation)
-    drive = _applied(drive, repairs)
-    # these actions also change units or single axes
-    if {r.action for r in repairs} & AXIS_ACTIONS - {"rotate", "turn"}:
+    axes = dict[str, dict[str, str]]()
+    changed = {r.action for r in of_axes} - {"rotate", "turn"}  # these actions change units or single axes
+    if changed:
+        axes = _axes(drive, of_axes, rotation)
         drive = replace(drive, metadata=without_axes(drive.metadata))
+    drive = _applied(drive, repairs)
     repaired = [*drive.metadata.get("repaired", []), *dict.fromkeys(code for code, _ in found)]
     return replace(drive, metadata=with_rotation(drive.metadata, rotation) | axes | {"repaired": repaired})
 
@@ -82,18 +83,16 @@ def _axes(drive: Drive, repairs: Sequence[Repair], rotation: Array | None) -> di
     """
     stated, names = axes_of(drive.metadata), _names(drive.imu)
     turned = rotation is not None or drive.mounting is not None
-    if not names <= stated.keys() or not repairs:
+    if not names <= stated.keys() or (rotation is None and drive.mounting is not None):
         return {}
     imu, axes = _of_unit_vectors(drive, repairs), dict[str, str]()
     for sensor in "ag":
         there = [name for name in sorted(names) if name[0] == sensor]
+        own = ["xyz".index(name[1]) for name in there]
         rows = np.array([getattr(imu, name) for name in there])
-        if rotation is not None and len(there) == 3:
-            rows = rotation.T @ rows
-        uniform = np.allclose(
-            rows, rows[0, "xyz".index(there[0][1])] * np.eye(3)[["xyz".index(n[1]) for n in there]]
-        )
-        if turned and not uniform:
+        if rotation is not None:
+            rows[:, own] = rotation[np.ix_(own, own)].T @ rows[:, own]
+        if turned and not np.allclose(rows, rows[0, own[0]] * np.eye(3)[own]):
             return {}
         for name, row in zip(there, rows, strict=True):
             (used,) = np.nonzero(np.abs(row) > 1e-9)

@@ -164,6 +164,8 @@ def _batches_of(log: Log, part: Part) -> Iterator[pl.DataFrame]:
 
 def _span(rows: pl.DataFrame, time: str) -> tuple[float, float]:
     """Return begin and end of the rows, s."""
+    if rows.is_empty():
+        return EVER
     numbered = with_row_numbers(rows)
     try:
         times = numbered.select(time_expression(time, numbered).alias("t"))["t"].drop_nulls()

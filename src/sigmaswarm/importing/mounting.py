@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.doctor.checks.mounting import check_mounting
+from sigmaswarm.doctor.checks.mounting import OR_BACKWARD, check_mounting
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.mounting import rotate_imu
 from sigmaswarm.drives.drive import Drive
@@ -29,9 +29,14 @@ def find_mount(drive: Drive) -> tuple[Drive, str, str]:
             "lon, with --map"
         )
     if moved := next((f for f in check_mounting(evidence) if f.code == "mounting-changed"), None):
+        backward = OR_BACKWARD in moved.what
+        specified = (
+            " if it was moved; otherwise specify the mounting, for example 0,10,90" if backward else ""
+        )
         raise InputError(
-            f"mount auto: {moved.what}, so no mounting is valid for the whole log; import without mount auto, "
+            f"mount auto: {moved.what}, so no mounting is estimated from the whole log; import without mount auto, "
             f"split the drive ({moved.command}), and repair both parts with sigmaswarm doctor parts --fix mended"
+            f"{specified}"
         )
     if mounting is None or mounting.confidence == "no":
         required = "required: ax, ay, az with gravity, gx, gy, gz, and a moving vehicle"

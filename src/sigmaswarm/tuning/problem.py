@@ -309,15 +309,18 @@ def car_problem(
 def _std_check(scorer: AnyBatchScorer, config: TuneConfig, have: Sequence[LogProperties]) -> StdCheck | None:
     """Compare the assumed standard deviation of fixes with their scatter, if no truth, receiver or noise shows it.
 
-    Return None with fix-error, which models the assumed standard deviation as that of correlated errors.
+    Return None if some drives show it, since the result applies to all receivers. Return None with fix-error, which
+    models the assumed standard deviation as that of correlated errors.
     """
-    assumed = [i for i, one in enumerate(have) if one.assumed_std]
-    if not assumed or "fix-error" in config.use or parse_objective(config.objective).needs_truth:
+    if (
+        not all(one.assumed_std for one in have)
+        or "fix-error" in config.use
+        or parse_objective(config.objective).needs_truth
+    ):
         return None
-    some = scorer.subset(assumed)
-    (like,) = some.dataset.subset([0]).map(partial(baseline_of, model=config.model, use=config.use))
-    scatters = [one.scatter for one in some.dataset.map(fix_noise) if np.isfinite(one.scatter)]
-    return confirmed_std(like, float(np.median(scatters)), some) if scatters else None
+    (like,) = scorer.dataset.subset([0]).map(partial(baseline_of, model=config.model, use=config.use))
+    scatters = [one.scatter for one in scorer.dataset.map(fix_noise) if np.isfinite(one.scatter)]
+    return confirmed_std(like, float(np.median(scatters)), scorer) if scatters else None
 
 
 def car_space(config: TuneConfig, drives: Sequence[Drive | LogProperties]) -> SearchSpace:

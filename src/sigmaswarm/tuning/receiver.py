@@ -197,7 +197,7 @@ def prior_warnings(
                 "a typical receiver, so the filter may follow the fixes too closely or too loosely. "
                 f"{compromise} this value. If the receiver smooths its fixes, NIS will be low"
             )
-            return [f"{why}. {NO_STD}"]
+            return [f"{why}. {NO_STD if parameters.fix_error is None else IF_KNOWN}"]
         return [f"on {name}, {compromise} the {std:.2g} m of noise that the fixes show"]
     return []
 
