@@ -1311,3 +1311,30 @@ def test_degrees_in_columns_named_north_and_east_lead_to_options_that_work(tmp_p
     read = imported(tmp_path, maps=maps).drive
     np.testing.assert_allclose(read.gps.time, gps.time)
     np.testing.assert_allclose(np.ptp(read.gps.x), np.ptp(gps.x), rtol=0.01)
+
+
+@pytest.mark.parametrize("own_clock", [False, True])
+def test_rows_out_of_order_on_a_short_clock_are_sorted(tmp_path: Path, own_clock: bool):
+    """A counter of 2^32 nanoseconds wraps every 4.29 s."""
+    drive = make_drive(duration=60.0)
+    imu, gps = drive.imu, drive.gps
+    order, fixes = np.arange(len(imu.time)), np.arange(len(gps.time))
+    pair = fixes if own_clock else order
+    pair[[20, 21]] = pair[[21, 20]]
+    ticks = np.round((imu.time - imu.time[0]) * 1e9).astype(np.int64) % 2**32
+    columns = {"t_ns": ticks, "ax": imu.ax, "ay": imu.ay, "gz": imu.gz}
+    pl.DataFrame({name: values[order] for name, values in columns.items()}).write_csv(tmp_path / "imu.csv")
+    table = {"t": gps.time - imu.time[0], "x": gps.x, "y": gps.y}
+    pl.DataFrame({name: values[fixes] for name, values in table.items()}).write_csv(tmp_path / "gps.csv")
+    got = imported(tmp_path).drive
+    assert len(got.imu.time) == len(imu.time) and len(got.gps.time) == len(gps.time)
+
+
+def test_show_describes_a_log_with_a_table_without_rows(tmp_path: Path):
+    header = "seconds_elapsed,x,y,z\n"
+    (tmp_path / "Accelerometer.csv").write_text(header)
+    (tmp_path / "Gyroscope.csv").write_text(header + "".join(f"{k / 50},0,0,0.1\n" for k in range(500)))
+    rows = "".join(f"{k},50.0,{8 + k * 1e-4},5\n" for k in range(10))
+    (tmp_path / "Location.csv").write_text("seconds_elapsed,latitude,longitude,horizontalAccuracy\n" + rows)
+    shown = inspect_request(Request(tmp_path))
+    assert {table.table.removesuffix(".csv") for table in shown.tables} >= {"Gyroscope", "Location"}
