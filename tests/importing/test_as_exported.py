@@ -1328,13 +1328,3 @@ def test_rows_out_of_order_on_a_short_clock_are_sorted(tmp_path: Path, own_clock
     pl.DataFrame({name: values[fixes] for name, values in table.items()}).write_csv(tmp_path / "gps.csv")
     got = imported(tmp_path).drive
     assert len(got.imu.time) == len(imu.time) and len(got.gps.time) == len(gps.time)
-
-
-def test_show_describes_a_log_with_a_table_without_rows(tmp_path: Path):
-    header = "seconds_elapsed,x,y,z\n"
-    (tmp_path / "Accelerometer.csv").write_text(header)
-    (tmp_path / "Gyroscope.csv").write_text(header + "".join(f"{k / 50},0,0,0.1\n" for k in range(500)))
-    rows = "".join(f"{k},50.0,{8 + k * 1e-4},5\n" for k in range(10))
-    (tmp_path / "Location.csv").write_text("seconds_elapsed,latitude,longitude,horizontalAccuracy\n" + rows)
-    shown = inspect_request(Request(tmp_path))
-    assert {table.table.removesuffix(".csv") for table in shown.tables} >= {"Gyroscope", "Location"}
