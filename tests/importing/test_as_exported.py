@@ -260,7 +260,7 @@ def test_fixes_of_a_counter_that_wraps_each_second_are_refused(tmp_path: Path, h
     late = 0.01 * np.random.default_rng(hz).standard_normal(len(k)) * (hz < 4)
     gps = fixes.with_columns(t=clock(T[::EVERY][k] + late))
     gps.write_csv(tmp_path / "gps.csv")
-    with pytest.raises(InputError, match=r"ambiguous|do not overlap|wraps every 1 s"):
+    with pytest.raises(InputError, match=r"ambiguous|do not overlap"):
         imported(tmp_path)
     row = pl.Series("row", EVERY * k)
     log = imu.with_row_index("row").join(fixes.with_columns(row), on="row", how="left", maintain_order="left")

@@ -260,13 +260,14 @@ def next_steps(diagnosis: "Diagnosis", out: Path, drive: "Drive") -> Iterator[st
         repair = f"{_doctor(whole)}    (the whole drive needs no repair)"
     elif diagnosis.serious or has_repairable(diagnosis):
         repair, copy = exchanging(diagnosis, out) or repair_command(diagnosis, out)
-        repair, ready = (repair, copy) if copy else ("correct the serious faults in the log", out)
+        repair = repair if copy else "correct the serious faults in the log"
         if no_start:
             yield from (f"next: {repair}", "      (then a filter may be able to start)")
             return
         if copy is None:
             yield f"next: {repair}, then check it again"
             return
+        ready = copy
     elif no_start:
         yield f"next: {no_start.remedy}"
         return

@@ -82,7 +82,6 @@ def _axes(drive: Drive, repairs: Sequence[Repair], rotation: Array | None) -> di
     The metadata's mounting describes a rotation, so the expressions contain only factors and signs before it.
     """
     stated, names = axes_of(drive.metadata), _names(drive.imu)
-    turned = rotation is not None or drive.mounting is not None
     if not names <= stated.keys() or (rotation is None and drive.mounting is not None):
         return {}
     imu, axes = _of_unit_vectors(drive, repairs), dict[str, str]()
@@ -92,8 +91,8 @@ def _axes(drive: Drive, repairs: Sequence[Repair], rotation: Array | None) -> di
         rows = np.array([getattr(imu, name) for name in there])
         if rotation is not None:
             rows[:, own] = rotation[np.ix_(own, own)].T @ rows[:, own]
-        if turned and not np.allclose(rows, rows[0, own[0]] * np.eye(3)[own]):
-            return {}
+            if not np.allclose(rows, rows[0, own[0]] * np.eye(3)[own]):
+                return {}
         for name, row in zip(there, rows, strict=True):
             (used,) = np.nonzero(np.abs(row) > 1e-9)
             if len(used) != 1 or (source := sensor + "xyz"[used[0]]) not in stated:

@@ -171,8 +171,10 @@ def _in_same_period(
     clocks = {role: (parts[0].part.columns["t"], parts[0].period) for role, parts in gathered.items()}
     for role, time in times.items():
         period = max(clocks["imu"][1], clocks[role][1])
-        shared = role != "imu" and clocks[role][0] == clocks["imu"][0]
-        if shared and 0 < period < MINUTE and gathered[role][0].unordered:  # by wraps between the rows
+        shared = clocks[role][0] == clocks["imu"][0] or period in DECIMAL_PERIODS
+        if (
+            role != "imu" and shared and 0 < period < MINUTE and gathered[role][0].unordered
+        ):  # by wraps between rows
             raise wraps_too_fast(period / SECOND, f"{role}: {printable(gathered[role][0].part.table)}")
         own = clocks[role][0] != clocks["imu"][0] or (not clocks[role][1] and int(np.ptp(time)) > period)
         if clocks["imu"][1] in DECIMAL_PERIODS and period < MINUTE and own:
