@@ -8,8 +8,9 @@ from collections.abc import Generator, Iterator
 from functools import lru_cache
 from pathlib import Path
 
-# Before NumPy is imported: as many processes as cores run the tests, and threads of BLAS would wait for each other.
+# Before NumPy and Polars are imported: as many processes as cores run the tests, so more threads only cost time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("POLARS_MAX_THREADS", "1")
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -17,6 +18,9 @@ from hypothesis import HealthCheck, settings
 # Under `nohup` SIGINT is ignored, by all child processes too: tests of interrupts need Python's handler.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# No file of a test must survive a power failure; to wait for the disk would take 4% of the time.
+os.fsync = lambda fd: None
 
 # A busy machine is no failure, and the same commit gets the same verdict; ``HYPOTHESIS_PROFILE=long``, as in
 # `make test-long`, and ``search`` look farther.
@@ -29,8 +33,8 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "sigmaswarm"))
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """As many as processors; by itself xdist takes those cores that are physical."""
-    return os.cpu_count() or 1
+    """One more than the processors, since tests wait for other processes; xdist counts only physical cores."""
+    return (os.cpu_count() or 1) + 1
 
 
 @pytest.hookimpl(wrapper=True)

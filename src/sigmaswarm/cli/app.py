@@ -199,7 +199,8 @@ def _too_many(error: Exception) -> str | None:
 def _hidden_option(message: str) -> str:
     """Return a reference to the long help if a message names an option that the short help omits, otherwise ""."""
     command = sys.argv[1] if len(sys.argv) > 1 else ""
-    if command not in app:
+    named = [word for word in re.findall(r"--[a-z][a-z-]*", message) if word not in sys.argv]
+    if not named or command not in app:
         return ""
     hidden = {
         name
@@ -207,10 +208,8 @@ def _hidden_option(message: str) -> str:
         if argument.parameter.group == MORE.group
         for name in argument.names
     }
-    named = [
-        word for word in re.findall(r"--[a-z][a-z-]*", message) if word in hidden and word not in sys.argv
-    ]
-    return f" (`sigmaswarm {command} {HELP_ALL}` describes {named[0]})" if named else ""
+    first = next((word for word in named if word in hidden), None)
+    return f" (`sigmaswarm {command} {HELP_ALL}` describes {first})" if first else ""
 
 
 _warned: Counter[str] = Counter()

@@ -137,8 +137,9 @@ def _fitted(measured: Array, turns: Array, lasted: Array) -> tuple[float, float]
         if len(turns) < MIN_TURNS or np.std(turns) < MIN_TURN_STD:
             return 0.0, 0.0
         constant = np.column_stack([np.ones(len(turns)), lasted])
-        measured = measured - constant @ np.linalg.lstsq(constant, measured, rcond=1e-6)[0]
-        turns = turns - constant @ np.linalg.lstsq(constant, turns, rcond=1e-6)[0]
+        both = np.column_stack([measured, turns])
+        both = both - constant @ np.linalg.lstsq(constant, both, rcond=1e-6)[0]
+        measured, turns = both[:, :-1], both[:, -1]
         factors = np.asarray(np.linalg.lstsq(measured, turns, rcond=MIN_AXIS_SHARE)[0], np.float64)
         left = turns - measured @ factors
         share, ratio = 1.0 - float(left @ left / (turns @ turns)), float(np.linalg.norm(factors))

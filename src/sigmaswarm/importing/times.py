@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -60,6 +60,7 @@ DATE_FORMATS = (
 )
 # Smallest fraction of dates that must fit a format; the others are presumably damaged
 MIN_FITTING_SHARE = 0.99
+FORMAT_SAMPLE = 50  # texts, evenly spaced, that exclude formats which read none of them
 UNKNOWN_TICK = "have no likely unit"  # in the fault of a counter
 COUNTER_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 CALENDAR = ("year", "month", "day", "hour", "minute", "second")
@@ -414,8 +415,9 @@ def date_time(columns: Sequence[str], frame: pl.DataFrame) -> TimeExpression:
     """Read dates in text by the format that fits most of them; refuse texts that fit two formats, or no format well."""
     texts = frame.select(as_text(columns).alias("date"))["date"].drop_nulls()
     texts = texts.filter(texts.str.contains(r"\d")).unique(maintain_order=True)  # a placeholder counts once
-    counts = (_date_in(form).count().alias(f"{k}") for k, form in enumerate(DATE_FORMATS))
-    read = dict(zip(DATE_FORMATS, texts.to_frame("date").select(counts).row(0), strict=True))
+    sample = texts.gather_every(max(len(texts) // FORMAT_SAMPLE, 1))
+    likely = [form for form, count in _fitting_counts(sample, DATE_FORMATS).items() if count]
+    read = _fitting_counts(texts, likely or DATE_FORMATS)
     most = max(read.values())
     fitting = [
         form for form in sorted(read, key=lambda f: -read[f]) if read[form] >= MIN_FITTING_SHARE * most > 0
@@ -451,6 +453,12 @@ def date_time(columns: Sequence[str], frame: pl.DataFrame) -> TimeExpression:
         )
     note = "" if not form or "%d" in form else f"{called}: the times of day have no date"
     return TimeExpression(f"utc({called}, '{form}')" if form else f"utc({called})", note)
+
+
+def _fitting_counts(texts: pl.Series, forms: Iterable[str]) -> dict[str, int]:
+    """Return the number of texts that each format reads."""
+    counts = (_date_in(form).count().alias(form) for form in forms)
+    return texts.to_frame("date").select(counts).row(0, named=True)
 
 
 def _date_in(form: str) -> pl.Expr:
