@@ -27,8 +27,8 @@ from sigmaswarm import (
     tune,
 )
 from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.scoring.consistency import RadiusRecord, lasting_variance, radius_record
 from sigmaswarm.scoring.drifts import OutageDrifts
-from sigmaswarm.scoring.radius import RadiusRecord, lasting_variance, radius_record
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, tracking_pass
 from sigmaswarm.scoring.tracks import Tracker
 

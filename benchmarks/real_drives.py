@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from sigmaswarm import SigmaswarmWarning, evaluate, read_drive, split_time, tune
-from sigmaswarm.scoring.measures import MEASURES
-from sigmaswarm.scoring.methods import BASELINE, METHODS
+from sigmaswarm.scoring.methods import BASELINE, MEASURES, METHODS
 
 KITTI = ("kitti-09-26-0022", "kitti-09-26-0101", "kitti-09-30-0018", "kitti-09-30-0033", "kitti-09-30-0034")
 

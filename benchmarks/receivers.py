@@ -26,7 +26,7 @@ from sigmaswarm import Drive, FilterParameters, SigmaswarmWarning, read_drive, s
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.scoring.batch import BatchScorer, PassOptions
 from sigmaswarm.simulation.gps import GpsGrade, with_outliers
-from sigmaswarm.simulation.imu import gauss_markov
+from sigmaswarm.simulation.sensors import gauss_markov
 from sigmaswarm.tuning.defaults import default_filter_options
 
 REAL = ("kitti-09-30-0034", "kingston-1", "comma2k19", "colorado-1", "kitti-09-30-0033", "dresden")

@@ -17,9 +17,9 @@ import sigmaswarm
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.batch import BatchScorer
-from sigmaswarm.scoring.truth import share_known
+from sigmaswarm.scoring.score import share_known
 from sigmaswarm.simulation.gps import GPS_GRADES
-from sigmaswarm.simulation.imu import gauss_markov
+from sigmaswarm.simulation.sensors import gauss_markov
 
 ARM = (0.9, -0.4, 1.2)
 """Lever arm of the RTK antenna, m."""

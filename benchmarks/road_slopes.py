@@ -17,7 +17,7 @@ from scipy.ndimage import uniform_filter1d
 
 from sigmaswarm import Drive, read_drive
 from sigmaswarm.simulation.dynamics import GRAVITY
-from sigmaswarm.simulation.vehicle import MODEL_3
+from sigmaswarm.simulation.environments import MODEL_3
 
 SPACING = 2.0  # m
 AVERAGED = 10.0  # m

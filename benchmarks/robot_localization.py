@@ -15,7 +15,7 @@ import sigmaswarm
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.passes import run_array
 from sigmaswarm.filters.run import whole_pass
-from sigmaswarm.scoring.jobs import cores
+from sigmaswarm.scoring.batch import cores
 from sigmaswarm.tuning.space import search_space
 
 MODEL = "robot-localization"

@@ -38,7 +38,7 @@ from sigmaswarm import (
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.run import whole_pass
 from sigmaswarm.filters.smoothing import SmootherRun
-from sigmaswarm.scoring.measures import MEASURES
+from sigmaswarm.scoring.methods import MEASURES
 from switches import cases
 
 FILTERS = (

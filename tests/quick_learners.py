@@ -4,8 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sigmaswarm.learned.cells import new_weights
-from sigmaswarm.learned.fitting import TrainingProblem
+from sigmaswarm.learned.fitting import TrainingProblem, new_weights
 from sigmaswarm.learned.noise_gru import FEATURES
 from sigmaswarm.learned.outage_lstm import new_network
 

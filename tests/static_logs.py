@@ -7,8 +7,8 @@ import numpy as np
 
 from sigmaswarm.drives.tables import Imu
 from sigmaswarm.simulation.dynamics import GRAVITY
-from sigmaswarm.simulation.imu import IMU_GRADES, ImuGrade, Triad, measure_imu
 from sigmaswarm.simulation.motion import Motion
+from sigmaswarm.simulation.sensors import IMU_GRADES, ImuGrade, Triad, measure_imu
 
 GRADES = [name for name in IMU_GRADES if name not in ("ideal", "carla")]
 """The eight grades of real sensors."""

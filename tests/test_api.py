@@ -17,8 +17,7 @@ import sigmaswarm
 from sigmaswarm.cli.compare import compare
 from sigmaswarm.cli.tune import tune
 from sigmaswarm.files import RESULT_FILE
-from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.options import CompareOptions, Option, TuneOptions
+from sigmaswarm.tuning.config import CompareOptions, Option, TuneConfig, TuneOptions
 from support import make_drive
 
 PROMISED = [

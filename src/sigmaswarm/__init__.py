@@ -114,15 +114,15 @@ if TYPE_CHECKING:
     from sigmaswarm.scoring.evaluation import Evaluation
     from sigmaswarm.scoring.score import Score as Score
     from sigmaswarm.scoring.verified_repair import repair
-    from sigmaswarm.simulation.conditions import simulate_many as simulate_many
     from sigmaswarm.simulation.scenarios import simulate
+    from sigmaswarm.simulation.scenarios import simulate_many as simulate_many
     from sigmaswarm.tuning.batch import BatchResult as BatchResult
     from sigmaswarm.tuning.batch import run_batch
+    from sigmaswarm.tuning.config import Option as Option
     from sigmaswarm.tuning.config import TuneConfig as TuneConfig
     from sigmaswarm.tuning.defaults import explain_tuning as explain_tuning
     from sigmaswarm.tuning.lever_arm import LeverArmEstimate as LeverArmEstimate
     from sigmaswarm.tuning.lever_arm import estimate_lever_arm as estimate_lever_arm
-    from sigmaswarm.tuning.options import Option as Option
     from sigmaswarm.tuning.result import Tuning
     from sigmaswarm.tuning.search import Progress as Progress
     from sigmaswarm.tuning.store import saved_history as saved_history

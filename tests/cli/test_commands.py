@@ -31,10 +31,9 @@ from sigmaswarm.experiments.study import config as study_config
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.simulation.scenarios import simulate
-from sigmaswarm.tuning.config import TuneConfig
+from sigmaswarm.tuning.config import Option, TuneConfig
 from sigmaswarm.tuning.diagnostics import DriftComparison, drift_table
 from sigmaswarm.tuning.objectives import OBJECTIVES
-from sigmaswarm.tuning.options import Option
 from sigmaswarm.tuning.receiver import StdCheck
 from sigmaswarm.tuning.record import ResultRecord, TuningRecord
 from sigmaswarm.tuning.view import TuningView

@@ -23,9 +23,16 @@ from sigmaswarm import (
 )
 from sigmaswarm.cli import main
 from sigmaswarm.cli.simulate import simulated_on
-from sigmaswarm.datasets.cluster import Cluster, ClusterError, connected
+from sigmaswarm.datasets.cluster import (
+    BASE_MEMORY,
+    USABLE_MEMORY,
+    CachedDrive,
+    Cluster,
+    ClusterError,
+    DriveCache,
+    connected,
+)
 from sigmaswarm.datasets.remote import Assignment, assign_drives, remote_datasets, source_of
-from sigmaswarm.datasets.worker import BASE_MEMORY, USABLE_MEMORY, CachedDrive, DriveCache
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.design import make_design
 from sigmaswarm.experiments.study.scores import score_all

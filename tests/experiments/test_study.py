@@ -28,8 +28,7 @@ from sigmaswarm.reports.study_charts import save_study
 from sigmaswarm.scoring.drifts import rms_drift
 from sigmaswarm.scoring.score import score_estimate
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_pass, outage_windows, tracking_pass
-from sigmaswarm.tuning.racing import MIN_RACED_DRIVES
-from sigmaswarm.tuning.search import TrialRunner
+from sigmaswarm.tuning.search import MIN_RACED_DRIVES, TrialRunner
 from sigmaswarm.tuning.space import SearchSpace, search_space
 from sigmaswarm.tuning.tune import tune
 from support import no_pictures

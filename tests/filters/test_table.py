@@ -19,7 +19,7 @@ from sigmaswarm.filters.parameter_table import ParameterTable
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import run_passes
 from sigmaswarm.scoring.targets import tracking_pass
-from sigmaswarm.tuning.options import Option
+from sigmaswarm.tuning.config import Option
 from sigmaswarm.tuning.receiver import prior_costs
 from sigmaswarm.tuning.space import OPTIONS, search_space
 from support import make_drive

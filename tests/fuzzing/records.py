@@ -40,7 +40,7 @@ from sigmaswarm.experiments.compare import compare
 from sigmaswarm.experiments.study.config import StudyConfig
 from sigmaswarm.experiments.study.study import run_study
 from sigmaswarm.filters.run import whole_pass
-from sigmaswarm.learned.cells import n_weights
+from sigmaswarm.learned.fitting import n_weights
 from sigmaswarm.learned.folder import LearnedNetwork, LearnedRecord, load_learned
 from sigmaswarm.learned.outage_lstm import new_network
 from sigmaswarm.reports.compare import save_comparison

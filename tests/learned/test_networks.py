@@ -18,8 +18,8 @@ from sigmaswarm.filters.passes import FilterPass, Targets
 from sigmaswarm.filters.run import run_filter, whole_pass
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.learned import outage_lstm
-from sigmaswarm.learned.cells import gru, head, lstm, new_weights
 from sigmaswarm.learned.displacements import Displacements, DisplacementStart, body_displacement
+from sigmaswarm.learned.fitting import gru, head, lstm, new_weights
 from sigmaswarm.learned.noise_gru import FEATURES, MAX_SCALE, NoiseRun
 from sigmaswarm.learned.outage_lstm import OutageLstm, OutageRun, new_network
 from support import hide_fixes, make_drive, quickly

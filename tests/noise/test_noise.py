@@ -15,8 +15,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import MODEL_NOISE, baseline
 from sigmaswarm.noise import allan_deviation, filter_noise, imu_noise
-from sigmaswarm.noise.allan import FLICKER, MARKOV_PEAK, model_parts
-from sigmaswarm.noise.spectrum import NoiseFit, fit, spectrum_of
+from sigmaswarm.noise.spectrum import FLICKER, MARKOV_PEAK, NoiseFit, fit, model_parts, spectrum_of
 from sigmaswarm.noise.static import find_stretches, step_of
 from static_logs import AXES, GRADES, planted, static_log
 from support import DRIVES, make_drive, needs_shared, quickly

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from sigmaswarm.simulation.dynamics import Vehicle
-from sigmaswarm.simulation.vehicle import MODEL_3
+from sigmaswarm.simulation.environments import MODEL_3
 
 STRONG = 10.0  # m/s2, of a full pedal in our terms
 

@@ -21,8 +21,7 @@ from sigmaswarm.reports.figures import Chart, figure_of, logarithmic, save
 from sigmaswarm.reports.style import LABELS
 from sigmaswarm.reports.tuning import convergence, save_tuning_figures
 from sigmaswarm.scoring.evaluation import Evaluation, evaluate
-from sigmaswarm.scoring.measures import MEASURES
-from sigmaswarm.scoring.methods import method_names
+from sigmaswarm.scoring.methods import MEASURES, method_names
 from sigmaswarm.scoring.tracks import Picture, first_track
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.tune import tune

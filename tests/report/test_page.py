@@ -33,8 +33,7 @@ from sigmaswarm.reports.page import page as html_page
 from sigmaswarm.reports.read import read_report
 from sigmaswarm.reports.tuning import STATED_OPTIONS, TUNE_DEFAULTS, save_tuning_figures, tune_command
 from sigmaswarm.scoring.evaluation import Evaluation, evaluate
-from sigmaswarm.scoring.measures import MEASURES
-from sigmaswarm.scoring.methods import METHODS, in_sentence
+from sigmaswarm.scoring.methods import MEASURES, METHODS, in_sentence
 from sigmaswarm.scoring.targets import tracking_pass
 from sigmaswarm.scoring.tracks import (
     MAX_POINTS,

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sigmaswarm.filters.compiled.layout import LANES, WIDEST, lanes_for, most_lanes
-from sigmaswarm.scoring.jobs import MAX_SETS, Job, jobs_for, run_jobs
+from sigmaswarm.scoring.batch import MAX_SETS, Job, jobs_for, run_jobs
 
 
 def passes(*lengths: list[int]) -> dict[str, list[int]]:

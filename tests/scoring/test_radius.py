@@ -9,8 +9,7 @@ from scipy.stats import f
 
 from sigmaswarm import run_filter, simulate
 from sigmaswarm.filters.presets import baseline
-from sigmaswarm.scoring.evaluation import evaluate
-from sigmaswarm.scoring.radius import (
+from sigmaswarm.scoring.consistency import (
     DOF,
     LEVELS,
     TRACKING,
@@ -18,6 +17,7 @@ from sigmaswarm.scoring.radius import (
     lasting_variance,
     radius_record,
 )
+from sigmaswarm.scoring.evaluation import evaluate
 
 
 def m8(**options):

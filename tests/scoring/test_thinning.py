@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sigmaswarm.scoring.thinning import CloseUp, ThinnedSeries
+from sigmaswarm.scoring.tracks import CloseUp, ThinnedSeries
 
 
 def rows_of_whole(matters: np.ndarray, most: int) -> np.ndarray:

@@ -18,9 +18,8 @@ from sigmaswarm.filters.run import Estimate, run_filter
 from sigmaswarm.scoring.batch import BatchScorer
 from sigmaswarm.scoring.evaluation import evaluate
 from sigmaswarm.scoring.remarks import partly_scored
-from sigmaswarm.scoring.score import score_estimate, score_raw_gps
+from sigmaswarm.scoring.score import HEADING_FLOOR, POSITION_FLOOR, score_estimate, score_raw_gps
 from sigmaswarm.scoring.targets import outage_windows
-from sigmaswarm.scoring.truth import HEADING_FLOOR, POSITION_FLOOR
 
 SET = FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0))
 

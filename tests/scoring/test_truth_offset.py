@@ -8,8 +8,7 @@ import pytest
 
 from sigmaswarm import Drive, simulate
 from sigmaswarm.drives.alignment import initial_state
-from sigmaswarm.scoring.score import score_raw_gps
-from sigmaswarm.scoring.truth import truth_offset
+from sigmaswarm.scoring.score import score_raw_gps, truth_offset
 from support import quickly
 
 SEEDS = quickly([(s,) for s in range(4)], lambda s: s == 0)

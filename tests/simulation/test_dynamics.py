@@ -15,7 +15,7 @@ from sigmaswarm.simulation.dynamics import (
     run_open_loop,
     start_state,
 )
-from sigmaswarm.simulation.vehicle import MODEL_3, MODEL_3_CARLA, VEHICLES
+from sigmaswarm.simulation.environments import MODEL_3, MODEL_3_CARLA, VEHICLES
 
 NEUTRAL = MODEL_3._replace(coast=np.zeros_like(MODEL_3.coast))
 

@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 
 from sigmaswarm.simulation.dynamics import GRAVITY
-from sigmaswarm.simulation.imu import (
+from sigmaswarm.simulation.motion import Motion
+from sigmaswarm.simulation.sensors import (
     IMU_GRADES,
     ImuGrade,
     Triad,
     carla_force,
     measure_imu,
 )
-from sigmaswarm.simulation.motion import Motion
 
 REAL = [name for name in IMU_GRADES if name != "ideal"]
 WITH_BIAS = [name for name in REAL if IMU_GRADES[name].gyro.bias_std > 0]

@@ -7,11 +7,9 @@ import pytest
 from scipy.spatial import cKDTree
 
 from sigmaswarm.simulation.dynamics import AX, AY, FRICTION_USE, GRAVITY, X, Y
-from sigmaswarm.simulation.environments import ENVIRONMENTS
-from sigmaswarm.simulation.journey import drive_maneuver, time_between
-from sigmaswarm.simulation.maneuvers import MANEUVERS
+from sigmaswarm.simulation.environments import ENVIRONMENTS, MODEL_3, MODEL_3_CARLA
+from sigmaswarm.simulation.maneuvers import MANEUVERS, drive_maneuver, time_between
 from sigmaswarm.simulation.scenarios import simulate
-from sigmaswarm.simulation.vehicle import MODEL_3, MODEL_3_CARLA
 from support import quickly
 
 

@@ -8,7 +8,7 @@ import pytest
 from sigmaswarm import Drive, InputError, read_drive, simulate, write_drive
 from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.simulation import ODOMETER_GRADES
-from sigmaswarm.simulation.vehicle import find_vehicle
+from sigmaswarm.simulation.environments import find_vehicle
 
 
 def true_speed(drive: Drive, age: float) -> np.ndarray:

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from sigmaswarm.simulation import TERRAINS, Terrain, simulate
 from sigmaswarm.simulation.dynamics import GRAVITY, PITCH, RECORDED, ROLL, STEP, VX, VY, YAW
-from sigmaswarm.simulation.environments import ENVIRONMENTS
-from sigmaswarm.simulation.journey import drive_maneuver
+from sigmaswarm.simulation.environments import ENVIRONMENTS, MODEL_3
+from sigmaswarm.simulation.maneuvers import drive_maneuver
 from sigmaswarm.simulation.motion import motion_at
 from sigmaswarm.simulation.planning import SPACING
 from sigmaswarm.simulation.terrain import (
@@ -19,7 +19,6 @@ from sigmaswarm.simulation.terrain import (
     add_slopes,
     build_road_profile,
 )
-from sigmaswarm.simulation.vehicle import MODEL_3
 
 STRAIGHT = np.zeros(round(60_000 / SPACING))
 HILLS = [name for name in TERRAINS if name != "flat"]

@@ -7,9 +7,9 @@ import numpy as np
 
 from sigmaswarm.simulation import dynamics
 from sigmaswarm.simulation.dynamics import STEP
-from sigmaswarm.simulation.imu import carla_force
+from sigmaswarm.simulation.environments import MODEL_3_CARLA
 from sigmaswarm.simulation.motion import motion_at
-from sigmaswarm.simulation.vehicle import MODEL_3_CARLA
+from sigmaswarm.simulation.sensors import carla_force
 
 STOCK_FRICTION = 3.5
 """tire_friction of CARLA's tires."""

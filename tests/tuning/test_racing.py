@@ -14,8 +14,16 @@ from sigmaswarm.tuning.batch import run_batch
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.optimizers import OPTIMIZERS
 from sigmaswarm.tuning.problem import CarProblem, car_problem
-from sigmaswarm.tuning.racing import FIRST_DIVISOR, MIN_RACED_DRIVES, Leader, leader_at, race, rungs
-from sigmaswarm.tuning.search import Progress, TrialRunner
+from sigmaswarm.tuning.search import (
+    FIRST_DIVISOR,
+    MIN_RACED_DRIVES,
+    Leader,
+    Progress,
+    TrialRunner,
+    leader_at,
+    race,
+    rungs,
+)
 from sigmaswarm.tuning.store import ResultFolder
 from sigmaswarm.tuning.tune import tune as tune_by_default
 from support import make_drive, quickly

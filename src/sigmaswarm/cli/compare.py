@@ -8,8 +8,7 @@ import sigmaswarm
 from sigmaswarm.cli.common import cluster_at, print_result, read_datasets, require_result_folder
 from sigmaswarm.cli.options import FIELDS, MORE, Cluster, Count, Json, Places, options_of
 from sigmaswarm.cli.terminal import progress_bar
-from sigmaswarm.tuning.config import DEFERRED_OPTIONS, TuneConfig
-from sigmaswarm.tuning.options import SEEDS, Scale
+from sigmaswarm.tuning.config import DEFERRED_OPTIONS, SEEDS, Scale, TuneConfig
 
 # Options of `tune` that `compare` does not have.
 EXCLUDED_OPTIONS = ("seed", "optimizer", "scale", "prior", "inflation")

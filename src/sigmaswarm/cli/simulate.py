@@ -175,7 +175,7 @@ def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str,
 
 def _require_made_with(file: Path, options: Mapping[str, Any]) -> None:
     from sigmaswarm.record_files import read_content
-    from sigmaswarm.simulation.journey import URBAN_DURATION
+    from sigmaswarm.simulation.maneuvers import URBAN_DURATION
 
     try:
         about = read_content(file)

@@ -158,7 +158,7 @@ def _tune(
     """
     from concurrent.futures import ThreadPoolExecutor
 
-    from sigmaswarm.scoring.jobs import cores
+    from sigmaswarm.scoring.batch import cores
     from sigmaswarm.scoring.tracks import first_track
 
     read, held_back = groups

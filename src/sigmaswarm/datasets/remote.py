@@ -18,8 +18,16 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, TypeVar
 
-from sigmaswarm.datasets.cluster import Cluster, ClusterError
-from sigmaswarm.datasets.worker import CachedDrive, Failure, Source, apply_to_each, in_gb, run_task
+from sigmaswarm.datasets.cluster import (
+    CachedDrive,
+    Cluster,
+    ClusterError,
+    Failure,
+    Source,
+    apply_to_each,
+    in_gb,
+    run_task,
+)
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import Location, read_with_warnings
 from sigmaswarm.drives.urls import is_url

@@ -30,12 +30,11 @@ from sigmaswarm.experiments.grid import Report, run_grid
 from sigmaswarm.files import locked_folder, write_atomically, write_json
 from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise
 from sigmaswarm.filters.run import estimate_of
-from sigmaswarm.scoring.jobs import cores
+from sigmaswarm.scoring.batch import cores
 from sigmaswarm.scoring.score import score_estimate
 from sigmaswarm.scoring.targets import tracking_pass
-from sigmaswarm.tuning.config import TuneConfig, validated_config
+from sigmaswarm.tuning.config import SEEDS, CompareOptions, OptimizerName, TuneConfig, validated_config
 from sigmaswarm.tuning.defaults import default_filter_options, objective_for
-from sigmaswarm.tuning.options import SEEDS, CompareOptions, OptimizerName
 from sigmaswarm.tuning.problem import CarProblem, car_problem, car_space
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.store import ResultFolder

@@ -24,7 +24,7 @@ from sigmaswarm.files import atomic_file, read_arrays, write_atomically
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass
 from sigmaswarm.learned import outage_lstm
-from sigmaswarm.learned.cells import n_weights, new_weights
+from sigmaswarm.learned.fitting import n_weights, new_weights
 from sigmaswarm.learned.noise_gru import FEATURES, NoiseRun
 from sigmaswarm.learned.outage_lstm import OutageLstm, OutageRun
 from sigmaswarm.record_files import load_record

@@ -19,8 +19,15 @@ from sigmaswarm.files import staged_files, write_atomically, write_json
 from sigmaswarm.filters.names import NetworkName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.learned import noise_gru, outage_lstm
-from sigmaswarm.learned.cells import n_weights
-from sigmaswarm.learned.fitting import Schedule, Settings, TrainingResult, double_precision, fit, part_of
+from sigmaswarm.learned.fitting import (
+    Schedule,
+    Settings,
+    TrainingResult,
+    double_precision,
+    fit,
+    n_weights,
+    part_of,
+)
 from sigmaswarm.learned.folder import (
     LEARNED_SEEN,
     LearnedNetwork,
@@ -28,7 +35,7 @@ from sigmaswarm.learned.folder import (
     NetworkRecord,
     TrainingRecord,
 )
-from sigmaswarm.learned.noise_training import NoiseLearner
+from sigmaswarm.learned.noise_gru import NoiseLearner
 from sigmaswarm.learned.outage_training import OutageLearner
 from sigmaswarm.record_files import ARRAYS
 from sigmaswarm.tuning.optimizers import create_optimizer

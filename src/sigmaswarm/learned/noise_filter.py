@@ -27,7 +27,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass
 from sigmaswarm.filters.requirements import measured_by
 from sigmaswarm.filters.student import INNOVATION_DOF, INNOVATION_SCALE, ITERATIONS
-from sigmaswarm.learned.cells import gru
+from sigmaswarm.learned.fitting import gru
 from sigmaswarm.learned.noise_gru import features_of, log_scales, nis_of
 
 N_COLUMNS = 14

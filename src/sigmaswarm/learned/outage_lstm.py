@@ -28,8 +28,8 @@ from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass
 from sigmaswarm.geodesy import STANDARD_GRAVITY
-from sigmaswarm.learned.cells import Weights, head, lstm, new_weights
 from sigmaswarm.learned.displacements import Displacements, DisplacementStart, to_body_axes
+from sigmaswarm.learned.fitting import Weights, head, lstm, new_weights
 
 HORIZON = 1.0  # s, duration of a displacement
 OUTAGE_AFTER = 2.0  # s from the last fix to the start of an outage; receivers have a rate of 1 Hz or more

@@ -17,11 +17,20 @@ from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters, known_interval
 from sigmaswarm.importing.convert import import_imu
 from sigmaswarm.importing.opening import request_of
-from sigmaswarm.noise.allan import allan_deviation
 from sigmaswarm.noise.records import AxisNoise, Noise
-from sigmaswarm.noise.remarks import on_gravity, on_gyro, on_misfit, on_step, on_stretches, on_trend, trend_of
-from sigmaswarm.noise.spectrum import Interval, fit, spectrum_of
-from sigmaswarm.noise.static import AXES, fault_of, find_stretches
+from sigmaswarm.noise.spectrum import Interval, allan_deviation, fit, spectrum_of
+from sigmaswarm.noise.static import (
+    AXES,
+    fault_of,
+    find_stretches,
+    on_gravity,
+    on_gyro,
+    on_misfit,
+    on_step,
+    on_stretches,
+    on_trend,
+    trend_of,
+)
 
 TUNED = (
     "a tuned Q also contains the errors of the filter's model, for example from slopes, tilt and wheel slip: "

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.noise.allan import FLICKER, MARKOV_PEAK
-from sigmaswarm.noise.spectrum import Interval
+from sigmaswarm.noise.spectrum import FLICKER, MARKOV_PEAK, Interval
 from sigmaswarm.tables import Column, Table
 
 HOUR = 3600.0  # s

@@ -41,8 +41,7 @@ from sigmaswarm.reports.style import (
 )
 from sigmaswarm.scoring.consistency import GATE_95
 from sigmaswarm.scoring.evaluation import DriveResult, Evaluation
-from sigmaswarm.scoring.measures import Measure, with_outages
-from sigmaswarm.scoring.methods import FIXES
+from sigmaswarm.scoring.methods import FIXES, Measure, with_outages
 from sigmaswarm.scoring.records import EVALUATION, EVALUATION_FILE, write_checksums
 from sigmaswarm.scoring.tracks import CLOSE_UP_SIZE, MOVED, SHARES, Columns, Picture, Tracks
 from sigmaswarm.scoring.view import EvaluationView

@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sigmaswarm.noise.allan import model_parts
 from sigmaswarm.noise.records import DEG_PER_HOUR, MGAL, AxisNoise, Noise
+from sigmaswarm.noise.spectrum import model_parts
 from sigmaswarm.reports.figures import Chart, curve, figure_of, logarithmic
 from sigmaswarm.reports.style import BLACK, BLUE, GREEN, NO_LINE, ORANGE, PURPLE, Look
 

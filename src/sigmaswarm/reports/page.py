@@ -22,8 +22,7 @@ from sigmaswarm.files import nan_to_none
 from sigmaswarm.reports.figures import Chart, svg
 from sigmaswarm.reports.style import Look
 from sigmaswarm.scoring.consistency import GATE_95
-from sigmaswarm.scoring.thinning import ThinnedSeries
-from sigmaswarm.scoring.tracks import Tracks
+from sigmaswarm.scoring.tracks import ThinnedSeries, Tracks
 from sigmaswarm.tables import Cell, Column, Table, cell_numbers, format_cell
 from sigmaswarm.versions import __version__
 

@@ -14,6 +14,7 @@ from sigmaswarm.filters.passes import FilterPass, join_sums, run_passes
 from sigmaswarm.filters.run import Estimate, Run
 from sigmaswarm.scoring.batch import scores_from_sums
 from sigmaswarm.scoring.records import DriftRecord
+from sigmaswarm.scoring.score import root_mean
 from sigmaswarm.scoring.targets import (
     Seed,
     drift_reference,
@@ -22,7 +23,6 @@ from sigmaswarm.scoring.targets import (
     outage_windows,
     placements,
 )
-from sigmaswarm.scoring.truth import root_mean
 
 RunFactories = Mapping[str, Callable[[FilterPass], Run]]
 

@@ -28,20 +28,22 @@ from sigmaswarm.filters.presets import filter_for
 from sigmaswarm.filters.run import Innovations, run_imu_only
 from sigmaswarm.filters.smoothing import SmootherRun
 from sigmaswarm.scoring.batch import scores_from_sums
-from sigmaswarm.scoring.consistency import Consistency, consistency_of
+from sigmaswarm.scoring.consistency import TRACKING, Consistency, RadiusRecord, consistency_of, stated_radius
 from sigmaswarm.scoring.drifts import OutageDrifts, Run, RunFactories
-from sigmaswarm.scoring.measures import DRIFTS, MEASURES, Measure, measures
 from sigmaswarm.scoring.methods import (
     AGAINST,
     BANK,
     BASELINE,
+    DRIFTS,
     FIXES,
+    MEASURES,
     METHODS,
     OPTIONAL_METHODS,
     SMOOTHED,
+    Measure,
+    measures,
     method_names,
 )
-from sigmaswarm.scoring.radius import TRACKING, RadiusRecord, stated_radius
 from sigmaswarm.scoring.records import (
     AGAINST_FILE,
     EVALUATION_FILE,
@@ -52,7 +54,7 @@ from sigmaswarm.scoring.records import (
     ScoresRecord,
 )
 from sigmaswarm.scoring.remarks import is_worse_than_untuned
-from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
+from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps, truth_offset
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH, tracking_pass
 from sigmaswarm.scoring.tracks import (
     NOTHING_STATED,
@@ -63,7 +65,6 @@ from sigmaswarm.scoring.tracks import (
     compared,
     save_tracks,
 )
-from sigmaswarm.scoring.truth import truth_offset
 from sigmaswarm.scoring.view import EvaluationView
 from sigmaswarm.versions import versions
 

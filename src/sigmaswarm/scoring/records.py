@@ -13,9 +13,8 @@ from sigmaswarm.files import write_json
 from sigmaswarm.filters.fixes_alone import MotionNoise
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.record_files import load_record
-from sigmaswarm.scoring.consistency import Consistency
+from sigmaswarm.scoring.consistency import Consistency, RadiusRecord
 from sigmaswarm.scoring.methods import filter_called
-from sigmaswarm.scoring.radius import RadiusRecord
 from sigmaswarm.wording import count_of, printable
 
 SCORES_FILE, EVALUATION_FILE, AGAINST_FILE = "scores.json", "evaluation.json", "against.toml"

@@ -7,10 +7,16 @@ import numpy as np
 from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
 from sigmaswarm.filters.divergence import describe_restarts
-from sigmaswarm.scoring.consistency import MAX_CORRELATION, Consistency
-from sigmaswarm.scoring.measures import DRIFTS, POSITION_MEASURES, Measure
-from sigmaswarm.scoring.methods import BASELINE, FIXES, METHODS, in_sentence
-from sigmaswarm.scoring.radius import TRACKING, RadiusRecord
+from sigmaswarm.scoring.consistency import MAX_CORRELATION, TRACKING, Consistency, RadiusRecord
+from sigmaswarm.scoring.methods import (
+    BASELINE,
+    DRIFTS,
+    FIXES,
+    METHODS,
+    POSITION_MEASURES,
+    Measure,
+    in_sentence,
+)
 from sigmaswarm.scoring.records import ScoresRecord
 from sigmaswarm.scoring.tracks import FirstTrack
 from sigmaswarm.wording import count_of

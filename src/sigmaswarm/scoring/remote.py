@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.arrays import Array
+from sigmaswarm.datasets.cluster import CachedDrive, apply_to_each
 from sigmaswarm.datasets.dataset import Dataset
 from sigmaswarm.datasets.remote import RemoteDataset, results_in_order
-from sigmaswarm.datasets.worker import CachedDrive, apply_to_each
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.parameter_table import ParameterTable
 from sigmaswarm.filters.parameters import FilterParameters

@@ -11,8 +11,7 @@ from sigmaswarm.drives.outages import balanced_windows, hidden_fixes, random_win
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.passes import FilterPass, Targets
-from sigmaswarm.scoring.score import MIN_HEADING_SPEED
-from sigmaswarm.scoring.truth import heading_weights, weights_at
+from sigmaswarm.scoring.score import MIN_HEADING_SPEED, heading_weights, weights_at
 
 OUTAGE_LENGTH = 5.0  # s, medium outages
 LONG_OUTAGE_LENGTH = 30.0  # s; shows errors of the estimated biases

@@ -5,18 +5,32 @@ from dataclasses import dataclass, replace
 
 from sigmaswarm import notebook
 from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
-from sigmaswarm.scoring.consistency import FORECASTS, Consistency, describe_ratio, verdicts
-from sigmaswarm.scoring.measures import DRIFTS, NO_OUTAGES, Measure, measures, with_outages
+from sigmaswarm.scoring.consistency import (
+    DOF,
+    FORECASTS,
+    LEVELS,
+    MIN_COVERAGE,
+    TRACKING,
+    Consistency,
+    RadiusRecord,
+    describe_ratio,
+    factor_of,
+    verdicts,
+)
 from sigmaswarm.scoring.methods import (
     AGAINST,
     BASELINE,
+    DRIFTS,
     FIXES,
     FIXES_ALONE_NOTE,
     HOW_TO_COMPARE,
+    NO_OUTAGES,
+    Measure,
     baseline_note,
     in_sentence,
+    measures,
+    with_outages,
 )
-from sigmaswarm.scoring.radius import DOF, LEVELS, MIN_COVERAGE, TRACKING, RadiusRecord, factor_of
 from sigmaswarm.scoring.records import EvaluationRecord, Measured, ScoresRecord
 from sigmaswarm.scoring.remarks import (
     describe_drives,

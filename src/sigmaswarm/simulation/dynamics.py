@@ -43,7 +43,7 @@ _BRAKE_VISCOSITY = 1000.0  # N m s/rad; makes the dry friction of a brake contin
 
 
 class Vehicle(NamedTuple):
-    """Parameters of a car. Values and sources: `sigmaswarm.simulation.vehicle`."""
+    """Parameters of a car. Values and sources: `sigmaswarm.simulation.environments`."""
 
     mass: float  # kg
     yaw_inertia: float  # kg m2

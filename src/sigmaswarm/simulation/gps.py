@@ -14,8 +14,8 @@ from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.simulation.environments import by_name
-from sigmaswarm.simulation.imu import gauss_markov
 from sigmaswarm.simulation.motion import LeverArm, Motion
+from sigmaswarm.simulation.sensors import gauss_markov
 
 EARTH_RADIUS = 6378137.0  # m, radius of CARLA's sphere
 METERS_PER_DEGREE = math.pi * EARTH_RADIUS / 180.0  # m, degree of latitude on CARLA's sphere

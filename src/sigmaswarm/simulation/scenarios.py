@@ -1,11 +1,15 @@
-"""Simulate one drive: journey, sensors and truth.
+"""Simulate one drive (journey, sensors and truth), or many drives in threads.
 
 Seed, maneuver, environment, run and the sensor's name determine the random numbers of a sensor. A change of one sensor
-does not change the data of the others.
+does not change the data of the others. The compiled code releases the interpreter's lock.
 """
 
 import math
+import os
 import zlib
+from collections import deque
+from collections.abc import Callable, Container, Iterator, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,9 +17,9 @@ import numpy as np
 
 from sigmaswarm.arrays import Array
 from sigmaswarm.drives.drive import Drive, Truth
-from sigmaswarm.errors import InputError
+from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.simulation.dynamics import STEP, Vehicle
-from sigmaswarm.simulation.environments import ENVIRONMENTS, Environment, lookup
+from sigmaswarm.simulation.environments import ENVIRONMENTS, Environment, find_vehicle, lookup
 from sigmaswarm.simulation.gps import (
     GPS_GRADES,
     HEADING_GRADES,
@@ -25,10 +29,16 @@ from sigmaswarm.simulation.gps import (
     measure_gps,
     with_heading,
 )
-from sigmaswarm.simulation.imu import IMU_GRADES, ImuGrade, measure_imu
-from sigmaswarm.simulation.journey import achieved_figures, drive_maneuver
+from sigmaswarm.simulation.maneuvers import MANEUVERS, achieved_figures, drive_maneuver
 from sigmaswarm.simulation.motion import LeverArm, Motion, motion_at, sample, vibrate
-from sigmaswarm.simulation.odometer import ODOMETER_GRADES, OdometerGrade, measure_odometer
+from sigmaswarm.simulation.sensors import (
+    IMU_GRADES,
+    ODOMETER_GRADES,
+    ImuGrade,
+    OdometerGrade,
+    measure_imu,
+    measure_odometer,
+)
 from sigmaswarm.simulation.terrain import (
     HEIGHT,
     ROAD_PITCH,
@@ -38,7 +48,6 @@ from sigmaswarm.simulation.terrain import (
     add_slopes,
     build_road_profile,
 )
-from sigmaswarm.simulation.vehicle import find_vehicle
 
 
 @dataclass(frozen=True)
@@ -281,3 +290,91 @@ def _noise_figures(imu: ImuGrade, gps: GpsGrade) -> dict[str, Any]:
             **({} if gps.velocity_std is None else {"velocity_std_ms": gps.velocity_std}),
         },
     }
+
+
+PAPER_MANEUVERS = tuple(name for name in MANEUVERS if name != "urban")
+
+
+def simulated_source(*what: Any, **options: Any) -> tuple[Drive, list[SigmaswarmWarning]]:
+    return simulate(*what, **options), []
+
+
+def simulate_many(
+    maneuvers: Sequence[str] = PAPER_MANEUVERS,
+    environments: Sequence[str] = tuple(ENVIRONMENTS),
+    runs: int = 20,
+    *,
+    executor: Executor | None = None,
+    workers: int | None = None,
+    use: Callable[[Drive], Any] | None = None,
+    ahead: int = 16,
+    leave_out: Container[str] = (),
+    **options: Any,
+) -> Iterator[Any]:
+    """Simulate every maneuver in every environment `runs` times, in threads.
+
+    Parameters
+    ----------
+    maneuvers, environments : sequence of str
+        Names; by default the paper's 25 conditions.
+    runs : int
+        Number of drives of each condition.
+    executor : concurrent.futures.Executor, optional
+        Executor of the simulations; by default a pool of threads.
+    workers : int, optional
+        Number of threads of the pool; by default one per core.
+    use : callable, optional
+        Function that is called with each drive in the thread of its simulation, for example to write the drive. The
+        result of the function is yielded instead of the drive.
+    ahead : int
+        Largest number of drives that are simulated in advance. If it is less than ``workers``, some threads are idle.
+    leave_out : container of str
+        Names of drives to skip, for example after an interruption.
+    **options
+        Options of `simulate`; ``duration`` applies to "urban" only.
+
+    Yields
+    ------
+    Drive, or the result of `use`
+        The order is maneuver, environment, run, for any number of workers. A drive is yielded as soon as it and all
+        earlier drives are ready.
+
+    Raises
+    ------
+    InputError
+        If an argument is invalid, as in `simulate`. The error is raised when the first drive is requested.
+    """
+    duration = options.pop("duration", None)
+    _check_conditions(maneuvers, environments, runs, duration)
+
+    def simulate_one(maneuver: str, environment: str, run: int) -> Any:
+        seconds = duration if maneuver == "urban" else None
+        drive = simulate(maneuver, environment, run=run, duration=seconds, **options)
+        return drive if use is None else use(drive)
+
+    names = ((m, e, r) for m in maneuvers for e in environments for r in range(runs))
+    pool = executor if executor is not None else ThreadPoolExecutor(workers or os.cpu_count())
+    waiting: deque[Future[Any]] = deque()  # at most `ahead` drives, which bounds memory
+    try:
+        for name in names:
+            if drive_name(*name) not in leave_out:
+                waiting.append(pool.submit(simulate_one, *name))
+            if len(waiting) > ahead:
+                yield waiting.popleft().result()
+        for future in waiting:
+            yield future.result()
+    finally:
+        if executor is None:
+            pool.shutdown(cancel_futures=True)
+
+
+def _check_conditions(
+    maneuvers: Sequence[str], environments: Sequence[str], runs: int, duration: float | None
+) -> None:
+    for maneuver in maneuvers:
+        lookup(maneuver, MANEUVERS, "maneuver")
+    for environment in environments:
+        lookup(environment, ENVIRONMENTS, "environment")
+    if runs < 1:
+        raise InputError(f"runs is {runs}; choose 1 or more")
+    check_duration("urban" if "urban" in maneuvers else maneuvers[0], duration)

@@ -16,8 +16,7 @@ from sigmaswarm.drives.sensors import LogProperties, log_properties
 from sigmaswarm.drives.tables import Mask
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.scoring.batch import BatchScorer, PassOptions
-from sigmaswarm.scoring.jobs import cores
+from sigmaswarm.scoring.batch import BatchScorer, PassOptions, cores
 from sigmaswarm.scoring.remote import AnyBatchScorer, make_scorer
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import forecast_windows

@@ -11,7 +11,7 @@ import numpy as np
 from sigmaswarm.arrays import Array
 from sigmaswarm.drives.tables import Mask
 from sigmaswarm.filters.parameters import NOISES
-from sigmaswarm.tuning.options import Scale
+from sigmaswarm.tuning.config import Scale
 
 BoundSide = Literal["lower", "upper"]
 

@@ -1,15 +1,87 @@
-"""Options of a tuning run, for the command line, `tune`, tuning.toml and the reference manual."""
+"""Options of a tuning run, for the command line, `tune`, tuning.toml and the reference manual.
 
-from collections.abc import Callable, Iterable, Mapping
+PEP 692 requires a TypedDict for the types of ``**options``; a test compares these types with the configuration."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
-from typing import Annotated, Any, Self, TypeVar
+from importlib.util import find_spec
+from typing import Annotated, Any, Literal, Self, TypedDict, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationError, model_validator
 
-from sigmaswarm.errors import InputError, warn_deprecated
+from sigmaswarm.errors import InputError, not_installed, warn_deprecated
 from sigmaswarm.filters.names import FilterKind, ModelName
-from sigmaswarm.tuning.options import ACCELERATION, INERTIA, OptimizerName, Option, Scale, require_packages
 from sigmaswarm.wording import first_mistake
+
+Scale = Literal["log10", "linear"]
+OptimizerName = Literal[
+    "pso", "ga", "ga-pso", "de", "de-qpso", "cma-es", "bo", "nelder-mead", "random", "sobol"
+]
+Option = Literal[
+    "velocity",
+    "lateral",
+    "slip",
+    "standstill",
+    "odometer",
+    "heading",
+    "gate",
+    "imu-gate",
+    "latency",
+    "accuracy",
+    "robust",
+    "fix-error",
+]
+
+INERTIA = 0.7298
+"""Inertia weight w. The paper states no value; this is the constriction coefficient of Clerc and Kennedy (2002)."""
+ACCELERATION = 1.5
+"""Acceleration coefficients c1 = c2, from the paper."""
+SEEDS = 20
+"""Default number of runs of each optimizer in a comparison."""
+
+
+class SharedOptions(TypedDict, total=False):  # the same in all tuning runs of a comparison
+    objective: str
+    worst: float
+    particles: int
+    generations: int
+    trials: int
+    polish: int
+    racing: bool
+    inertia: float
+    cognitive: float
+    social: float
+    zero_velocity_at_bounds: bool
+    patience: int | None
+
+
+class FilterOptions(TypedDict, total=False):
+    model: ModelName
+    kind: FilterKind
+    use: Sequence[Option]
+    outage_seed: int
+    as_recorded: bool
+
+
+class SearchOptions(SharedOptions, total=False):
+    scale: Scale
+    optimizer: OptimizerName | Callable[..., Any]
+    seed: int
+
+
+class TuneOptions(SearchOptions, FilterOptions, total=False):
+    prior: float | None
+    inflation: float | None
+
+
+class CompareOptions(SharedOptions, FilterOptions, total=False):
+    """Options of `compare`."""
+
+
+def require_packages(optimizer: object) -> None:
+    if optimizer == "bo" and find_spec("sklearn") is None:
+        raise not_installed("optimizer = 'bo':", "scikit-learn")
+
 
 SWARM = ("inertia", "cognitive", "social", "zero_velocity_at_bounds")
 """Options that only the optimizer pso has."""

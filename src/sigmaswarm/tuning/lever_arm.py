@@ -25,7 +25,7 @@ from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass, Targets
 from sigmaswarm.filters.presets import HALF_A_WHEELBASE, baseline_of
-from sigmaswarm.scoring.jobs import cores
+from sigmaswarm.scoring.batch import cores
 from sigmaswarm.tuning.config import TuneConfig, validated_config
 from sigmaswarm.tuning.defaults import complete_config
 from sigmaswarm.tuning.problem import car_problem

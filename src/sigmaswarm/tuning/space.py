@@ -19,7 +19,7 @@ from sigmaswarm.filters.parameter_table import ParameterTable
 from sigmaswarm.filters.parameters import SEARCHED, FilterParameters, incompatibility
 from sigmaswarm.filters.presets import HALF_A_WHEELBASE, TYPICAL_VALUES
 from sigmaswarm.tuning.bounds import Bounds, Dimension
-from sigmaswarm.tuning.options import Option, Scale
+from sigmaswarm.tuning.config import Option, Scale
 
 OPTIONS: tuple[Option, ...] = get_args(Option)
 

@@ -27,12 +27,14 @@ from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.custom.model import Model
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import filter_for
-from sigmaswarm.scoring.jobs import cores
+from sigmaswarm.scoring.batch import cores
 from sigmaswarm.tuning.config import (
     MODEL_REMEDIES,
     PAPER_OPTIONS,
     ModelTuneConfig,
+    SearchOptions,
     TuneConfig,
+    TuneOptions,
     current_options,
     paper_options,
     validated_config,
@@ -40,7 +42,6 @@ from sigmaswarm.tuning.config import (
 from sigmaswarm.tuning.custom import model_problem
 from sigmaswarm.tuning.defaults import complete_config, default_filter_options
 from sigmaswarm.tuning.inflation import inflate
-from sigmaswarm.tuning.options import SearchOptions, TuneOptions
 from sigmaswarm.tuning.problem import Problem, car_problem
 from sigmaswarm.tuning.record import FILE
 from sigmaswarm.tuning.result import Tuning, Validation

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.tuning import options
+from sigmaswarm.tuning import config
 from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.optimizers.bayesian_optimization import (
     MAX_POINTS,
@@ -172,7 +172,7 @@ def test_two_at_once_leave_warnings_alone_and_find_what_one_finds():
 
 
 def test_where_the_package_is_missing_one_line_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path):
-    monkeypatch.setattr(options, "find_spec", lambda name: None)
+    monkeypatch.setattr(config, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"needs scikit-learn, .* pip install scikit-learn"):
         tune(make_drive(duration=20.0), optimizer="bo", out=tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -6,7 +6,7 @@ from scipy.stats import mannwhitneyu, qmc
 
 from oracles.landscapes import HIGH, LANDSCAPES, LOW
 from sigmaswarm.tuning.optimizers import OPTIMIZERS, create_optimizer
-from sigmaswarm.tuning.optimizers.sampling import SobolSearch
+from sigmaswarm.tuning.optimizers.asktell import SobolSearch
 from support import quickly
 
 

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.tuning.config import OptimizerName
 from sigmaswarm.tuning.optimizers import OPTIMIZERS, Optimizer, create_optimizer
-from sigmaswarm.tuning.options import OptimizerName
 from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint
 from support import quickly
 

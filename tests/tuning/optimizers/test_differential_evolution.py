@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sigmaswarm.tuning.optimizers.differential_evolution import DifferentialEvolution
+from sigmaswarm.tuning.optimizers.evolution import DifferentialEvolution
 
 LOW, HIGH = np.array([-5.0, 0.0, 1.0, -1.0]), np.array([5.0, 2.0, 1.5, 1.0])
 

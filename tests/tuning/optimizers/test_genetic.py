@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import ks_2samp
 
-from sigmaswarm.tuning.optimizers.ga_pso import GeneticSwarm
-from sigmaswarm.tuning.optimizers.genetic import GeneticAlgorithm, _winners, mutated, offspring
+from sigmaswarm.tuning.optimizers.evolution import GeneticAlgorithm, _winners, mutated, offspring
+from sigmaswarm.tuning.optimizers.swarms import GeneticSwarm
 
 N = 20_000
 BOX = (np.array([0.0]), np.array([1.0]))

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import minimize
 
 from oracles.landscapes import HIGH, LANDSCAPES, LOW, ellipsoid_at_bounds
-from sigmaswarm.tuning.optimizers.nelder_mead import NelderMead
+from sigmaswarm.tuning.optimizers.budget import NelderMead
 from support import quickly
 
 BOUNDED = LANDSCAPES | {"at bounds": ellipsoid_at_bounds}

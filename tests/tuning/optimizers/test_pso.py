@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracles.particle_swarm import by_equations
-from sigmaswarm.tuning.optimizers.pso import ACCELERATION, INERTIA, ParticleSwarm
+from sigmaswarm.tuning.optimizers.swarms import ACCELERATION, INERTIA, ParticleSwarm
 
 LOW, HIGH = np.array([-5.0, 0.0, 1.0]), np.array([5.0, 2.0, 1.5])
 

@@ -18,7 +18,7 @@ from pydantic import (
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.names import FilterKind, ModelName, NetworkName
-from sigmaswarm.tuning.options import Scale
+from sigmaswarm.tuning.config import Scale
 from sigmaswarm.wording import first_mistake
 
 ALL = "all"  # group of all conditions; also the name of an unknown maneuver or environment

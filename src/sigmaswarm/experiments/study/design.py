@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from sigmaswarm.datasets.cluster import Cluster
+from sigmaswarm.datasets.cluster import Cluster, Source
 from sigmaswarm.datasets.dataset import Dataset, LocalDataset
 from sigmaswarm.datasets.remote import RemoteDataset, remote_datasets
-from sigmaswarm.datasets.worker import Source
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.drives.overlap import Landmarks, landmarks, overlap_of
@@ -36,11 +35,10 @@ from sigmaswarm.experiments.study.config import (
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.batch import BatchScorer, PassOptions
 from sigmaswarm.scoring.remote import AnyBatchScorer, RemoteBatchScorer, map_prepared
-from sigmaswarm.simulation.conditions import simulate_many, simulated_source
+from sigmaswarm.simulation.scenarios import simulate_many, simulated_source
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.defaults import default_filter_options, objective_for
-from sigmaswarm.tuning.racing import MIN_RACED_DRIVES
-from sigmaswarm.tuning.search import Trial
+from sigmaswarm.tuning.search import MIN_RACED_DRIVES, Trial
 
 if TYPE_CHECKING:
     from distributed import Client

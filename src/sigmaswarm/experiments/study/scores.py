@@ -24,10 +24,9 @@ from sigmaswarm.filters.run import estimate_of, run_imu_only
 from sigmaswarm.scoring.batch import BatchScorer, PassOptions, Scores
 from sigmaswarm.scoring.drifts import rms_drift
 from sigmaswarm.scoring.remote import AnyBatchScorer
-from sigmaswarm.scoring.score import score_estimate, score_raw_gps
+from sigmaswarm.scoring.score import root_mean, score_estimate, score_raw_gps
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_pass, outage_windows, tracking_pass
 from sigmaswarm.scoring.tracks import Picture, Tracker, Tracks
-from sigmaswarm.scoring.truth import root_mean
 
 SCORE_OF_MEASURE: dict[str, Callable[[Scores], Array]] = {
     "position_rmse_m": lambda s: s.position_rmse,

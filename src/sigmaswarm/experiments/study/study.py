@@ -39,10 +39,10 @@ from sigmaswarm.files import locked_folder, make_folder, staged_files, write_ato
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.learned.fitting import double_precision
-from sigmaswarm.scoring.jobs import cores
+from sigmaswarm.scoring.batch import cores
 from sigmaswarm.scoring.tracks import Picture, save_tracks
+from sigmaswarm.tuning.config import require_packages
 from sigmaswarm.tuning.objectives import parse_objective
-from sigmaswarm.tuning.options import require_packages
 from sigmaswarm.tuning.problem import CarProblem, car_space
 from sigmaswarm.tuning.search import Trial, TrialRunner
 from sigmaswarm.tuning.space import SearchSpace

@@ -1,4 +1,4 @@
-"""The optimizers, one algorithm per file.
+"""The optimizers.
 
 All implement the protocol `Optimizer` and are used in the same loop::
 
@@ -36,17 +36,12 @@ import numpy as np
 
 from sigmaswarm.arrays import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.tuning.optimizers.asktell import AskTell, Optimizer
+from sigmaswarm.tuning.optimizers.asktell import AskTell, Optimizer, RandomSearch, SobolSearch
 from sigmaswarm.tuning.optimizers.bayesian_optimization import BayesianOptimization
-from sigmaswarm.tuning.optimizers.budget import Budgeted
+from sigmaswarm.tuning.optimizers.budget import Budgeted, NelderMead
 from sigmaswarm.tuning.optimizers.cma_es import CmaEs
-from sigmaswarm.tuning.optimizers.de_qpso import QuantumSwarm
-from sigmaswarm.tuning.optimizers.differential_evolution import DifferentialEvolution
-from sigmaswarm.tuning.optimizers.ga_pso import GeneticSwarm
-from sigmaswarm.tuning.optimizers.genetic import GeneticAlgorithm
-from sigmaswarm.tuning.optimizers.nelder_mead import NelderMead
-from sigmaswarm.tuning.optimizers.pso import ParticleSwarm
-from sigmaswarm.tuning.optimizers.sampling import RandomSearch, SobolSearch
+from sigmaswarm.tuning.optimizers.evolution import DifferentialEvolution, GeneticAlgorithm
+from sigmaswarm.tuning.optimizers.swarms import GeneticSwarm, ParticleSwarm, QuantumSwarm
 
 __all__ = ["OPTIMIZERS", "Optimizer", "create_optimizer"]
 

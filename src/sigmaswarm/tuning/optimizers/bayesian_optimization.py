@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.tuning.optimizers.asktell import AskTell
-from sigmaswarm.tuning.optimizers.sampling import SobolSearch
-from sigmaswarm.tuning.options import require_packages
+from sigmaswarm.tuning.config import require_packages
+from sigmaswarm.tuning.optimizers.asktell import AskTell, SobolSearch
 
 MAX_POINTS = 200  # largest number n of costs in a fit; the time of a fit is proportional to n^3
 NOISE = 1e-6  # variance of the noise of a cost, relative to the variance of all costs
