@@ -36,7 +36,6 @@ from sigmaswarm.tuning.diagnostics import DriftComparison, drift_table
 from sigmaswarm.tuning.objectives import OBJECTIVES
 from sigmaswarm.tuning.receiver import StdCheck
 from sigmaswarm.tuning.record import ResultRecord, TuningRecord
-from sigmaswarm.tuning.view import TuningView
 from support import make_drive, no_pictures, several
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -130,10 +129,10 @@ def test_a_drift_larger_than_the_baseline_s_names_a_safe_step(particles: int, in
         forecasts=forecasts,
         data=[DriveRecord(name="a", duration_s=60.0)],
     )
-    (said,) = _larger_drifts(TuningView(record))
+    (said,) = _larger_drifts(record)
     assert "drifts MORE than the baseline" in said.what and said.remedy.endswith(remedy)
     record.forecasts = forecasts[:1]
-    assert not [*_larger_drifts(TuningView(record))]
+    assert not [*_larger_drifts(record)]
 
 
 def test_an_outage_length_that_is_always_measured_has_one_column(

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from sigmaswarm import Drive, Tuning
     from sigmaswarm.datasets.dataset import Dataset
     from sigmaswarm.scoring.tracks import FirstTrack
-    from sigmaswarm.tuning.view import TuningView
+    from sigmaswarm.tuning.record import TuningRecord
 
 MAX_DIAGNOSED = 3  # drives whose velocity is compared with the positions before a second tuning is proposed
 SHORT_HELP = ("objective", "model", "use", "particles", "generations", "trials", "seed")
@@ -187,26 +187,25 @@ def _tune(
 def _print_tuning(output: Output, tuning: "Tuning[Any]", track: "FirstTrack", given: Places) -> None:
     from sigmaswarm.scoring.methods import LEGEND
     from sigmaswarm.scoring.remarks import describe_first_track
-    from sigmaswarm.tuning.view import TuningView
 
     record, folders = tuning.record, local_folders(given)
-    view = TuningView(record)
     output.show(
-        *([f"model: {tuning.choice}"] if tuning.choice else []), *filter(None, (view.start, view.validation))
+        *([f"model: {tuning.choice}"] if tuning.choice else []),
+        *filter(None, (record.start, record.validation)),
     )
-    if view.drifts:
-        output.show(view.drifts.to_rich(), LEGEND, "")
+    if record.drifts:
+        output.show(record.drifts.to_rich(), LEGEND, "")
     if position := describe_first_track(track):
         output.show(Remark.of(as_sentence(position)))
-    output.show(*_larger_drifts(view))
+    output.show(*_larger_drifts(record))
     remarks = [name_files(remark, folders) for remark in tuning.remarks if remark not in record.unusable]
     output.show(*(Remark.of(remark) for remark in remarks if remark.startswith(TO_DO)))
     output.details("note", *(Remark.of(remark, "note") for remark in remarks if not remark.startswith(TO_DO)))
-    output.details("the cost", *filter(None, (view.training, view.racing)))
+    output.details("the cost", *filter(None, (record.training, record.racing)))
 
 
-def _larger_drifts(view: "TuningView") -> Iterator[Remark]:
-    config, usual = view.record.config, TuneConfig.model_fields
+def _larger_drifts(record: "TuningRecord") -> Iterator[Remark]:
+    config, usual = record.config, TuneConfig.model_fields
     all_evaluations = usual["particles"].default * usual["generations"].default
     few = config["particles"] * config["generations"] < all_evaluations
     remedy = (
@@ -215,7 +214,7 @@ def _larger_drifts(view: "TuningView") -> Iterator[Remark]:
         else "evaluate the filter on data that the tuning did not use; if its drift is also larger there, tune on more "
         "or longer drives"
     )
-    yield from (Remark("warning", as_sentence(text), remedy=remedy) for text in view.larger_drifts)
+    yield from (Remark("warning", as_sentence(text), remedy=remedy) for text in record.larger_drifts)
 
 
 def _is_part(drive: "Drive") -> bool:

@@ -43,7 +43,6 @@ from sigmaswarm.scoring.view import (
     with_training,
 )
 from sigmaswarm.tuning.record import NOT_VALIDATED_TEXTS, TuningRecord
-from sigmaswarm.tuning.view import TuningView
 from sigmaswarm.wording import as_sentence, sort_remarks
 
 # Verdicts on the consistency that the page shows as warnings.
@@ -72,7 +71,7 @@ def evaluation_report(
     view: EvaluationView, drives: Sequence[Tracks], record: TuningRecord, history: pl.DataFrame | None = None
 ) -> Report:
     """Return the page of an evaluation of the filter in ``record``, with the convergence of its tuning."""
-    scores, setup, nees, tuned = view.scores, view.setup, not view.without_truth, TuningView(record)
+    scores, setup, nees = view.scores, view.setup, not view.without_truth
     absent = {AGAINST, FIXES, *OPTIONAL_METHODS} - {*scores.mean}
     labels = LABELS | dict(view.names)
     tracks = TrackView(drives, {m: labels[m] for m in STYLES if m not in absent}, STYLES, "tuned")
@@ -85,8 +84,8 @@ def evaluation_report(
     of_tuning = record.result.remarks if record.result else ()
     remarks += [as_sentence(remark) for remark in of_tuning if remark not in NOT_VALIDATED_TEXTS]
     return Report(
-        title=f"Evaluation of {tuned.filter}",
-        lead=(view.result(), *(view.coverage() if view.without_truth else ()), tuned.purpose),
+        title=f"Evaluation of {record.called}",
+        lead=(view.result(), *(view.coverage() if view.without_truth else ()), record.purpose),
         figures=_figures(view),
         remarks=tuple(sort_remarks(remarks)),
         sections=(
@@ -99,7 +98,7 @@ def evaluation_report(
                 if scores.radius
                 else ()
             ),
-            parameters_section(tuned),
+            parameters_section(record),
             *convergence_section(record, history),
             data_section("Drives of the evaluation", setup.data),
             *((data_section("Training drives", record.data),) if record.data else ()),

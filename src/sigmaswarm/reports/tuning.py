@@ -22,9 +22,8 @@ from sigmaswarm.scoring.methods import method_names
 from sigmaswarm.scoring.tracks import Picture
 from sigmaswarm.tables import Cell, Column, Table
 from sigmaswarm.tuning.config import RENAMED, SWARM, TuneConfig, option_words
-from sigmaswarm.tuning.record import FILE, HISTORY_FILE, TuningRecord, history_of, load_history
+from sigmaswarm.tuning.record import FILE, HISTORY_FILE, RANGES, TuningRecord, history_of, load_history
 from sigmaswarm.tuning.result import Tuning
-from sigmaswarm.tuning.view import RANGES, TuningView
 from sigmaswarm.wording import as_sentence
 
 # Options that the command of a page contains even if they have their default values.
@@ -79,23 +78,26 @@ def _convergence_chart(history: pl.DataFrame, best_trial: int, objective: str) -
 
 def tuning_report(record: TuningRecord, history: pl.DataFrame | None = None) -> Report:
     """Return the page of a tuning; ``history``: the table of convergence.csv."""
-    view, result = TuningView(record), record.result
+    result = record.result
     if result is None:
         raise InputError("the tuning has no [result] table; name a folder that `sigmaswarm tune` wrote")
     figures = [("cost", f"{result.cost:.4g}", f"{result.objective}, training drives")]
     if result.validation_cost is not None:
-        figures.append(("cost on held-out drives", f"{result.validation_cost:.4g}", view.gap))
+        figures.append(("cost on held-out drives", f"{result.validation_cost:.4g}", record.gap))
     figures.append(("parameter sets tried", f"{result.evaluations}", f"{result.failures} of them failed"))
-    held_out = view.validation or "to measure the errors on other drives, run sigmaswarm evaluate"
+    held_out = record.validation or "to measure the errors on other drives, run sigmaswarm evaluate"
     command, note = tune_command(record.config, [d.name for d in record.data], result.validation_drives)
     return Report(
-        title=f"Tuning of {view.filter}",
-        lead=(view.purpose, *(f"{line[0].upper()}{line[1:]}." for line in (held_out, *view.larger_drifts))),
+        title=f"Tuning of {record.called}",
+        lead=(
+            record.purpose,
+            *(f"{line[0].upper()}{line[1:]}." for line in (held_out, *record.larger_drifts)),
+        ),
         figures=tuple(figures),
         remarks=tuple(map(as_sentence, result.remarks)),
         sections=(
-            parameters_section(view),
-            *([Section("Drifts without fixes", tables=(view.drifts,))] if view.drifts else []),
+            parameters_section(record),
+            *([Section("Drifts without fixes", tables=(record.drifts,))] if record.drifts else []),
             *convergence_section(record, history),
             data_section("Drives", record.data),
         ),
@@ -106,9 +108,9 @@ def tuning_report(record: TuningRecord, history: pl.DataFrame | None = None) -> 
     )
 
 
-def parameters_section(view: TuningView) -> Section:
-    ranges = view.record.within_1_percent_of_the_cost
-    return Section("Parameters", (RANGES,) if ranges else (), (view.parameters(),))
+def parameters_section(record: TuningRecord) -> Section:
+    ranges = record.within_1_percent_of_the_cost
+    return Section("Parameters", (RANGES,) if ranges else (), (record.parameters(),))
 
 
 def read_tuning(folder: Path) -> tuple[TuningRecord, pl.DataFrame | None]:

@@ -1,7 +1,7 @@
 """The files tuning.toml and convergence.csv."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 from pydantic import AliasChoices, BaseModel, BeforeValidator, Field
 
+from sigmaswarm import notebook
 from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.drives.mounting import Angles, common_axes, common_mounting
 from sigmaswarm.drives.overlap import TRAINING_DATA_FILE, Landmarks, load_landmarks, whole_drive
@@ -19,9 +20,14 @@ from sigmaswarm.filters.fixes_alone import MotionNoise
 from sigmaswarm.filters.parameters import FilterParameters, read_filter, units
 from sigmaswarm.filters.robot_yaml import YAML
 from sigmaswarm.record_files import load_record, to_record
+from sigmaswarm.tables import Cell, Column, Table
 from sigmaswarm.tuning.bounds import TouchedBound
-from sigmaswarm.tuning.diagnostics import DO_NOT_USE, DriftComparison
+from sigmaswarm.tuning.diagnostics import DO_NOT_USE, DriftComparison, drift_table, larger_drifts
+from sigmaswarm.tuning.objectives import parse_objective
 from sigmaswarm.tuning.search import Trial
+from sigmaswarm.tuning.sensitivity import NOISE_SCALE
+from sigmaswarm.tuning.space import searched_name
+from sigmaswarm.wording import count_of
 
 End = float | Literal["-"]
 """End of the range in which the cost increases by less than 1%; ``-`` if the range ends at the bound."""
@@ -40,6 +46,19 @@ CONVERGENCE = {
     **dict.fromkeys(("trial", "generation"), pl.Int64()),
     **dict.fromkeys(("best_cost", "median_cost"), pl.Float64()),
 }
+PARAMETER_MEANINGS = {
+    "latency": (
+        "delay with which this filter predicts the fixes best; the doctor estimates this delay as a clock offset, "
+        "from turns and accelerations"
+    ),
+    "rear_axle": "distance of the IMU in front of the rear axle; negative: behind the rear axle",
+}
+RANGES = (
+    'At the values in the columns "from" and "to", the cost is 1% higher than at the tuned value, with all other '
+    "parameters unchanged. "
+    '"At the bound" means that the cost at the bound of the search is less than 1% higher.'
+)
+SIGMA_POINTS = {"alpha", "beta", "kappa"}
 
 
 class ResultRecord(BaseModel):
@@ -134,6 +153,139 @@ class TuningRecord(BaseModel):
     @property
     def mountings_differ(self) -> bool:
         return self.mounting is None and any(drive.imu_mounting_deg for drive in self.data)
+
+    # ---- sentences and tables, for the terminal, notebooks and the HTML report ----
+
+    @property
+    def _known(self) -> ResultRecord:
+        if self.result is None:
+            raise InputError("the file has no [result] table; name a file written by `sigmaswarm tune`")
+        return self.result
+
+    @property
+    def called(self) -> str:
+        """Name and type of the filter."""
+        config, values = self.config, self.filter
+        model = config.get("model", values.get("model", "a filter"))
+        if isinstance(model, dict):
+            return f"{model.get('name', 'a custom model')} ({model.get('kind', 'ukf')})"
+        return f"{model} ({config.get('kind', values.get('kind', 'ukf'))})"
+
+    @property
+    def noun(self) -> str:
+        return "log" if isinstance(self.config.get("model"), dict) else "drive"
+
+    @property
+    def headline(self) -> str:
+        result, on = self._known, count_of(len(self.data), self.noun)
+        return f"Tuned for {result.objective}: cost {notebook.number(result.cost)} on {on}"
+
+    @property
+    def purpose(self) -> str:
+        """Filter, training drives and objective, in one or two sentences."""
+        result = self.result
+        if result is None:
+            return f"The filter is {self.called}; its file does not describe a tuning."
+        length = sum(drive.duration_s or 0 for drive in self.data)
+        on = count_of(len(self.data), self.noun) + (f" ({length / 60:.1f} min)" if length else "")
+        meaning = f": {result.objective_meaning}" if result.objective_meaning else ""
+        return f"{self.called} was tuned on {on}. The objective is {result.objective}{meaning}."
+
+    @property
+    def start(self) -> str:
+        result, text = self._known, "cost {:.4f}; cost of the filter from which the search started: {:.4f}"
+        return "" if result.start_cost is None else text.format(result.cost, result.start_cost)
+
+    @property
+    def training(self) -> str:
+        result, before = self._known, ""
+        if result.inflation_factor != 1.0:
+            before = f"; {result.trial_costs[result.best_trial]:.4f} before process-noise inflation"
+        objective = parse_objective(result.objective)
+        unit = " nats per fix" if objective.likelihood and not objective.needs_truth else ""
+        on = count_of(len(self.data), self.noun)
+        return f"cost {result.cost:.4f}{unit} ({result.objective}{before}) on {on}"
+
+    @property
+    def racing(self) -> str:
+        steps, full = self._known.filter_steps, self._known.filter_steps_without_racing
+        if not self.config.get("racing") or not full:
+            return ""
+        return f"racing: {steps} filter steps, {steps / full:.0%} of the number without racing"
+
+    @property
+    def gap(self) -> str:
+        """Comparison of the errors on validation and training drives."""
+        gap = self._known.validation_gap
+        if gap is None:
+            return ""
+        larger = f"{abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}"
+        return f"errors {larger} than on the training {self.noun}s" if math.isfinite(gap) else "failed"
+
+    @property
+    def validation(self) -> str:
+        result = self._known
+        if result.validation_cost is None or not self.gap:
+            return ""
+        on = count_of(len(result.validation_drives), f"validation {self.noun}")
+        return f"cost {result.validation_cost:.4f} on {on} ({self.gap})"
+
+    @property
+    def drifts(self) -> Table | None:
+        """Drifts without fixes, if they were measured."""
+        durations = [drive.duration_s or 0.0 for drive in self.data]
+        return drift_table(self.forecasts, durations) if self.forecasts else None
+
+    @property
+    def larger_drifts(self) -> list[str]:
+        """A sentence for each method that drifts less than the tuned filter."""
+        return larger_drifts(self.forecasts)
+
+    def parameters(self, caption: str = "") -> Table:
+        """Return the table of all parameters, with the range in which the cost increases by less than 1%."""
+        ranges = self.within_1_percent_of_the_cost
+        touched = {
+            bound.parameter: bound.place for bound in (self.result.touched_bounds if self.result else ())
+        }
+        rows: list[tuple[Cell, ...]] = []
+        model = str(self.filter.get("model"))
+        for name, value, unit, density in self._values():
+            if self.filter.get("kind") == "ekf" and name in SIGMA_POINTS:
+                continue
+            low, high = ranges.get(searched_name(name, ranges, model), (None, None))
+            place = touched.get(searched_name(name, touched, model), "")
+            if (low, high) == ("-", "-"):
+                place = "no effect within the bounds"
+            remark = "; ".join(filter(None, (PARAMETER_MEANINGS.get(name, ""), place)))
+            rows.append((name, value, unit, _end(low), _end(high), density, remark))
+        if NOISE_SCALE in ranges:
+            ends = map(_end, ranges[NOISE_SCALE])
+            rows.append((NOISE_SCALE, 1.0, "", *ends, "", "one factor on all noise variances"))
+        titles = ("parameter", "value", "unit", "from", "to", "density", "remark")
+        return Table(caption, tuple(map(Column, titles)), tuple(rows))
+
+    def _values(self) -> Iterator[tuple[str, Cell, str, str]]:
+        """Yield name, value, unit and density of each number of the filter."""
+        units = self.units
+        names = {
+            "process_noise": [f"q_{state}" for state in units.get("states", [])],
+            "measurement_noise": ["r_x", "r_y"],
+            "bias_std": ["accel_bias_std", "gyro_bias_std"],
+        }
+        for key, value in self.filter.items():
+            unit = units.get(key, "")
+            if not isinstance(value, list):
+                yield key, value, unit if isinstance(unit, str) else "", ""
+                continue
+            for i, entry in enumerate(value):
+                name = dict(enumerate(names.get(key, []))).get(i, f"{key}[{i}]")
+                one = unit if isinstance(unit, str) else unit[i] if i < len(unit) else ""
+                density = self.densities.get(name.removeprefix("q_"), "") if name.startswith("q_") else ""
+                yield name, entry, one, density
+
+
+def _end(end: End | None) -> Cell:
+    return "at the bound" if end == "-" else end
 
 
 def tuning_file(path: Path) -> Path:

@@ -24,11 +24,10 @@ from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, 
 from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
 from sigmaswarm.tuning.diagnostics import DriftComparison
 from sigmaswarm.tuning.objectives import parse_objective
-from sigmaswarm.tuning.record import NOT_VALIDATED, TuningRecord, training_data_of, tuning_file
+from sigmaswarm.tuning.record import NOT_VALIDATED, RANGES, TuningRecord, training_data_of, tuning_file
 from sigmaswarm.tuning.search import Trial, saved_trials
 from sigmaswarm.tuning.sensitivity import MAX_INCREASE, NOISE_SCALE, Sensitivity
 from sigmaswarm.tuning.space import SCALING, search_space
-from sigmaswarm.tuning.view import RANGES, TuningView
 from sigmaswarm.versions import versions
 from sigmaswarm.wording import count_of, sort_remarks, to_do
 
@@ -216,18 +215,18 @@ class Tuning(Generic[P]):
         return TuningRecord.model_validate(self.to_dict())
 
     def __repr__(self) -> str:
-        view, given = TuningView(self.record), getattr(self.config, "use", None)
+        record, given = self.record, getattr(self.config, "use", None)
         sources = "" if given is None else f" with {', '.join(given) or 'position fixes alone'}"
-        lines = [view.headline, f"filter: {view.filter}{sources}, {len(self.trial_costs)} trial(s)"]
+        lines = [record.headline, f"filter: {record.called}{sources}, {len(self.trial_costs)} trial(s)"]
         if isinstance(self.config, ModelTuneConfig):
-            units = self.record.units
+            units = record.units
             values = (
                 f"{k} {notebook.number(x)} {units.get(k, '')}" for k, x in self._filter()["filter"].items()
             )
             lines.append("parameters: " + ", ".join(value.strip() for value in values))
-        lines += filter(None, [view.validation])
-        if drifts := view.drifts:
-            lines += [f"{drifts.caption}:", drifts.to_text(), *view.larger_drifts]
+        lines += filter(None, [record.validation])
+        if drifts := record.drifts:
+            lines += [f"{drifts.caption}:", drifts.to_text(), *record.larger_drifts]
         remarks = self.remarks
         lines += remarks[:SHOWN_REMARKS]
         if (more := len(remarks) - SHOWN_REMARKS) > 0:
@@ -235,8 +234,7 @@ class Tuning(Generic[P]):
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        view = TuningView(self.record)
-        table = view.parameters(f"{view.headline}. {RANGES}")
+        table = self.record.parameters(f"{self.record.headline}. {RANGES}")
         return table.to_html() + notebook.html_list("Warnings:", self.remarks)
 
     def save(self, path: str | Path) -> None:
