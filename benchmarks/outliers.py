@@ -29,7 +29,7 @@ from sigmaswarm import (
     split_time,
     tune,
 )
-from sigmaswarm.filters import student
+from sigmaswarm.filters import constants
 from sigmaswarm.scoring.batch import BatchScorer, PassOptions
 from sigmaswarm.scoring.score import negative_log_t, score_raw_gps
 from sigmaswarm.simulation import with_outliers
@@ -39,9 +39,9 @@ OPTIONS: dict[str, tuple[str, ...]] = {"none": (), "gate": ("gate",), "robust": 
 OBJECTIVES = ("truth-pose", "innovation-nll", "innovation-t")
 SCALES = {
     "innovation-nll (Gaussian)": None,
-    "innovation-t, v = 4, c = 2.907": (student.INNOVATION_DOF, student.INNOVATION_SCALE),
+    "innovation-t, v = 4, c = 2.907": (constants.INNOVATION_DOF, constants.INNOVATION_SCALE),
     "v = c = 4": (4.0, 4.0),
-    "forecast-t, v = 8, c = 6.610": (student.FORECAST_DOF, student.FORECAST_SCALE),
+    "forecast-t, v = 8, c = 6.610": (constants.FORECAST_DOF, constants.FORECAST_SCALE),
     "v = c = 8": (8.0, 8.0),
 }
 

@@ -22,7 +22,7 @@ from sigmaswarm.drives.drive import Drive, Odometer
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.timeline import N_STEP, Timeline
-from sigmaswarm.filters import packing, requirements, starts
+from sigmaswarm.filters import packing, starts
 from sigmaswarm.filters.compiled import layout, run
 from sigmaswarm.filters.compiled.layout import R
 from sigmaswarm.filters.compiled.single import single_step, take_step
@@ -61,7 +61,7 @@ def wheels_at(timeline: Timeline) -> np.ndarray:
 
 def some_steps(timeline: Timeline, sets: Sequence[FilterParameters], n: int) -> set[int]:
     """Of each kind of step n, spread over the drive; and the longest one with all that follows for a second."""
-    flags = events.events_of(timeline, requirements.measured_by(sets[0])).flags
+    flags = events.events_of(timeline, starts.measured_by(sets[0])).flags
     bits = (events.FIX, events.LATERAL, events.STANDSTILL, events.ODOMETER)
     kinds = [flags == events.IMU, *(flags & bit != 0 for bit in bits)]
     chosen: set[int] = set()
@@ -215,7 +215,7 @@ def compiled_against_extended(
 ) -> Stepwise:
     """The compiled filter runs over the drive; the oracle takes some of its steps (all by default) beside it."""
     compiled, oracle = CompiledCars(timeline, initial, sets), ExtendedCar(timeline, sets)
-    flags = events.events_of(timeline, requirements.measured_by(sets[0])).flags
+    flags = events.events_of(timeline, starts.measured_by(sets[0])).flags
     found: dict[str, list[np.ndarray]] = {field.name: [] for field in fields(Stepwise)}
     since = 0.0
     for i, fix in steps_with_fixes(timeline, until):
@@ -293,7 +293,7 @@ def textbook_against_filterpy(
     until: int | None = None,
 ) -> Stepwise:
     """FilterPy runs over the drive; the textbook's filter takes some of its steps (all by default) beside it."""
-    flags, per_set = events.events_of(timeline, requirements.measured_by(sets[0])).flags, []
+    flags, per_set = events.events_of(timeline, starts.measured_by(sets[0])).flags, []
     for p in sets:
         theirs = FilterPyCar(timeline, p, theta_first=theta_first, redraw=redraw)
         theirs.restart(*starts.start_of(initial, p))

@@ -19,7 +19,7 @@ from sigmaswarm.filters.run import Estimate, run_filter, run_textbook
 from sigmaswarm.filters.textbook import ExtendedKalmanFilter
 from sigmaswarm.filters.textbook.adaptive import FuzzyNoise
 from sigmaswarm.filters.textbook.car import TextbookCar
-from sigmaswarm.filters.textbook.ekf import complex_step
+from sigmaswarm.filters.textbook.kalman import complex_step
 from sigmaswarm.tuning.batch import run_batch
 from support import DRIVES, make_drive, needs_shared, quickly, sparse, timeline_of
 

@@ -27,7 +27,7 @@ from sigmaswarm.filters.run import run_filter, run_innovations, run_textbook
 from sigmaswarm.filters.smoothing import smooth
 from sigmaswarm.filters.starts import start_of
 from sigmaswarm.filters.textbook.car import TextbookCar
-from sigmaswarm.filters.textbook.ekf import complex_step
+from sigmaswarm.filters.textbook.kalman import complex_step
 from support import quickly, sparse
 
 ERROR: dict[str, Any] = {"fix_error": 1.3, "fix_error_time": 2.0, "fix_std": 0.8}

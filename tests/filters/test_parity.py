@@ -25,8 +25,8 @@ from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.models import gps_position, planar5
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass, Targets, run_passes
-from sigmaswarm.filters.requirements import measured_by
 from sigmaswarm.filters.run import run_filter, run_textbook
+from sigmaswarm.filters.starts import measured_by
 from sigmaswarm.filters.textbook import SigmaPoints, UnscentedKalmanFilter
 from sigmaswarm.geodesy import wrap_angle
 from stepwise import (

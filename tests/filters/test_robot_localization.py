@@ -29,9 +29,9 @@ from sigmaswarm.filters.packing import pack_states, state_estimate, unpack_state
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import run_steps, start_passes
 from sigmaswarm.filters.presets import baseline
-from sigmaswarm.filters.requirements import measured_by
 from sigmaswarm.filters.run import run_filter, run_textbook, whole_pass
 from sigmaswarm.filters.smoothing import smooth
+from sigmaswarm.filters.starts import measured_by
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.targets import tracking_pass
 from sigmaswarm.tuning.result import Tuning

@@ -12,10 +12,10 @@ from sigmaswarm.filters.kernel_array import (
     MAX_CACHED_STARTS,
     MAX_STARTS,
     KernelArray,
+    ParameterTable,
     _shared_starts,
 )
 from sigmaswarm.filters.names import FilterKind, ModelName
-from sigmaswarm.filters.parameter_table import ParameterTable
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import run_passes
 from sigmaswarm.scoring.targets import tracking_pass

@@ -6,7 +6,7 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.robot_yaml import MIN_VARIANCE
-from sigmaswarm.filters.textbook.ekf import complex_step
+from sigmaswarm.filters.textbook.kalman import complex_step
 from sigmaswarm.geodesy import wrap_angle
 
 NAME = "robot-localization"

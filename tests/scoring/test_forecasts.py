@@ -15,7 +15,7 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.outages import balanced_windows, hidden_fixes
 from sigmaswarm.drives.prepared import prepare_drive
-from sigmaswarm.filters import student
+from sigmaswarm.filters import constants
 from sigmaswarm.filters.models import gps_position
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter, run_innovations
@@ -76,8 +76,8 @@ def scale_of(dof: float) -> float:
     ("dof", "scale", "rounded"),
     quickly(
         [
-            (student.INNOVATION_DOF, student.INNOVATION_SCALE, 2.907),
-            (student.FORECAST_DOF, student.FORECAST_SCALE, 6.610),
+            (constants.INNOVATION_DOF, constants.INNOVATION_SCALE, 2.907),
+            (constants.FORECAST_DOF, constants.FORECAST_SCALE, 6.610),
         ],
         lambda dof, scale, rounded: rounded == 6.610,
     ),

@@ -49,7 +49,7 @@ class Events(NamedTuple):
 
 
 def events_of(line: Timeline, used: Set[str]) -> Events:
-    """Return the events of a filter that uses the measurements ``used``, see `filters.requirements.measured_by`.
+    """Return the events of a filter that uses the measurements ``used``, see `filters.starts.measured_by`.
 
     With "ay" (robot-localization, which has no standstill update), the bit STANDSTILL marks samples whose lateral
     acceleration is fused.

@@ -19,7 +19,7 @@ from sigmaswarm.exports.c_names import STATES
 from sigmaswarm.exports.c_text import with_constants
 from sigmaswarm.exports.features import context_of, fill, in_range, with_definitions
 from sigmaswarm.exports.lanes import Lanes
-from sigmaswarm.filters import requirements
+from sigmaswarm.filters import starts
 from sigmaswarm.filters.compiled.layout import CONSTANTS
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.models import MODELS, CarModel
@@ -117,7 +117,7 @@ def _context(
         "fixes": 64,  # 6.4 s at 10 Hz
     }
     context |= c_kernels.kernels_of(parameters, context)
-    context |= c_rules.rules_of(context, events.bits_of(requirements.measured_by(parameters)))
+    context |= c_rules.rules_of(context, events.bits_of(starts.measured_by(parameters)))
     return context | c_alignment.alignment_of(biases=context["biases"], tilted=context["tilted"])
 
 
@@ -145,7 +145,7 @@ def replay_events(
     AlignmentError
         If the filter's initial state cannot be computed from the drive.
     """
-    requirements.require_axes(drive, model)
+    starts.require_axes(drive, model)
     initial, imu = initial_state(drive, as_recorded=as_recorded), drive.imu
     start = [initial.time, *drive.lever_arm, *initial.mean, *initial.covariance.ravel()]
     axes = ["ax", "ay", "gz"]

@@ -9,7 +9,7 @@ from sigmaswarm.drives import events, tilt_evidence
 from sigmaswarm.exports.c_emitter import Elements, Emitter
 from sigmaswarm.exports.c_functions import Function
 from sigmaswarm.exports.c_names import FIX_ERROR, PARAMETERS, STATES
-from sigmaswarm.filters import constants, fuzzy, student
+from sigmaswarm.filters import constants
 from sigmaswarm.filters.compiled import (
     adaptive,
     lanes,
@@ -26,7 +26,7 @@ from sigmaswarm.filters.kernels import FILTERS
 from sigmaswarm.filters.models import MEASURED, NOISE_OF
 from sigmaswarm.filters.parameters import FilterParameters
 
-MODULES = lanes, vehicle, constants, tilt_evidence, fuzzy, student, live, swarm
+MODULES = lanes, vehicle, constants, tilt_evidence, live, swarm
 """Modules with constants of the kernels and the template."""
 EVENTS = ("FIX", *map(str.upper, MEASURED))
 """Names of the bits of `drives.events` in C. An exported filter defines only those that its features use."""

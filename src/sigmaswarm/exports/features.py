@@ -9,7 +9,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters import requirements
+from sigmaswarm.filters import starts
 from sigmaswarm.filters.models import MEASURED, MODELS, NOISE_OF, SENSORS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.versions import __version__
@@ -17,7 +17,7 @@ from sigmaswarm.versions import __version__
 
 def features_of(p: FilterParameters) -> dict[str, bool]:
     """Return the features on which templates depend, by name: True if the filter has the feature."""
-    measured = requirements.measured_by(p)
+    measured = starts.measured_by(p)
     lateral, stands, wheels = (name in measured for name in ("lateral", "standstill", "odometer"))
     gate, robust = p.gate is not None, p.robust_dof is not None
     adaptive, tracking, rules = (p.kind == f"{kind}-ukf" for kind in ("adaptive", "strong-tracking", "fuzzy"))

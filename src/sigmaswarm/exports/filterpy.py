@@ -25,9 +25,9 @@ from sigmaswarm.drives import (
     timeline,
 )
 from sigmaswarm.exports.features import context_of, fill
-from sigmaswarm.filters import constants, fuzzy, models, requirements, student
+from sigmaswarm.filters import constants, models, starts
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.textbook import adaptive, car, ekf, gaussian, ukf
+from sigmaswarm.filters.textbook import adaptive, car, kalman
 
 FILE = "run_filter.py"
 _ABSENT = ("imu_noise", "imu_gate", "fix_error", "fix_error_time", "fix_std")
@@ -38,15 +38,12 @@ MODEL = {
 }
 """Names that the script contains, by module; an empty text means all. FILTER and DRIVE have the same form."""
 FILTER = {
-    gaussian: "Innovation Prediction GaussianFilter",
-    ekf: "complex_step",
-    ukf: "NotPositiveDefiniteError square_root",
-    fuzzy: "",
-    student: "ITERATIONS OUTLYING OUTLIERS OUTLIERS_SPAN",
-    adaptive: "",
+    kalman: "Innovation Prediction GaussianFilter complex_step NotPositiveDefiniteError square_root",
     constants: "STANDSTILL_RATE_NOISE SLIP_GATE HEADING_GATE MOST_REJECTED GAP_TURN_STD GAP_ACCELERATION_STD "
-    "GAP_TILT_STD gap_covariance process_noise_per_step",
-    requirements: "require_accuracy require_odometer",
+    "GAP_TILT_STD gap_covariance process_noise_per_step ITERATIONS OUTLYING OUTLIERS OUTLIERS_SPAN LARGEST_RATIO "
+    "SLOWER",
+    adaptive: "",
+    starts: "require_accuracy require_odometer",
     car: "Car",
 }
 DRIVE = {
@@ -70,7 +67,7 @@ def filterpy(parameters: FilterParameters, interval: float, *, as_recorded: bool
     context = {
         "as_recorded": as_recorded,
         "parameters": "\n".join(listed),
-        "measured": sorted(requirements.measured_by(p)),
+        "measured": sorted(starts.measured_by(p)),
         "model_source": _sources_of(MODEL),
         "filter_source": _sources_of(FILTER),
         "drive_source": _sources_of(DRIVE),

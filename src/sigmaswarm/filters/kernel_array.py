@@ -1,13 +1,13 @@
-"""Parameter sets as columns of the compiled kernel's array: their constants, starts and sums.
+"""Many parameter sets as columns: of a table of numbers, and of the array of the kernel (constants, starts, sums).
 
-A kernel call takes 0.2 ms. Python code for each drive and block of columns would take longer and keep other threads
-waiting, so all sets and drives are processed together.
+Building one object per set takes as long as running the filters. A kernel call takes 0.2 ms. Python code for each drive
+and block of columns would take longer and keep other threads waiting, so all sets and drives are processed together.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,15 +28,77 @@ from sigmaswarm.filters.compiled.layout import (
     lanes_for,
     most_lanes,
 )
-from sigmaswarm.filters.constants import STANDSTILL_RATE_NOISE
+from sigmaswarm.filters.constants import OUTLIERS_SPAN, STANDSTILL_RATE_NOISE
 from sigmaswarm.filters.kernels import FILTERS
 from sigmaswarm.filters.models import NOISE_OF, THETA
 from sigmaswarm.filters.packing import RESULT_SUMS, pack_states, sound_columns
-from sigmaswarm.filters.parameter_table import ParameterTable
-from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.requirements import measured_by
-from sigmaswarm.filters.starts import start_std, starts_of
-from sigmaswarm.filters.student import OUTLIERS_SPAN
+from sigmaswarm.filters.parameters import FilterParameters, described
+from sigmaswarm.filters.starts import measured_by, start_std, starts_of
+
+_ABSENT: dict[str, float] = described("absent")
+"""Number that represents None in a column, for each field that may be None."""
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterTable(Sequence[FilterParameters]):
+    """Parameter sets with the same model and measurements; indexing builds a `FilterParameters`.
+
+    ``like`` contains the fields that are equal in all ``size`` = n sets; ``columns`` contains the other fields, (n,) or
+    (n, k).
+    """
+
+    like: FilterParameters
+    columns: dict[str, NDArray[Any]]
+    size: int
+
+    @classmethod
+    def of(cls, parameter_sets: Sequence[FilterParameters]) -> "ParameterTable":
+        if isinstance(parameter_sets, ParameterTable):
+            return parameter_sets
+        columns = dict[str, NDArray[Any]]()
+        for name, first in vars(parameter_sets[0]).items():
+            values = [getattr(p, name) for p in parameter_sets]
+            if any(value is not first and value != first for value in values):
+                columns[name] = np.array([_ABSENT[name] if value is None else value for value in values])
+        return cls(parameter_sets[0], columns, len(parameter_sets))
+
+    def field(self, name: str) -> Any:
+        """Return the values of a field, (n,) or (n, k), or the shared value; None becomes inf or 0."""
+        if name in self.columns:
+            return self.columns[name]
+        value = getattr(self.like, name)
+        return _ABSENT[name] if value is None else value
+
+    def column(self, name: str) -> Array:
+        """Return `field` for each set, (n,) or (n, k)."""
+        value = np.asarray(self.field(name), dtype=np.float64)
+        return value if name in self.columns else np.repeat(value[np.newaxis], self.size, axis=0)
+
+    def __len__(self) -> int:
+        return self.size
+
+    @overload
+    def __getitem__(self, at: int) -> FilterParameters: ...
+    @overload
+    def __getitem__(self, at: slice) -> "ParameterTable": ...
+    def __getitem__(self, at: int | slice) -> "FilterParameters | ParameterTable":
+        places = range(self.size)[at]
+        part = {name: column[at] for name, column in self.columns.items()}
+        if isinstance(places, range):
+            return ParameterTable(self.like, part, len(places))
+        values = {name: value.tolist() for name, value in part.items()}
+        return replace(self.like, **{k: None if v == _ABSENT.get(k) else v for k, v in values.items()})
+
+
+def group_tables(parameter_sets: Sequence[FilterParameters]) -> list[tuple[Indices, ParameterTable]]:
+    """Return a table for each kernel and choice of measurements, and the indices of its sets."""
+    if isinstance(parameter_sets, ParameterTable):
+        return [(np.arange(len(parameter_sets)), parameter_sets)]
+    alike: dict[tuple[str, frozenset[str]], list[int]] = {}
+    for i, p in enumerate(parameter_sets):
+        alike.setdefault((p.kernel, measured_by(p)), []).append(i)
+    return [(np.array(at), ParameterTable.of([parameter_sets[i] for i in at])) for at in alike.values()]
+
 
 Starts = dict[InitialState, tuple[Array, Array]]
 """Initial state rows (N_STATE, columns) and headings (columns,), rad; a single column if all sets have the same start.

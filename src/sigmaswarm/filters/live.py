@@ -30,11 +30,11 @@ from sigmaswarm.filters.divergence import (
 )
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.kernels import FILTERS
-from sigmaswarm.filters.lagged import FixedLag
 from sigmaswarm.filters.models import MODELS, THETA, require_driven_by_imu
 from sigmaswarm.filters.packing import state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.requirements import measured_by
+from sigmaswarm.filters.smoothing import FixedLag
+from sigmaswarm.filters.starts import measured_by
 from sigmaswarm.geodesy import wrap_angle
 
 MAX_RESTARTS = 1000  # largest number of times in `LiveFilter.restarts`

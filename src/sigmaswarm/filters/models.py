@@ -221,7 +221,7 @@ class CarModel:
     tilts: Tilts | None = None  # None: planar
     measures_imu: bool = False
     options: tuple[str, ...] | None = None  # supported measurements and features; None: all
-    fix_error: bool = False  # the last two states are the correlated fix error: see `fix_error`
+    fix_error: bool = False  # the last two states are the correlated fix error: see `kernels`
     filter_types: tuple[FilterKind, ...] = ("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf")
 
     @property

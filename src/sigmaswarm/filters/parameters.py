@@ -94,11 +94,11 @@ class FilterParameters:
     kind : {"ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"}
         In this order: unscented; extended; unscented with Q and R adapted to the innovations (Sage and Husa 1969);
         unscented with a fading factor (Zhou and Frank 1996); unscented with Q and R scaled by fuzzy rules
-        (`filters.fuzzy`).
+        (`textbook.adaptive.FuzzyNoise`).
     forgetting : float
         Forgetting factor per fix of an adaptive, strong tracking or fuzzy filter, in (0, 1).
     fuzzy_widths : tuple of float, length 2
-        Ratio and trend (see `filters.fuzzy`) at which "large" and "rises" reach membership 1.
+        Ratio and trend (see `FuzzyNoise`) at which "large" and "rises" reach membership 1.
     fuzzy_gains : tuple of float, length 2
         Largest factors (and divisors) that a fuzzy filter's rules apply to R and Q; at least 1.
     bias_std : tuple of float, length 2
@@ -137,7 +137,7 @@ class FilterParameters:
         receiver states. None: R is ``measurement_noise``.
     fix_error : float or None
         Ratio g: variance of the correlated fix error, divided by the stated variance of a fix or, if none is stated, by
-        ``fix_std`` squared: see `filters.fix_error`. None: errors of fixes are independent.
+        ``fix_std`` squared: see `filters.kernels`. None: errors of fixes are independent.
     fix_error_time : float
         Time constant of the correlated fix error, s.
     fix_std : float

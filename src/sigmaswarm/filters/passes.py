@@ -14,11 +14,10 @@ from sigmaswarm.drives.events import COMPARED, events_of
 from sigmaswarm.drives.tables import Indices, Mask
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled import run
-from sigmaswarm.filters.kernel_array import KernelArray, KernelSums
+from sigmaswarm.filters.kernel_array import KernelArray, KernelSums, group_tables
 from sigmaswarm.filters.names import ModelName
-from sigmaswarm.filters.parameter_table import group_tables
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.requirements import require_accuracy, require_axes, require_odometer
+from sigmaswarm.filters.starts import require_accuracy, require_axes, require_odometer
 
 
 @dataclass(frozen=True, eq=False)

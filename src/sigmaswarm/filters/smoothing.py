@@ -1,11 +1,12 @@
-"""Smooth the estimates of compiled filters (Rauch, Tung and Striebel).
+"""Smooth the estimates of compiled filters (Rauch, Tung and Striebel): over a drive, or with a fixed lag.
 
 The forward pass logs its steps, and the backward pass smooths this log: see `compiled.smoothing`. Fixes have the
 weights of the forward pass, and rejected fixes stay rejected.
 
-To save memory, the forward pass stores only a checkpoint before each piece of the drive. The backward pass runs the
-filter again from each checkpoint, beginning with the last, and stores the smoothed state only at the checkpoints. A
-third pass smooths each piece again, from the first to the last, and returns the estimates in order of time.
+To save memory, the forward pass over a drive stores only a checkpoint before each piece of the drive. The backward pass
+runs the filter again from each checkpoint, beginning with the last, and stores the smoothed state only at the
+checkpoints. A third pass smooths each piece again, from the first to the last, and returns the estimates in order of
+time.
 """
 
 from collections.abc import Iterator
@@ -22,17 +23,21 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.events import IMU
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.tables import Indices, Mask
+from sigmaswarm.filters.compiled import live
+from sigmaswarm.filters.compiled.layout import N_KEPT, state_rows
+from sigmaswarm.filters.compiled.memory import LiveArrays
 from sigmaswarm.filters.compiled.run import NEXT_STEP, NO_INNOVATIONS, logging_kernel
+from sigmaswarm.filters.compiled.single import single_step
 from sigmaswarm.filters.compiled.smoothing import smooth_back
-from sigmaswarm.filters.compiled.step_log import logged_rows
+from sigmaswarm.filters.compiled.transition import logged_rows
 from sigmaswarm.filters.divergence import DivergenceMonitor
 from sigmaswarm.filters.filter_run import EstimateChunk, FilterRun
 from sigmaswarm.filters.models import THETA, require_driven_by_imu
 from sigmaswarm.filters.packing import state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass, require_readable
-from sigmaswarm.filters.requirements import measured_by
 from sigmaswarm.filters.run import Estimate, estimate_of, whole_pass
+from sigmaswarm.filters.starts import measured_by
 from sigmaswarm.geodesy import wrap_angle
 
 
@@ -210,3 +215,56 @@ class SmootherRun:
         mean, covariance = state_estimate(states.T, self._kernel)
         mean[:, THETA] = wrap_angle(mean[:, THETA])
         return mean, covariance
+
+
+LAG_ROUNDING = 1e-6  # s, largest rounding error of a lag
+N_LOGGED = live.N_ALL
+"""Index of the number of logged steps; this number is stored after the state of a live filter, before the log."""
+STEP_LOG = N_LOGGED + 1
+
+
+class FixedLag:
+    """Fixed-lag smoother of a live filter: it processes the last samples again, logs their steps, and smooths the log.
+
+    ``lag`` is in s; ``arrays`` belong to the live filter; ``most_steps`` is the largest number of logged steps.
+    """
+
+    def __init__(self, kernel: str, lag: float, arrays: LiveArrays, *, most_steps: int) -> None:
+        self._kernel, self._lag = kernel, lag
+        self._state, self._width = state_rows(kernel), len(logged_rows(kernel))
+        self._filter_state = np.zeros(STEP_LOG + most_steps * self._width)
+        self._step = single_step(kernel, N_LOGGED)
+        nothing = np.zeros((0, len(self._state)))
+        self._no_starts = np.zeros(0, dtype=np.int64), nothing
+        self._out = nothing
+        self._replay(arrays, 0)  # compile now, so that no sample waits for the compiler
+        self._back(np.zeros((0, self._width)), np.zeros(len(self._state)), np.zeros(len(self._state)))
+
+    def smoothed(self, arrays: LiveArrays) -> tuple[float, Array]:
+        """Return the time (s) and the rows (n_rows,) of the smoothed state."""
+        filter_state, counts, history = arrays.filter_state, arrays.counts, arrays.history
+        now, kept = float(filter_state[live.TIME]), int(counts[live.N_HISTORY])
+        order = (int(counts[live.OLDEST]) + np.arange(kept)) % len(history)
+        # The state before a sample is the state after the previous sample.
+        moments = history[order, live.TIME]
+        first = int(np.searchsorted(moments, now - self._lag + LAG_ROUNDING, side="right")) - 1
+        if not kept:
+            return now, filter_state[self._state]
+        first = max(first, 0)
+        before = history[order[first], : live.N_FILTER_STATE]
+        v = self._filter_state
+        v[: len(filter_state)] = filter_state  # for the settings; the next line replaces the state
+        v[: live.N_FILTER_STATE] = before
+        v[N_LOGGED] = 0.0
+        self._replay(arrays, first)
+        step_log = v[STEP_LOG : STEP_LOG + int(v[N_LOGGED]) * self._width].reshape(-1, self._width)
+        return float(moments[first]), self._back(step_log, before[self._state], v[:N_KEPT][self._state])
+
+    def _replay(self, arrays: LiveArrays, first: int) -> None:
+        own = arrays._replace(filter_state=self._filter_state, step=self._step.address)
+        live.replay_call()(own, first, False)
+
+    def _back(self, step_log: Array, start: Array, behind: Array) -> Array:
+        sampled = np.zeros(len(step_log), dtype=np.bool_)
+        smooth_back(self._kernel, step_log, start, *self._no_starts, sampled, behind, self._out)
+        return behind

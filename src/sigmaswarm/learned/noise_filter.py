@@ -18,6 +18,9 @@ from sigmaswarm.drives.timeline import AX, AY, DT, GAP, GZ, Q_SCALE
 from sigmaswarm.filters.constants import (
     GAP_ACCELERATION_STD,
     GAP_TURN_STD,
+    INNOVATION_DOF,
+    INNOVATION_SCALE,
+    ITERATIONS,
     MOST_REJECTED,
     STANDSTILL_RATE_NOISE,
     process_noise_per_step,
@@ -25,8 +28,7 @@ from sigmaswarm.filters.constants import (
 from sigmaswarm.filters.models import GYRO_BIAS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass
-from sigmaswarm.filters.requirements import measured_by
-from sigmaswarm.filters.student import INNOVATION_DOF, INNOVATION_SCALE, ITERATIONS
+from sigmaswarm.filters.starts import measured_by
 from sigmaswarm.learned.fitting import gru
 from sigmaswarm.learned.noise_gru import features_of, log_scales, nis_of
 
@@ -194,7 +196,7 @@ def run(settings: FilterConstants, weights: Any, mean: Any, covariance: Any, col
 def innovation_loss(settings: FilterConstants, innovations: Any) -> tuple[Any, Any]:
     """Return the sum of the fixes' negative log-likelihoods, nats, and the number of fixes.
 
-    The likelihood is Student's t for a robust filter (see `student`), otherwise Gaussian.
+    The likelihood is Student's t for a robust filter (see `constants`), otherwise Gaussian.
     """
     fixed = innovations[..., 5]
     nis, det = nis_of(innovations[..., :2], innovations[..., 2:5])

@@ -17,11 +17,11 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.outages import hidden_fixes, random_windows
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
+from sigmaswarm.filters.constants import FORECAST_DOF, FORECAST_SCALE
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass, Targets
 from sigmaswarm.filters.run import whole_pass
 from sigmaswarm.filters.smoothing import SmootherRun
-from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE
 from sigmaswarm.learned.displacements import body_displacement
 from sigmaswarm.learned.fitting import VALIDATION_SHARE, Examples, Loss, Settings, TrainingProblem
 from sigmaswarm.learned.outage_lstm import (

@@ -19,11 +19,10 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepare_drive
 from sigmaswarm.drives.tables import Indices, Mask
 from sigmaswarm.filters.compiled.layout import WIDEST, most_lanes
-from sigmaswarm.filters.kernel_array import KernelArray, KernelSums
-from sigmaswarm.filters.parameter_table import group_tables
+from sigmaswarm.filters.constants import INNOVATION_DOF
+from sigmaswarm.filters.kernel_array import KernelArray, KernelSums, group_tables
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass, run_array
-from sigmaswarm.filters.student import INNOVATION_DOF
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, forecast_pass, outage_pass, tracking_pass
 

@@ -15,7 +15,7 @@ from sigmaswarm.datasets.cluster import CachedDrive, apply_to_each
 from sigmaswarm.datasets.dataset import Dataset
 from sigmaswarm.datasets.remote import RemoteDataset, results_in_order
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.filters.parameter_table import ParameterTable
+from sigmaswarm.filters.kernel_array import ParameterTable
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.batch import BatchScorer, PassOptions, Scores
 

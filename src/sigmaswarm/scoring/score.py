@@ -153,7 +153,7 @@ def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: floa
 
     The value is ln 2 pi + ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c), shape (f,), where v is ``dof`` and c is
     ``scale``. Innovations have shape (f, 2), m, and S has shape (f, 2, 2), m2. With c = v, this is Student's t in two
-    dimensions, up to a constant. For c see `sigmaswarm.filters.student`.
+    dimensions, up to a constant. For c see `sigmaswarm.filters.constants`.
     """
     nis = np.einsum("fi,fi->f", innovation, np.linalg.solve(covariance, innovation[..., None])[..., 0])
     half_log_det = 0.5 * np.log(np.linalg.det(covariance))

@@ -24,7 +24,7 @@ from sigmaswarm.filters.fixes_alone import MotionNoise, fitted_noise
 from sigmaswarm.filters.kernels import kernel_name
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import baseline_of
-from sigmaswarm.filters.requirements import require_named_axes
+from sigmaswarm.filters.starts import require_named_axes
 from sigmaswarm.scoring.batch import Scores
 from sigmaswarm.scoring.remote import AnyBatchScorer
 from sigmaswarm.tuning.batch import check_drives, scorer_for

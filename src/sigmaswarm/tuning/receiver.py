@@ -18,7 +18,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, stated_std
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import DriveError
-from sigmaswarm.filters.parameter_table import ParameterTable
+from sigmaswarm.filters.kernel_array import ParameterTable
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.wording import to_do
 

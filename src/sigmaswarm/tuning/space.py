@@ -12,10 +12,10 @@ import numpy as np
 from sigmaswarm.arrays import Array
 from sigmaswarm.drives.sensors import UNSTATED_GPS_STD
 from sigmaswarm.errors import InputError
+from sigmaswarm.filters.kernel_array import ParameterTable
 from sigmaswarm.filters.kernels import FILTERS, kernel_name
 from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
-from sigmaswarm.filters.parameter_table import ParameterTable
 from sigmaswarm.filters.parameters import SEARCHED, FilterParameters, incompatibility
 from sigmaswarm.filters.presets import HALF_A_WHEELBASE, TYPICAL_VALUES
 from sigmaswarm.tuning.bounds import Bounds, Dimension

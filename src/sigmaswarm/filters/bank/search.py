@@ -38,8 +38,8 @@ from sigmaswarm.filters.compiled.swarm import (
     T_TIME,
     T_WHEELS,
 )
+from sigmaswarm.filters.constants import INNOVATION_DOF
 from sigmaswarm.filters.kernel_array import KernelArray
-from sigmaswarm.filters.student import INNOVATION_DOF
 
 GENERATIONS = 8
 WEIGHT, CROSSOVER = 0.7, 0.9  # F and CR of differential evolution

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from sigmaswarm.compilation import cached
-from sigmaswarm.filters.student import OUTLIERS, OUTLIERS_SPAN
+from sigmaswarm.filters.constants import OUTLIERS, OUTLIERS_SPAN
 
 _TWO_PI = 2 * math.pi
 

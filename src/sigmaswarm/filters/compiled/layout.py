@@ -56,8 +56,8 @@ CONSTANTS = (
     "FUZZY", "WIDTH_RATIO", "WIDTH_TREND", "GAIN_R", "GAIN_Q",  # FUZZY < 0: no fuzzy filter
     "ACCURACY",  # factor of a fix's stated variance in R, 0: not used; a fuzzy filter also writes this row
     "R_HEADING", "R_ODOMETER", "ODOMETER_SCALE", "ODOMETER_LATENCY",  # ODOMETER_SCALE: reciprocal of odometer_scale
-    "DOF", "PATIENCE",  # DOF of Student's t, 0: Gaussian; PATIENCE: `student.OUTLIERS_SPAN` in nominal steps
-    "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",  # g; nominal interval / tau; s^2 if none is stated: see `fix_error`
+    "DOF", "PATIENCE",  # DOF of Student's t, 0: Gaussian; PATIENCE: `constants.OUTLIERS_SPAN` in nominal steps
+    "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",  # g; nominal interval / tau; s^2 if none is stated: see `kernels`
 )  # fmt: skip
 SUMS = (
     "SQ_POSITION", "SQ_HEADING",  # squared errors at the targets, weighted if truth has a variance; m2, rad2
@@ -84,7 +84,7 @@ SCRATCH = (
     "N1", "N2",  # nu
     "G11", "G12", "G22", "USE",  # G = S^-1, or 0 if the fix is rejected (USE = 0)
     "FACTOR",  # inflation factor of P
-    "PHI", "GAINED_X", "GAINED_Y",  # of `fix_error`
+    "PHI", "GAINED_X", "GAINED_Y",  # of the correlated fix error
     "ARM",  # of the lateral constraint: see `models.lateral_arm`
     # Of a prediction: acceleration times dt, its covariance with the state, and its own covariance. Of a fix: the same
     # of the lever arm.
@@ -97,7 +97,7 @@ SCRATCH = (
     *(f"ROOT{k}" for k in range(48)), *(f"PIVOT{k}" for k in range(6)), *(f"SLOPE{k}" for k in range(30)),
     *(f"BEND{k}" for k in range(30)), *(f"SHIFT{k}" for k in range(5)), *(f"EXTRA{k}" for k in range(25)),
     "UPWARD", "POINT_FAR", "POINT_W", "POINT_X", "POINT_Y", "POINT_Z",
-    # Inputs of a smoother: the prediction, and the process's coefficients. See `step_log`.
+    # Inputs of a smoother: the prediction, and the process's coefficients. See `transition`.
     *(f"PRIOR_{name}" for name in (*MEAN, *QUATERNION, *COVARIANCE)), *(f"MOVE{k}" for k in range(26)),
 )  # fmt: skip
 

@@ -11,12 +11,14 @@ import math
 from sigmaswarm.drives.timeline import FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y
 from sigmaswarm.filters.compiled.adaptive import (
     adapt,
+    age_fix_error,
     apply_fuzzy_rules,
     inflate_observed,
+    move_fix_error,
+    observe_fix_error,
     strong_tracking,
     student_t_weight,
 )
-from sigmaswarm.filters.compiled.fix_error import age_fix_error, move_fix_error, observe_fix_error
 from sigmaswarm.filters.compiled.lanes import kernel, sincos, spread_of
 from sigmaswarm.filters.compiled.layout import C1, C2, LANES, SLOPE, P, R
 from sigmaswarm.filters.compiled.tilted12 import (
@@ -44,9 +46,14 @@ from sigmaswarm.filters.compiled.vehicle import (
     update_standstill,
     update_velocity,
 )
-from sigmaswarm.filters.constants import MOST_REJECTED
+from sigmaswarm.filters.constants import (
+    FORECAST_DOF,
+    FORECAST_SCALE,
+    INNOVATION_SCALE,
+    LARGEST_TAIL,
+    MOST_REJECTED,
+)
 from sigmaswarm.filters.kernels import FILTERS, UNSCENTED
-from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE, INNOVATION_SCALE, LARGEST_TAIL
 
 
 def update_fix(w, z, lever, since, *, stores_innovation, gated, adaptive, fix_error, note_prior):
@@ -232,7 +239,7 @@ UPDATES = (
 def measurement_kernels(name: str, note_prior=None, noted=0):
     """Return the functions in `UPDATES` as kernels for the filter ``name``: a dict by function name.
 
-    ``note_prior``: see `step_log`; ``noted``: see `move_fix_error`.
+    ``note_prior``: see `transition`; ``noted``: see `move_fix_error`.
     """
     model, unscented = FILTERS[name], int(name == UNSCENTED)
     ready = {

@@ -17,12 +17,12 @@ from sigmaswarm.drives import alignment, gaps, odometer, stale_fixes, standstill
 from sigmaswarm.drives import events as drive_events
 from sigmaswarm.drives.events import FIX, HIDDEN, IMU, ODOMETER
 from sigmaswarm.drives.timeline import Q_SCALE
-from sigmaswarm.filters import constants, fix_error, fuzzy, kernels, models, student, tilted
+from sigmaswarm.filters import constants, kernels, models, tilted
 from sigmaswarm.filters.compiled.lanes import OPTIONS, exchange_control, kernel
 from sigmaswarm.filters.compiled.layout import LANES, N_KEPT, N_ROWS, R, state_rows
 from sigmaswarm.filters.compiled.memory import new_rows
 from sigmaswarm.filters.compiled.step import step_of
-from sigmaswarm.filters.compiled.step_log import logged_rows
+from sigmaswarm.filters.compiled.transition import logged_rows
 from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.kernels import FILTERS
 
@@ -237,16 +237,13 @@ _ELSEWHERE = (
     alignment,
     constants,
     drive_events,
-    fix_error,
     stale_fixes,
-    fuzzy,
     gaps,
     odometer,
     standstill,
     timeline,
     models,
     kernels,
-    student,
     tilted,
 )
 
@@ -311,7 +308,7 @@ def run_kernel(model):
 
 @call_once
 def logging_kernel(model):
-    """Return a kernel that records `step_log.logged_rows` after each step with the flag IMU."""
+    """Return a kernel that records `transition.logged_rows` after each step with the flag IMU."""
     return _kernel_of(model, partial(step_of, model, noted=True), logged_rows(model), f"{model}, logged")
 
 

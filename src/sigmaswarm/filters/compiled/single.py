@@ -17,7 +17,7 @@ from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, N_KEPT, WIDEST, R,
 from sigmaswarm.filters.compiled.memory import new_rows
 from sigmaswarm.filters.compiled.run import named_by_sources
 from sigmaswarm.filters.compiled.step import step_of
-from sigmaswarm.filters.compiled.step_log import logged_rows
+from sigmaswarm.filters.compiled.transition import logged_rows
 
 _NUMBERS = types.CPointer(float64)
 SIGNATURE = types.void(_NUMBERS, _NUMBERS, int64, _NUMBERS, _NUMBERS, _NUMBERS, float64)

@@ -19,8 +19,7 @@ from sigmaswarm.compilation import call_once
 from sigmaswarm.filters.compiled.lanes import OPTIONS
 from sigmaswarm.filters.compiled.layout import QUATERNION, state_rows
 from sigmaswarm.filters.compiled.run import cached_by_sources
-from sigmaswarm.filters.compiled.step_log import phi_index
-from sigmaswarm.filters.compiled.transition import COEFFICIENTS, TRANSITIONS
+from sigmaswarm.filters.compiled.transition import COEFFICIENTS, TRANSITIONS, phi_index
 from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.kernels import FILTERS, base_model_name
 
@@ -194,7 +193,7 @@ def smooth_back(name, step_log, start, ends, started, sampled, behind, out):
     Parameters
     ----------
     name : name of the kernel of the forward pass
-    step_log : (k, t) `step_log.logged_rows` of each step
+    step_log : (k, t) `transition.logged_rows` of each step
     start : (s,) the filter's `state_rows` before the first step
     ends, started : (a,) int, (a, s) the steps after which the filter was reset, and the states after these resets;
         smoothed states before a reset do not depend on later steps

@@ -4,7 +4,8 @@ from functools import cache
 
 from sigmaswarm.drives.events import COMPARED, FIX, HEADING, HIDDEN, LATERAL, ODOMETER, STANDSTILL, VELOCITY
 from sigmaswarm.drives.timeline import DT, GAP
-from sigmaswarm.filters.compiled import fix_error, robot_localization, step_log
+from sigmaswarm.filters.compiled import robot_localization, transition
+from sigmaswarm.filters.compiled.adaptive import carry_fix_error
 from sigmaswarm.filters.compiled.lanes import kernel
 from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.compiled.measurements import measurement_kernels
@@ -97,7 +98,7 @@ _PREDICTIONS = {
 def step_of(name, *, noted=False):
     """Return the step of the kernel ``name`` for LANES filters, as a function that callers inline.
 
-    ``noted``: True to also write the inputs of a smoother to scratch rows; see `step_log`.
+    ``noted``: True to also write the inputs of a smoother to scratch rows; see `transition`.
     """
     model = FILTERS[name]
     if model.measures_imu:
@@ -105,14 +106,14 @@ def step_of(name, *, noted=False):
     predict, settle = _PREDICTIONS.get(name) or _PREDICTIONS[base_model_name(name)]
     carries = model.fix_error and not model.tilts  # tilted12's prediction also propagates these columns
     biases = int(model.gyro_bias is not None)
-    note_prior = step_log.note_prior(name) if noted else None
+    note_prior = transition.note_prior(name) if noted else None
     return kernel(
         _step,
         predict=predict,
-        carry=kernel(fix_error.carry, n=len(model.states), biases=biases) if carries else None,
+        carry=kernel(carry_fix_error, n=len(model.states), biases=biases) if carries else None,
         settle=settle,
-        note_move=step_log.note_move(name) if noted else None,
+        note_move=transition.note_move(name) if noted else None,
         note_prior=note_prior,
         grow=kernel(_grow, tilted=int(model.tilts is not None)),
-        **measurement_kernels(name, note_prior, step_log.phi_index(name) if noted else 0),
+        **measurement_kernels(name, note_prior, transition.phi_index(name) if noted else 0),
     )

@@ -1,13 +1,19 @@
-"""The transition A of a model's state error in a step, e' = A e, for smoothers and for the prediction of tilted12.
+"""The transition A of a model's state error in a step, e' = A e, and the log of steps for a smoother.
 
 A is the Jacobian of an extended filter, or the statistical linearization Cov(s', s) P^-1 of an unscented filter. The
 latter is the Jacobian with k J g0 (planar5.py) or k J g0 + m t (planar8.py) in place of J g0; see also
-tilted12_unscented.py. Each function returns A e as a tuple. Its coefficients ``f`` are the values of the rows
-`COEFFICIENTS`; they contain the length ``dt`` of the step as a factor.
+tilted12_unscented.py. Smoothers and the prediction of tilted12 use A. Each function of a model returns A e as a tuple.
+Its coefficients ``f`` are the values of the rows `COEFFICIENTS`, with the length ``dt`` of the step as a factor.
+
+The log of a step contains the state, the prediction and the coefficients of A. If a fading factor or a run of outliers
+inflates P, the prediction includes this inflation.
 """
 
-from sigmaswarm.filters.compiled.layout import SLOPE, R
-from sigmaswarm.filters.kernels import UNSCENTED
+import numpy as np
+
+from sigmaswarm.filters.compiled.lanes import kernel
+from sigmaswarm.filters.compiled.layout import LANES, MOVE, PRIOR, SLOPE, R, state_rows
+from sigmaswarm.filters.kernels import FILTERS, UNSCENTED, base_model_name
 from sigmaswarm.filters.tilted import GRAVITY
 
 COEFFICIENTS = {
@@ -71,3 +77,42 @@ def tilted12_unscented(f, dt, e):
 
 
 TRANSITIONS = {"planar5": planar5, "planar8": planar8, "tilted12": tilted12, UNSCENTED: tilted12_unscented}
+
+
+def _moves_of(name):
+    return COEFFICIENTS[base_model_name(name)]
+
+
+def logged_rows(name):
+    """Return the logged rows: updated state, prediction, length of the step, coefficients of A, phi."""
+    state, n_moves = state_rows(name), 1 + len(_moves_of(name)) + FILTERS[name].fix_error
+    return np.array([*state, *(PRIOR + state), *range(MOVE, MOVE + n_moves)], dtype=np.intp)
+
+
+def phi_index(model):
+    """Return the index of phi among the rows MOVE; 0 for a model without phi."""
+    return 1 + len(_moves_of(model)) if FILTERS[model].fix_error else 0
+
+
+def _note_move(w, dt, *, indices, moves, phi):
+    for l in range(LANES):
+        MOVE[0] = dt
+        for i in indices:  # A is the identity in a step of length 0
+            MOVE[1 + i] = w[moves[i]] if dt > 0.0 else 0.0
+        if phi:
+            MOVE[phi] = 1.0  # at a fix, `move_fix_error` replaces it
+
+
+def _note_prior(w, *, state):
+    for l in range(LANES):
+        for row in state:
+            PRIOR[row] = w[row]
+
+
+def note_move(name):
+    return kernel(_note_move, indices=range(len(_moves_of(name))), moves=_moves_of(name), phi=phi_index(name))
+
+
+def note_prior(name):
+    """Return the kernel that logs the prediction: before the updates, and again after a possible inflation of P."""
+    return kernel(_note_prior, state=tuple(int(row) for row in state_rows(name)))

@@ -15,7 +15,7 @@ from sigmaswarm.filters.compiled.custom import build_kernel
 from sigmaswarm.filters.custom.log import FilterSteps, Log, build_steps
 from sigmaswarm.filters.custom.model import SCALING_NAMES, Model, as_covariance, fingerprint
 from sigmaswarm.filters.custom.textbook import TextbookModel
-from sigmaswarm.filters.textbook.ekf import complex_step
+from sigmaswarm.filters.textbook.kalman import complex_step
 from sigmaswarm.filters.textbook.loop import FAILURES, Trajectory, run_steps, smooth_steps
 from sigmaswarm.geodesy import wrap_angle
 

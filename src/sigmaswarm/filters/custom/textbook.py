@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.arrays import Array
+from sigmaswarm.filters.constants import OUTLIERS, OUTLIERS_SPAN
 from sigmaswarm.filters.custom.log import FilterSteps
 from sigmaswarm.filters.custom.model import Model, as_covariance
-from sigmaswarm.filters.student import OUTLIERS, OUTLIERS_SPAN
 from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
-from sigmaswarm.filters.textbook.gaussian import GaussianFilter, Innovation
+from sigmaswarm.filters.textbook.kalman import GaussianFilter, Innovation
 
 
 class TextbookModel:

@@ -5,9 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.filters.fuzzy import LARGEST_RATIO, SLOWER
-from sigmaswarm.filters.student import ITERATIONS, OUTLIERS, OUTLIERS_SPAN, OUTLYING
-from sigmaswarm.filters.textbook.gaussian import GaussianFilter, Innovation
+from sigmaswarm.filters.constants import ITERATIONS, LARGEST_RATIO, OUTLIERS, OUTLIERS_SPAN, OUTLYING, SLOWER
+from sigmaswarm.filters.textbook.kalman import GaussianFilter, Innovation
 
 
 @dataclass
@@ -41,10 +40,28 @@ class SageHusa:
 
 @dataclass
 class FuzzyNoise:
-    """Scale Q and R by fuzzy rules (Takagi and Sugeno 1985) on the innovations of the fixes: see `filters.fuzzy`.
+    """Scale Q and R by fuzzy rules on the innovations of the fixes.
 
-    If the mean of NIS / 2 is small, R and Q are divided by their gains. If the mean is large and rises, R is multiplied
-    by its gain. If the mean is large and does not rise, R and Q are multiplied by their gains.
+    The ratio d of the actual to the theoretical innovation covariance is NIS / 2, on average 1 for a consistent
+    filter. The rules use two moving averages of d over the fixes, quick and slow; the time constant of the slow
+    average is `SLOWER` times that of the quick average. The averages give two inputs in (-1, 1), ``ratio = (quick -
+    1) / (quick + 1)`` and ``trend = (quick - slow) / (quick + slow)``. Piecewise linear functions of ratio and
+    trend, with the widths ``fuzzy_widths``, give the memberships "small", "right", "large" and "rises" between 0
+    and 1. The rules, with the gains g_R and g_Q (``fuzzy_gains``), are
+
+        ratio is small                       R / g_R    Q / g_Q     the covariance is too large
+        ratio is right                       R          Q
+        ratio is large, and rises            R g_R      Q           first R grows,
+        ratio is large, and does not rise    R g_R      Q g_Q       later also Q
+
+    The factors of R and Q are the means of the consequents, weighted by the memberships of the rules, which sum to
+    1. This is the inference of T. Takagi and M. Sugeno (Fuzzy identification of systems and its applications to
+    modeling and control, IEEE Trans. SMC 15(1), 1985) of order zero, with the product for "and". The ratio follows
+    P. J. Escamilla-Ambrosio and N. Mort, Hybrid Kalman filter-fuzzy logic adaptive multisensor data fusion
+    architectures, CDC 2003. The rules, the membership functions and the two averages are our own.
+
+    The ratio is computed from S before the update. The update uses the new R, and the next predictions use the new
+    Q. With gains of 1 the filter equals the unscented filter.
     """
 
     tuned_process_noise: Array  # (n,), diagonal of Q per nominal step at a ratio of 1

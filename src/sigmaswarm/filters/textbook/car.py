@@ -9,7 +9,6 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.events import FIX, HEADING, LATERAL, ODOMETER, STANDSTILL, VELOCITY, events_of
 from sigmaswarm.drives.timeline import FIX_THETA, FIX_VAR_THETA, Timeline
-from sigmaswarm.filters import fix_error
 from sigmaswarm.filters.constants import (
     GAP_TILT_STD,
     HEADING_GATE,
@@ -19,14 +18,13 @@ from sigmaswarm.filters.constants import (
     gap_covariance,
     process_noise_per_step,
 )
-from sigmaswarm.filters.kernels import FILTERS
+from sigmaswarm.filters.kernels import FILTERS, fix_error_transition
 from sigmaswarm.filters.models import THETA, CarModel, lateral_arm, require_driven_by_imu
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.requirements import measured_by, require_accuracy, require_axes, require_odometer
-from sigmaswarm.filters.starts import start_of
+from sigmaswarm.filters.starts import measured_by, require_accuracy, require_axes, require_odometer, start_of
 from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
 from sigmaswarm.filters.textbook.adaptive import FuzzyNoise, SageHusa, StrongTracking, StudentT
-from sigmaswarm.filters.textbook.gaussian import GaussianFilter, Measurement, Prediction
+from sigmaswarm.filters.textbook.kalman import GaussianFilter, Measurement, Prediction
 from sigmaswarm.filters.textbook.manifold import ErrorStateKalmanFilter, ManifoldUnscentedKalmanFilter
 from sigmaswarm.filters.tilted import MEASURED_FIRST, STEP_FIRST
 from sigmaswarm.geodesy import wrap_angle
@@ -36,7 +34,7 @@ class Car:
     """Filter on a drive's timeline, in textbook form; the exported script for FilterPy contains this class.
 
     ``filter`` has the interface of `GaussianFilter`; its ``mean`` and ``covariance`` may be set before a step.
-    ``noise`` has the current diagonals of Q and R. ``measured``: see `requirements.measured_by`.
+    ``noise`` has the current diagonals of Q and R. ``measured``: see `starts.measured_by`.
     """
 
     def __init__(
@@ -176,7 +174,7 @@ class TextbookCar(Car):
     def _age_fix_error(self, stated: Array) -> None:
         p, filter = self.parameters, self.filter
         phi = float(np.exp(-self._since * self.timeline.nominal_interval / p.fix_error_time))
-        f, q = fix_error.transition(len(filter.mean), phi), np.zeros_like(filter.covariance)
+        f, q = fix_error_transition(len(filter.mean), phi), np.zeros_like(filter.covariance)
         variance = (p.fix_error or 0.0) * np.where(stated > 0, stated, p.fix_std**2)
         q[-2:, -2:] = np.diag(variance * (1.0 - phi * phi))  # Q of the error between two fixes
         filter.mean, filter.covariance = f @ filter.mean, f @ filter.covariance @ f.T + q

@@ -13,7 +13,7 @@ import numpy as np
 
 from sigmaswarm.arrays import Array
 from sigmaswarm.errors import SigmaswarmError
-from sigmaswarm.filters.textbook.gaussian import GaussianFilter, Prediction
+from sigmaswarm.filters.textbook.kalman import GaussianFilter, Prediction
 
 FAILURES = (SigmaswarmError, np.linalg.LinAlgError, ArithmeticError, ValueError)
 """Errors that end a filter but not a tuning: P without a square root, or an argument outside a function's domain."""

@@ -10,9 +10,15 @@ import numpy as np
 
 from sigmaswarm.arrays import Array
 from sigmaswarm.filters.models import Tilts
-from sigmaswarm.filters.textbook.ekf import ExtendedKalmanFilter
-from sigmaswarm.filters.textbook.gaussian import GaussianFilter, Innovation, Measurement, Process
-from sigmaswarm.filters.textbook.ukf import SigmaPoints, UnscentedKalmanFilter
+from sigmaswarm.filters.textbook.kalman import (
+    ExtendedKalmanFilter,
+    GaussianFilter,
+    Innovation,
+    Measurement,
+    Process,
+    SigmaPoints,
+    UnscentedKalmanFilter,
+)
 
 
 class _OnManifold(GaussianFilter):
