@@ -199,15 +199,6 @@ class BatchScorer:
         return LocalDataset(self.drives)
 
     @property
-    def truth_moments(self) -> list[int]:
-        return [replay.targets.n_positions for replay in self.passes["tracking"]]
-
-    @property
-    def hidden_fixes(self) -> list[int]:
-        """Number of hidden fixes of each drive."""
-        return [replay.n_hidden for replay in self.passes.get("forecasts", ())]
-
-    @property
     def steps(self) -> NDArray[np.int64]:
         """Number of filter steps of one parameter set on each drive, summed over all passes, shape (n_drives,)."""
         return np.sum(np.array([*self._steps.values()], dtype=np.int64), axis=0)

@@ -27,14 +27,9 @@ DriveCheck = Callable[[BatchScorer], None]
 def make_scorer(dataset: Dataset, passes: PassOptions, check: DriveCheck) -> "AnyBatchScorer":
     """Prepare the drives of a local or remote dataset; ``check`` rejects unusable drives."""
     if isinstance(dataset, RemoteDataset):
-        remote = RemoteBatchScorer(dataset, passes, check)
-        _ = remote.steps  # prepares the drives
-        return remote
+        results_in_order(dataset.call(apply_to_each, partial(_checked, passes=passes, check=check)))
+        return RemoteBatchScorer(dataset, passes)
     drives = dataset.map(partial(PreparedDrive, as_recorded=passes.as_recorded))
-    return _scorer(drives, passes, check)
-
-
-def _scorer(drives: Sequence[PreparedDrive], passes: PassOptions, check: DriveCheck) -> BatchScorer:
     scorer = BatchScorer.prepare(drives, passes)
     check(scorer)
     return scorer
@@ -46,15 +41,14 @@ class RemoteBatchScorer:
 
     dataset: RemoteDataset
     passes: PassOptions
-    check: DriveCheck
 
     @cached_property
     def steps(self) -> NDArray[np.int64]:
-        steps = partial(_steps, passes=self.passes, check=self.check)
+        steps = partial(_steps, passes=self.passes)
         return np.array(results_in_order(self.dataset.call(apply_to_each, steps)), np.int64)
 
     def subset(self, drives: Sequence[int]) -> "RemoteBatchScorer":
-        part = RemoteBatchScorer(self.dataset.subset(drives), self.passes, self.check)
+        part = RemoteBatchScorer(self.dataset.subset(drives), self.passes)
         part.__dict__["steps"] = self.steps[list(drives)]
         return part
 
@@ -69,7 +63,7 @@ class RemoteBatchScorer:
     ) -> Array:
         """Score the sets and apply ``take`` on the workers; return an array of shape (..., n_sets, n_drives)."""
         sets = parameter_sets if isinstance(parameter_sets, ParameterTable) else tuple(parameter_sets)
-        answers = self.dataset.call(_taken, self.passes, self.check, take, sets)
+        answers = self.dataset.call(_taken, self.passes, take, sets)
         *more, n_sets, _ = answers[0][1].shape
         # the memory order of `BatchScorer`, since the rounding of sums depends on it
         whole = np.empty((*more, len(self.dataset), n_sets)).swapaxes(-1, -2)
@@ -98,21 +92,24 @@ def _prepared(drive: CachedDrive, as_recorded: bool) -> PreparedDrive:
     return drive.once(("prepared", as_recorded), partial(PreparedDrive, as_recorded=as_recorded))
 
 
-def _cached_scorer(drive: CachedDrive, passes: PassOptions, check: DriveCheck) -> BatchScorer:
-    return drive.once(passes, lambda _: _scorer([_prepared(drive, passes.as_recorded)], passes, check))
+def _cached_scorer(drive: CachedDrive, passes: PassOptions) -> BatchScorer:
+    return drive.once(passes, lambda _: BatchScorer.prepare([_prepared(drive, passes.as_recorded)], passes))
 
 
-def _steps(drive: CachedDrive, passes: PassOptions, check: DriveCheck) -> int:
-    return int(_cached_scorer(drive, passes, check).steps[0])
+def _checked(drive: CachedDrive, passes: PassOptions, check: DriveCheck) -> None:
+    check(_cached_scorer(drive, passes))
+
+
+def _steps(drive: CachedDrive, passes: PassOptions) -> int:
+    return int(_cached_scorer(drive, passes).steps[0])
 
 
 def _taken(
     drives: Sequence[CachedDrive],
     pool: Executor | None,
     passes: PassOptions,
-    check: DriveCheck,
     take: Callable[[Scores], Array],
     parameter_sets: Sequence[FilterParameters],
 ) -> Array:
-    scorer = BatchScorer.joined([_cached_scorer(drive, passes, check) for drive in drives])
+    scorer = BatchScorer.joined([_cached_scorer(drive, passes) for drive in drives])
     return take(scorer.scores(parameter_sets, pool))

@@ -123,23 +123,20 @@ def scorer_for(objective: Objective, dataset: Dataset, seed: int, *, as_recorded
 def require_fit(scorer: BatchScorer, objective: str, seed: int) -> None:
     """Raise `InputError` if a drive has no scored fix, truth or hidden fix after the start of a filter."""
     needs_truth = parse_objective(objective).needs_truth
-    for drive, initial in zip(scorer.drives, scorer.initial, strict=True):
+    for i, (drive, initial) in enumerate(zip(scorer.drives, scorer.initial, strict=True)):
+        span, truth = f"a filter runs from {initial.time:g} to {drive.imu.time[-1]:g} s", drive.truth
         if not needs_truth and not (drive.gps.time > initial.time).any():
             raise InputError(
                 f"{drive.name}: no fix follows the start of a filter at {initial.time:g} s; use a longer drive"
             )
-    for drive, initial, moments in zip(scorer.drives, scorer.initial, scorer.truth_moments, strict=True):
-        if needs_truth and drive.truth is not None and not moments:
+        if needs_truth and truth is not None and not scorer.passes["tracking"][i].targets.n_positions:
             raise InputError(
-                f"{drive.name}: truth covers t = {drive.truth.time[0]:g} to {drive.truth.time[-1]:g} s, but a filter "
-                f"runs from {initial.time:g} to {drive.imu.time[-1]:g} s; convert truth and sensors to one clock"
+                f"{drive.name}: truth covers t = {truth.time[0]:g} to {truth.time[-1]:g} s, but {span}; convert truth "
+                "and sensors to one clock"
             )
-    for drive, initial, hidden in zip(scorer.drives, scorer.initial, scorer.hidden_fixes, strict=False):
-        if hidden:
-            continue
-        what, drives = f"a time too short to hide fixes for 3 to 5 s, as {objective} requires", "longer"
-        if len(forecast_windows(drive, initial, seed=seed)):
-            windows = f"the windows of 3 to 5 s in which {objective} hides fixes"
-            what, drives = f"but there are no fixes in {windows}", "other"
-        span = f"a filter runs from {initial.time:g} to {drive.imu.time[-1]:g} s"
-        raise InputError(f"{drive.name}: {span}, {what}; use {drives} drives or innovation-nll")
+        if "forecasts" in scorer.passes and not scorer.passes["forecasts"][i].n_hidden:
+            what, drives = f"a time too short to hide fixes for 3 to 5 s, as {objective} requires", "longer"
+            if len(forecast_windows(drive, initial, seed=seed)):
+                what = f"but there are no fixes in the windows of 3 to 5 s in which {objective} hides fixes"
+                drives = "other"
+            raise InputError(f"{drive.name}: {span}, {what}; use {drives} drives or innovation-nll")

@@ -115,7 +115,7 @@ class Design:
         passes = PassOptions(outages=outages, outage_seed=self.config.seed, as_recorded=True)
         if self.remote is None:
             return BatchScorer.prepare(self.prepared, passes)
-        return RemoteBatchScorer(self.remote, passes, _accept)
+        return RemoteBatchScorer(self.remote, passes)
 
     @cached_property
     def configs(self) -> dict[tuple[ProtocolName, str], TuneConfig]:
@@ -259,10 +259,6 @@ def _sources(config: StudyConfig) -> Sequence[Location | Source]:
 def _simulated(config: StudyConfig, executor: Executor | None, runs: int, **other: Any) -> list[Drive]:
     options = {**config.simulated, **other}
     return list(simulate_many(config.maneuvers, config.environments, runs, executor=executor, **options))
-
-
-def _accept(_: BatchScorer) -> None:
-    """Accept all drives: a check for `RemoteBatchScorer`."""
 
 
 def _identity(ready: PreparedDrive) -> str:
