@@ -516,11 +516,11 @@ def test_hardly_any_look_at_a_sound_filter_is_taken():
 
 def test_the_looks_are_once_a_second_after_fixes_and_at_samples():
     line = prepare_drive(make_drive(duration=30.0, seed=0, gps_rate=5.0, jitter=0.2)).timeline()
-    looks = check_times(line)
-    assert line.sampled[looks.step].all()
-    time = line.end[looks.step]
+    step, fix = check_times(line)
+    assert line.sampled[step].all()
+    time = line.end[step]
     assert len(time) == pytest.approx(30 - line.start, abs=1.5)
     assert np.all(np.diff(time) > 0.7)
-    wait = time - line.fix_time[looks.fix]
+    wait = time - line.fix_time[fix]
     assert np.all((wait >= 0) & (wait < 0.02))
-    assert np.all(np.diff(looks.fix) > 0)
+    assert np.all(np.diff(fix) > 0)

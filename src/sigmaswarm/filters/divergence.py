@@ -39,17 +39,10 @@ CHECKS, SINCE, LAST = range(3)
 """Columns of the record of a contradiction between filter and fixes: number of checks, first and last time (s)."""
 
 
-@dataclass(frozen=True, eq=False)
-class CheckTimes:
-    """Steps and fixes of the l checks of a drive."""
-
-    step: Indices  # (l,), index of the step that ends at the IMU sample of each check
-    fix: Indices  # (l,), index of the last fix before each check
-
-
-def check_times(line: Timeline) -> CheckTimes:
+def check_times(line: Timeline) -> tuple[Indices, Indices]:
     """Find, in each `CHECK_INTERVAL`, the first IMU sample that follows a new fix within `LATEST_CHECK`.
 
+    Return, for each of l checks, the step that ends at this sample, and the last fix before it; both are indices, (l,).
     A sample after a gap of more than `LEAP` is omitted, since a live filter uses it only after the next sample.
     """
     sampled, updating = np.flatnonzero(line.sampled), np.flatnonzero(line.updates)
@@ -62,7 +55,7 @@ def check_times(line: Timeline) -> CheckTimes:
     slot = slot_of(line.end[step], line.start, CHECK_INTERVAL)
     first = np.unique(slot, return_index=True)[1]
     fix = np.searchsorted(line.fix_time, line.end[last[first]], side="right") - 1
-    return CheckTimes(step[first], fix)
+    return step[first], fix
 
 
 @dataclass(frozen=True, eq=False)

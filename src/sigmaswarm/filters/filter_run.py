@@ -101,10 +101,11 @@ class FilterRun:
         self._rows, self._cursor = start_passes([drive_pass], self._array), new_cursor()
         self._state = state_rows(parameters.kernel)
         self._innovations = np.empty((len(drive_pass.timeline.fixes), 5))
-        self._checks = check_times(drive_pass.timeline) if recover else None
-        if self._checks is not None:
+        self._recover = recover
+        if recover:
             line = drive_pass.timeline
-            fix_times = line.fix_time[self._checks.fix]  # end of each check's alignment
+            self._check_steps, self._check_fixes = check_times(line)
+            fix_times = line.fix_time[self._check_fixes]  # end of each check's alignment
             self._ends = np.searchsorted(line.alignments.time, fix_times, side="right") - 1
         self._monitor = DivergenceMonitor()
         self.restarts = self._monitor.restarts
@@ -144,7 +145,7 @@ class FilterRun:
         to the step of the divergence, is reset there, and continues.
         """
         lost = np.zeros(len(stops), dtype=np.bool_)
-        if self._checks is None:
+        if not self._recover:
             self._steps_to(int(stops[-1]), record)
             return lost
         row = 0
@@ -165,12 +166,11 @@ class FilterRun:
         return lost
 
     def _next_check(self, stops: Indices, row: int) -> int:
-        assert self._checks is not None
         if self._monitor.lost:
             return row + 1
         if self._array.like.kind not in ADAPTS_R:
             return len(stops)
-        due = np.flatnonzero(np.isin(stops[row:] - 1, self._checks.step))
+        due = np.flatnonzero(np.isin(stops[row:] - 1, self._check_steps))
         return row + 1 + int(due[0]) if len(due) else len(stops)
 
     def _steps_to(self, stop: int, record: Array) -> None:
@@ -182,13 +182,12 @@ class FilterRun:
         Return the row of the divergence and the state for a reset (None if there is no alignment). If there is no
         divergence, return the last row and None.
         """
-        times = self._checks
-        assert times is not None
-        first, last = np.searchsorted(times.step, [steps[0], steps[-1] + 1]).tolist()
-        rows = np.searchsorted(steps, times.step[first:last])
+        first, last = np.searchsorted(self._check_steps, [steps[0], steps[-1] + 1]).tolist()
+        due = self._check_steps[first:last]
+        rows = np.searchsorted(steps, due)
         means, covariances = state_estimate(record[rows, :-1, 0].T, self._array.kernel)
         sound = np.flatnonzero(np.isfinite(means).all(axis=1))  # the filter has failed in other rows
-        ends = self._pass.timeline.end[times.step[first:last][sound]].tolist()
+        ends = self._pass.timeline.end[due[sound]].tolist()
         if not ends:
             return len(steps) - 1, None
         k, start = self._monitor.take_all(
@@ -197,9 +196,13 @@ class FilterRun:
         return len(steps) - 1 if k is None else int(rows[sound[k]]), start
 
     def _check_at(self, k: int, mean: Array, covariance: Array) -> StateCheck:
-        line, times = self._pass.timeline, self._checks
-        assert times is not None
-        alignments, step, fix, ends = line.alignments, times.step[k], times.fix[k], int(self._ends[k])
+        line, step, fix, ends = (
+            self._pass.timeline,
+            self._check_steps[k],
+            self._check_fixes[k],
+            int(self._ends[k]),
+        )
+        alignments = line.alignments
         time, end = float(line.fix_time[fix]), float(line.end[step])
         since = [end - time, *line.driving[line.sample[step], :3]]  # ax, ay, gz
         return StateCheck(
