@@ -6,8 +6,7 @@ import pytest
 from sigmaswarm.simulation.dynamics import GRAVITY, STEP
 from sigmaswarm.simulation.environments import ENVIRONMENTS, MODEL_3
 from sigmaswarm.simulation.maneuvers import MANEUVERS, drive_maneuver
-from sigmaswarm.simulation.motion import motion_at, sample
-from sigmaswarm.simulation.terrain import TERRAINS, add_slopes, build_road_profile
+from sigmaswarm.simulation.motion import TERRAINS, add_slopes, build_road_profile, motion_at, sample
 
 PLACE = (0.8, -0.4, 0.3)  # off the centre in every direction, so that each term of the lever arm counts
 

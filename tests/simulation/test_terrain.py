@@ -9,16 +9,16 @@ from sigmaswarm.simulation import TERRAINS, Terrain, simulate
 from sigmaswarm.simulation.dynamics import GRAVITY, PITCH, RECORDED, ROLL, STEP, VX, VY, YAW
 from sigmaswarm.simulation.environments import ENVIRONMENTS, MODEL_3
 from sigmaswarm.simulation.maneuvers import drive_maneuver
-from sigmaswarm.simulation.motion import motion_at
-from sigmaswarm.simulation.planning import SPACING
-from sigmaswarm.simulation.terrain import (
+from sigmaswarm.simulation.motion import (
     HEIGHT,
     ROAD_PITCH,
     ROAD_ROLL,
     _swing,
     add_slopes,
     build_road_profile,
+    motion_at,
 )
+from sigmaswarm.simulation.planning import SPACING
 
 STRAIGHT = np.zeros(round(60_000 / SPACING))
 HILLS = [name for name in TERRAINS if name != "flat"]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sigmaswarm.tuning.bounds import Bounds, Dimension
-from sigmaswarm.tuning.sensitivity import NOISE_SCALE, Sensitivity, sensitivities
+from sigmaswarm.tuning.inflation import NOISE_SCALE, Sensitivity, sensitivities
 from sigmaswarm.tuning.tune import tune
 from support import make_drive
 

@@ -19,9 +19,9 @@ from sigmaswarm.filters.presets import DEFAULTS, baseline_of
 from sigmaswarm.simulation import simulate
 from sigmaswarm.tuning.batch import run_batch
 from sigmaswarm.tuning.bounds import TouchedBound
+from sigmaswarm.tuning.inflation import Sensitivity
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.search import Progress
-from sigmaswarm.tuning.sensitivity import Sensitivity
 from sigmaswarm.tuning.space import search_space
 from sigmaswarm.tuning.tune import tune as tune_by_default
 from support import make_drive, quickly

@@ -30,7 +30,20 @@ from sigmaswarm.simulation.gps import (
     with_heading,
 )
 from sigmaswarm.simulation.maneuvers import MANEUVERS, achieved_figures, drive_maneuver
-from sigmaswarm.simulation.motion import LeverArm, Motion, motion_at, sample, vibrate
+from sigmaswarm.simulation.motion import (
+    HEIGHT,
+    ROAD_PITCH,
+    ROAD_ROLL,
+    TERRAINS,
+    LeverArm,
+    Motion,
+    Terrain,
+    add_slopes,
+    build_road_profile,
+    motion_at,
+    sample,
+    vibrate,
+)
 from sigmaswarm.simulation.sensors import (
     IMU_GRADES,
     ODOMETER_GRADES,
@@ -38,15 +51,6 @@ from sigmaswarm.simulation.sensors import (
     OdometerGrade,
     measure_imu,
     measure_odometer,
-)
-from sigmaswarm.simulation.terrain import (
-    HEIGHT,
-    ROAD_PITCH,
-    ROAD_ROLL,
-    TERRAINS,
-    Terrain,
-    add_slopes,
-    build_road_profile,
 )
 
 

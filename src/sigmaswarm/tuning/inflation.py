@@ -1,8 +1,9 @@
-"""Inflate the process noise, so that the filter suits roads and IMUs that the tuning did not use.
+"""How far parameters can change before the cost increases, and inflation of the process noise.
 
-Inflation selects the largest noise whose cost is close to the lowest cost, similar to the one-standard-error rule (L.
-Breiman et al., Classification and Regression Trees, 1984, section 3.4.3). A longer drive determines the noise better,
-so a smaller cost increase is allowed.
+The process noise is inflated so that the filter suits roads and IMUs that the tuning did not use. Inflation selects the
+largest noise whose cost is close to the lowest cost, similar to the one-standard-error rule (L. Breiman et al.,
+Classification and Regression Trees, 1984, section 3.4.3). A longer drive determines the noise better, so a smaller cost
+increase is allowed.
 
 For a planar model, all process noise is inflated except the random walk of the gyro's bias. The noise of the velocity
 is included, since it represents the tilt of roads. One drive hardly determines the random walk: an inflation to 1e-7
@@ -28,6 +29,7 @@ filter diverged on drives with a smaller bias.
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -35,9 +37,87 @@ import numpy as np
 from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment_fit import InitialState
 from sigmaswarm.filters.models import MODELS
-from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.objectives import parse_objective
-from sigmaswarm.tuning.problem import Problem, duration_share
+from sigmaswarm.tuning.problem import CarProblem, Problem, duration_share
+
+MAX_INCREASE = 0.01
+NOISE_SCALE = "all noise variances times"
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Range of one parameter in which the cost increases by less than 1%.
+
+    Attributes
+    ----------
+    name : str
+    value : float
+        Value in the tuned filter; 1 for the factor on all noise variances.
+    lowest, highest : float or None
+        Values at which the cost has increased by 1%; None if the range reaches the bound.
+    lowest_rise : float
+        Lowest relative change of the cost at the tried values; negative if the search had not converged.
+    """
+
+    name: str
+    value: float
+    lowest: float | None
+    highest: float | None
+    lowest_rise: float = 0.0
+
+    @property
+    def identified(self) -> bool:
+        return self.lowest is not None or self.highest is not None
+
+
+def sensitivities(
+    problem: Problem[Any], point: Array, cost: float, executor: Executor | None
+) -> tuple[Sensitivity, ...]:
+    """Move each parameter in both directions from the best point, shape (d,), until the cost has increased by 1%.
+
+    Only one parameter changes at a time, so trade-offs between parameters are not visible. The exception is a common
+    factor on all noise variances, which is varied like a parameter. For costs in nats, see
+    `Objective.relative_increase`.
+    """
+    space, names, axes = problem.space, [*problem.space.names], np.eye(len(point))
+    down, up = ((bound - point)[:, np.newaxis] * axes for bound in (space.low, space.high))
+    noises = space.logarithmic & space.noises
+    if noises.any():
+        # Two decades each way, also beyond the bounds; otherwise a variance at its bound would keep the factor at 1.
+        together = np.where(noises, 2.0, 0.0)
+        down, up = np.vstack([down, -together]), np.vstack([up, together])
+        names.append(NOISE_SCALE)
+
+    def value(k: int, at: Array) -> float:
+        first = int(np.argmax(noises))
+        return float(space.values(at)[k] if k < len(point) else 10 ** (at[first] - point[first]))
+
+    shares = np.array([0.5**k for k in range(10, -1, -1)])  # fractions of the distance to the bound
+    steps = np.stack([down, up], axis=1)
+    points = (point + shares[:, np.newaxis] * steps[:, :, np.newaxis]).reshape(-1, len(point))
+    # The points of a parameter at a bound repeat in this direction.
+    tried, inverse = np.unique(points, axis=0, return_inverse=True)
+    rises = problem.relative_increase(problem.costs(tried, executor)[inverse], cost)
+    rises = rises.reshape(len(names), 2, len(shares))
+    result: list[Sensitivity] = []
+    for k, name in enumerate(names):
+        reached = zip([_crossing(shares, rise) for rise in rises[k]], steps[k], strict=True)
+        ends = [None if s is None else value(k, point + s * step) for s, step in reached]
+        result.append(Sensitivity(name, value(k, point), *ends, lowest_rise=float(min(rises[k].min(), 0.0))))
+    return tuple(result)
+
+
+def _crossing(shares: Array, rise: Array) -> float | None:
+    """Return the interpolated fraction of the distance at which the cost has increased by 1%; None if it has not."""
+    above = np.flatnonzero(~(rise < MAX_INCREASE))
+    if not len(above):
+        return None
+    k = int(above[0])
+    share, before = (0.0, 0.0) if k == 0 else (float(shares[k - 1]), float(rise[k - 1]))
+    if not np.isfinite(rise[k]):
+        return share
+    return share + (float(shares[k]) - share) * (MAX_INCREASE - before) / (float(rise[k]) - before)
+
 
 INFLATION, TILTED_INFLATION, WITH_TRUTH = 0.05, 0.02, 0.01
 """Default limits of the relative cost increase.
@@ -66,7 +146,7 @@ STEP = 0.1  # decades between two factors
 
 
 def inflate(
-    problem: Problem[Any], point: Array, allowed: float, executor: Executor | None
+    problem: CarProblem, point: Array, allowed: float, executor: Executor | None
 ) -> tuple[Array, float, float]:
     """Inflate the process noise of a point, shape (d,), within the bounds, as far as its cost permits.
 
@@ -77,8 +157,7 @@ def inflate(
     decades = np.arange(0.0, MAX_DECADES + STEP / 2, STEP)
     points = np.minimum(point + decades[:, None] * space.inflation, np.maximum(space.high, point))
     costs = problem.costs_without_prior(points, executor)
-    tilted = isinstance(problem.config, TuneConfig) and MODELS[problem.config.model].tilts
-    reference = TILTED_DURATION if tilted else REFERENCE_DURATION
+    reference = TILTED_DURATION if MODELS[problem.config.model].tilts else REFERENCE_DURATION
     share = allowed * duration_share(problem.data, reference)
     within = np.logical_and.accumulate(problem.relative_increase(costs, costs[0]) <= share)
     last, least = int(within.sum()) - 1 if within.any() else 0, space.least

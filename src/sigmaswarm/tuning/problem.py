@@ -31,7 +31,6 @@ from sigmaswarm.tuning.batch import check_drives, scorer_for
 from sigmaswarm.tuning.bounds import Bounds
 from sigmaswarm.tuning.config import SearchConfig, TuneConfig
 from sigmaswarm.tuning.diagnostics import (
-    DriftComparison,
     confirmed_std,
     correlation_of,
     correlation_warnings,
@@ -108,29 +107,13 @@ class Problem(ABC, Generic[P]):
         """Return the costs, shape (n,), of points, shape (n, d), without a prior."""
         return self.costs(points, executor)
 
-    def warnings(self, point: Array) -> list[str]:
-        """List faults of the filter at a point that the objective does not show."""
-        return []
+    def diagnosis(self, point: Array) -> dict[str, Any]:
+        """Return the attributes of `Tuning` on faults of the filter at a point that the objective does not show."""
+        return {}
 
     def baseline_point(self) -> Array | None:
         """Return the baseline as a point in the search space, shape (d,); None for a custom model."""
         return None
-
-    def fixes_alone(self) -> MotionNoise | None:
-        """Fit the noise of a constant-velocity filter that uses only fixes; return None for a custom model."""
-        return None
-
-    def forecasts(self, point: Array, noise: MotionNoise) -> list[DriftComparison]:
-        """Compare the drifts of a filter, the baseline and fixes alone, for each outage length."""
-        return []
-
-    def starts(self) -> Sequence[InitialState]:
-        """Return the initial state of the filter on each drive; none for a custom model."""
-        return ()
-
-    def true_gyro_biases(self) -> Sequence[float]:
-        """Return the bias of gz on each drive, rad/s, if the objective uses truth; none for a custom model."""
-        return ()
 
     def failure_reason(self, point: Array) -> str | None:
         """Return the reason why the filter at a point failed; None if unknown."""
@@ -235,16 +218,25 @@ class CarProblem(Problem[FilterParameters]):
         return self.space.point_of(parameters)
 
     def fixes_alone(self) -> MotionNoise:
+        """Fit the noise of a constant-velocity filter that uses only fixes."""
         return MotionNoise.typical(self.scorer.map_prepared(fitted_noise))
 
     def starts(self) -> Sequence[InitialState]:
+        """Return the initial state of the filter on each drive."""
         return self.scorer.map_prepared(attrgetter("initial"))
 
     def true_gyro_biases(self) -> Sequence[float]:
+        """Return the bias of gz on each drive, rad/s, if the objective uses truth."""
         return self.scorer.dataset.map(true_gyro_bias) if self.objective.needs_truth else ()
 
-    def forecasts(self, point: Array, noise: MotionNoise) -> list[DriftComparison]:
-        return [*forecasts_of(self.parameters(point), noise, self.scorer, self.shown_std)]
+    def diagnosis(self, point: Array) -> dict[str, Any]:
+        noise = self.fixes_alone()
+        forecasts = forecasts_of(self.parameters(point), noise, self.scorer, self.shown_std)
+        return {
+            "fixes_alone": noise,
+            "forecasts": tuple(forecasts),
+            "warnings": tuple(self.warnings(point)),
+        }
 
     def warnings(self, point: Array) -> list[str]:
         parameters, scorer, objective = self.parameters(point), self.scorer, self.objective

@@ -23,9 +23,9 @@ from sigmaswarm.record_files import load_record, to_record
 from sigmaswarm.tables import Cell, Column, Table
 from sigmaswarm.tuning.bounds import TouchedBound
 from sigmaswarm.tuning.diagnostics import DO_NOT_USE, DriftComparison, drift_table, larger_drifts
+from sigmaswarm.tuning.inflation import NOISE_SCALE
 from sigmaswarm.tuning.objectives import parse_objective
 from sigmaswarm.tuning.search import Trial
-from sigmaswarm.tuning.sensitivity import NOISE_SCALE
 from sigmaswarm.tuning.space import searched_name
 from sigmaswarm.wording import count_of
 

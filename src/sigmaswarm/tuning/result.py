@@ -23,10 +23,10 @@ from sigmaswarm.tuning.bounds import TouchedBound
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
 from sigmaswarm.tuning.diagnostics import DriftComparison
+from sigmaswarm.tuning.inflation import MAX_INCREASE, NOISE_SCALE, Sensitivity
 from sigmaswarm.tuning.objectives import parse_objective
 from sigmaswarm.tuning.record import NOT_VALIDATED, RANGES, TuningRecord, training_data_of, tuning_file
 from sigmaswarm.tuning.search import Trial, saved_trials
-from sigmaswarm.tuning.sensitivity import MAX_INCREASE, NOISE_SCALE, Sensitivity
 from sigmaswarm.tuning.space import SCALING, search_space
 from sigmaswarm.versions import versions
 from sigmaswarm.wording import count_of, sort_remarks, to_do

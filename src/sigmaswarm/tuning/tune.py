@@ -41,12 +41,11 @@ from sigmaswarm.tuning.config import (
 )
 from sigmaswarm.tuning.custom import model_problem
 from sigmaswarm.tuning.defaults import complete_config, default_filter_options
-from sigmaswarm.tuning.inflation import inflate
-from sigmaswarm.tuning.problem import Problem, car_problem
+from sigmaswarm.tuning.inflation import inflate, sensitivities
+from sigmaswarm.tuning.problem import CarProblem, Problem, car_problem
 from sigmaswarm.tuning.record import FILE
 from sigmaswarm.tuning.result import Tuning, Validation
 from sigmaswarm.tuning.search import Progress, TrialRunner
-from sigmaswarm.tuning.sensitivity import sensitivities
 from sigmaswarm.tuning.space import SearchSpace
 from sigmaswarm.tuning.store import CENTER, ResultFolder
 from sigmaswarm.versions import versions
@@ -282,10 +281,9 @@ def tune_problem(
             "no parameter set gave a finite cost: every filter failed on at least one drive; "
             + (problem.failure_reason(point) or "check the drives for NaN and for values in wrong units")
         )
-    if isinstance(config, TuneConfig) and config.inflation:
-        point, cost, factor = inflate(problem, point, config.inflation, executor)
+    if isinstance(problem, CarProblem) and problem.config.inflation:
+        point, cost, factor = inflate(problem, point, problem.config.inflation, executor)
     evaluations = sum(trial.evaluations for trial in trials)
-    noise = problem.fixes_alone() if diagnose else None
     tuning = Tuning(
         parameters=problem.parameters(point),
         cost=cost,
@@ -300,9 +298,7 @@ def tune_problem(
         steps=sum(int(trial.steps[-1]) for trial in trials),
         full_steps=int(problem.steps.sum()) * evaluations,
         data=problem.described,
-        warnings=tuple(problem.warnings(point)) if diagnose else (),
-        fixes_alone=noise,
-        forecasts=tuple(problem.forecasts(point, noise)) if noise else (),
+        **(problem.diagnosis(point) if diagnose else {}),
         sensitivities=sensitivities(problem, point, cost, executor),
         validation=_validate(problem, held_back, point, executor) if held_back else None,
         inflation_factor=factor,
