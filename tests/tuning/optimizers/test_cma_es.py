@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from oracles.landscapes import HIGH, LOW, ellipsoid_at_bounds, rotated_ellipsoid, sphere
-from sigmaswarm.tuning.optimizers.cma_es import CmaEs
+from sigmaswarm.tuning.optimizers.evolution import CmaEs
 
 
 @pytest.mark.parametrize("population", [5, 8, 31])

@@ -39,8 +39,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.tuning.optimizers.asktell import AskTell, Optimizer, RandomSearch, SobolSearch
 from sigmaswarm.tuning.optimizers.bayesian_optimization import BayesianOptimization
 from sigmaswarm.tuning.optimizers.budget import Budgeted, NelderMead
-from sigmaswarm.tuning.optimizers.cma_es import CmaEs
-from sigmaswarm.tuning.optimizers.evolution import DifferentialEvolution, GeneticAlgorithm
+from sigmaswarm.tuning.optimizers.evolution import CmaEs, DifferentialEvolution, GeneticAlgorithm
 from sigmaswarm.tuning.optimizers.swarms import GeneticSwarm, ParticleSwarm, QuantumSwarm
 
 __all__ = ["OPTIMIZERS", "Optimizer", "create_optimizer"]
