@@ -73,7 +73,7 @@ def search(problem: CarProblem, name: str, seed: int, population: int, budget: i
 def rows(train: list[Drive], test: list[Drive], seeds: int) -> Iterator[list[str]]:
     asked = {"model": "planar8", "objective": "truth-rmse"}
     problem = car_problem(make_datasets(train, ())[0], validated_config(TuneConfig, asked))
-    held_out = problem.on(make_datasets(test, ())[0])
+    held_out = problem.with_data(make_datasets(test, ())[0])
     search(problem, "sobol", 0, 16, 16, np.inf)  # loads machine code and imports
     search(problem, "bo", 0, 8, 9, np.inf)
 

@@ -42,12 +42,12 @@ class Table:
         self.table, self.steps = costs, 100 + np.arange(costs.shape[1])
         self.asked: list[tuple[int, int]] = []
 
-    def each(self, points: np.ndarray, drives, executor) -> np.ndarray:
+    def costs_by_drive(self, points: np.ndarray, drives, executor) -> np.ndarray:
         rows = points[:, 0].astype(int)
         self.asked += [(row, drive) for row in rows for drive in drives]
         return self.table[np.ix_(rows, drives)]
 
-    def mean(self, each: np.ndarray) -> np.ndarray:
+    def combined(self, each: np.ndarray) -> np.ndarray:
         return each.mean(axis=1)
 
     def parameters(self, point: np.ndarray) -> np.ndarray:
@@ -133,13 +133,13 @@ def test_steps_are_counted_as_a_naive_count_does(monkeypatch: pytest.MonkeyPatch
         moments = np.union1d(drive.imu.time, drive.gps.time[drive.gps.time < drive.imu.time[-1]])
         assert steps == np.sum(moments > initial_state(drive).time)
     asked = []
-    each = CarProblem.each
+    each = CarProblem.costs_by_drive
 
     def counted(self, points, drives, executor):
         asked.append(len(points) * sum(int(problem.steps[d]) for d in drives))
         return each(self, points, drives, executor)
 
-    monkeypatch.setattr(CarProblem, "each", counted)
+    monkeypatch.setattr(CarProblem, "costs_by_drive", counted)
     rng = np.random.default_rng(0)
     points = rng.uniform(problem.space.low, problem.space.high, (9, 10))
     with ThreadPoolExecutor(1) as pool:
@@ -194,20 +194,20 @@ class Bowls:
         self.space, self.config = Box3(), TuneConfig()
         self.asked = 0
 
-    def each(self, points: np.ndarray, drives, executor) -> np.ndarray:
+    def costs_by_drive(self, points: np.ndarray, drives, executor) -> np.ndarray:
         self.asked += len(points) * len(drives)
         costs = self.hard[list(drives)] + ((points[:, None] - self.bottoms[list(drives)]) ** 2).sum(axis=2)
         costs[np.ix_(points[:, 0] < -0.8, [k for k, drive in enumerate(drives) if drive == 5])] = np.inf
         return costs
 
-    def mean(self, each: np.ndarray) -> np.ndarray:
+    def combined(self, each: np.ndarray) -> np.ndarray:
         return each.mean(axis=1)
 
     def parameters(self, point: np.ndarray) -> np.ndarray:
         return point
 
     def costs(self, points: np.ndarray, executor) -> np.ndarray:
-        return self.mean(self.each(points, range(len(self.steps)), executor))
+        return self.combined(self.costs_by_drive(points, range(len(self.steps)), executor))
 
 
 class Box3:
@@ -246,7 +246,7 @@ def test_a_candidate_that_is_clearly_not_better_than_the_best_is_dropped():
     assert result.costs[1] == costs[5].mean()
     assert result.leader is not None
     assert result.leader.cost == result.costs[1]
-    assert np.array_equal(result.leader.each, costs[5])
+    assert np.array_equal(result.leader.costs_by_drive, costs[5])
     assert result.steps < 0.55 * 3 * table.steps.sum()
 
 
@@ -304,4 +304,4 @@ def test_who_led_is_looked_up_in_the_same_bits():
     assert result.leader is not None
     again = leader_at(problem, points[np.argmin(result.costs)], None)
     assert again.cost == result.leader.cost
-    assert again.each.tobytes() == result.leader.each.tobytes()
+    assert again.costs_by_drive.tobytes() == result.leader.costs_by_drive.tobytes()

@@ -193,7 +193,7 @@ def _grid(options: GridOptions, training: Dataset, held_out: Dataset) -> _Grid:
         raise InputError(f"{name} {REJECTED_OPTIONS[name]}")
     rivals = _contenders(options, [*training.map(log_properties), *held_out.map(log_properties)])
     problem = car_problem(training, rivals[0].config)
-    test = problem.on(held_out) if len(held_out) else None
+    test = problem.with_data(held_out) if len(held_out) else None
     if test:
         check_disjoint(problem, test)
     if problem.objective.warning:

@@ -46,7 +46,7 @@ class ModelProblem(Problem[dict[str, float]]):
         failures = (run_model(log, self.model, parameters).failure for log in self.logs)
         return next((f"model {failure}" for failure in failures if failure), None)
 
-    def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
+    def costs_by_drive(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
         if isinstance(executor, ProcessPoolExecutor):
             raise InputError("your own functions can't be sent to other processes; use a ThreadPoolExecutor")
         sets = [self.parameters(point) for point in points]
@@ -59,7 +59,7 @@ class ModelProblem(Problem[dict[str, float]]):
         elements = float(np.mean([each.sum(axis=1).mean() for each in present]))
         return parse_objective(self.config.objective).relative_increase(costs, best, elements)
 
-    def on(self, data: Sequence[Log]) -> "ModelProblem":
+    def with_data(self, data: Sequence[Log]) -> "ModelProblem":
         return model_problem(data, self.model, self.config)
 
     def _cost(self, parameters: dict[str, float], i: int) -> float:

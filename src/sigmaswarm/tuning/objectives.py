@@ -55,9 +55,9 @@ class Objective:
 
         ``worst`` is the fraction of the drives over which costs are averaged.
         """
-        return mean_cost(self.each(scores), worst)
+        return mean_cost(self.costs_by_drive(scores), worst)
 
-    def each(self, scores: Scores) -> Array:
+    def costs_by_drive(self, scores: Scores) -> Array:
         """Return the costs, shape (n_sets, n_drives); ``inf`` where a set failed or has no score."""
         costs = self.per_drive(scores)
         return np.where(scores.failed | ~np.isfinite(costs), np.inf, costs)

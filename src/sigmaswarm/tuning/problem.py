@@ -65,7 +65,7 @@ class Problem(ABC, Generic[P]):
     data: list[dict[str, Any]]
 
     @property
-    def described(self) -> list[dict[str, Any]]:
+    def recorded_data(self) -> list[dict[str, Any]]:
         """``data`` for tuning.toml, with additional properties that do not identify a drive."""
         return self.data
 
@@ -84,7 +84,7 @@ class Problem(ABC, Generic[P]):
         """Return the filter parameters at a point, shape (d,)."""
 
     @abstractmethod
-    def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
+    def costs_by_drive(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
         """Return the costs, shape (n, k), of points, shape (n, d), on k drives given by index; ``inf`` for failures."""
 
     @abstractmethod
@@ -92,16 +92,16 @@ class Problem(ABC, Generic[P]):
         """Return the relative increase of costs over ``best``; 0.01 means 1%."""
 
     @abstractmethod
-    def on(self, data: Any) -> "Problem[P]":
+    def with_data(self, data: Any) -> "Problem[P]":
         """Return the problem with the same filter and objective on other data."""
 
-    def mean(self, each: Array) -> Array:
+    def combined(self, each: Array) -> Array:
         """Combine the costs on k drives, shape (n, k), to costs of the points, shape (n,)."""
         return mean_cost(each, self.config.worst)
 
     def costs(self, points: Array, executor: Executor | None) -> Array:
         """Return the costs, shape (n,), of points, shape (n, d); ``inf`` where a filter failed."""
-        return self.mean(self.each(points, range(len(self.steps)), executor))
+        return self.combined(self.costs_by_drive(points, range(len(self.steps)), executor))
 
     def costs_without_prior(self, points: Array, executor: Executor | None) -> Array:
         """Return the costs, shape (n,), of points, shape (n, d), without a prior."""
@@ -152,7 +152,7 @@ class CarProblem(Problem[FilterParameters]):
         return [check.std if check and one.assumed_std else None for one in self.sensors]
 
     @property
-    def described(self) -> list[dict[str, Any]]:
+    def recorded_data(self) -> list[dict[str, Any]]:
         described: list[dict[str, Any]] = []
         for entry, one, std in zip(self.data, self.sensors, self._shown_stds, strict=True):
             shown = {} if std is None else {"shown_std_m": rounded(std)}
@@ -190,7 +190,7 @@ class CarProblem(Problem[FilterParameters]):
     def sensors(self) -> list[LogProperties]:
         return self.scorer.dataset.map(log_properties)
 
-    def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
+    def costs_by_drive(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
         scorer = self.scorer.subset(drives)
         parameter_sets = self.space.decode(points)
         costs = scorer.measured(partial(costs_of_each, self.config.objective), parameter_sets, executor)
@@ -206,7 +206,7 @@ class CarProblem(Problem[FilterParameters]):
     def relative_increase(self, costs: Array | float, best: float) -> Array:
         return self.objective.relative_increase(costs, best)
 
-    def on(self, data: Sequence[Drive] | Dataset) -> "CarProblem":
+    def with_data(self, data: Sequence[Drive] | Dataset) -> "CarProblem":
         return car_problem(data, self.config, self.space, self.std_check)
 
     def baseline_point(self) -> Array:
@@ -269,7 +269,7 @@ def duration_share(data: Iterable[Mapping[str, Any]], reference: float) -> float
 
 def costs_of_each(objective: str, scores: Scores) -> Array:
     """Return the costs of a named objective, shape (n_sets, n_drives)."""
-    return parse_objective(objective).each(scores)
+    return parse_objective(objective).costs_by_drive(scores)
 
 
 def car_problem(

@@ -38,7 +38,7 @@ class Leader:
     """Total cost of the best candidate so far, and its cost on each drive, shape (m,)."""
 
     cost: float
-    each: Array
+    costs_by_drive: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +68,8 @@ def rungs(n_candidates: int, n_drives: int) -> list[tuple[int, int]]:
 
 def leader_at(problem: Problem[Any], point: Array, executor: Executor | None) -> Leader:
     """Evaluate the best point, shape (d,), again, since checkpoints lack its cost on each drive."""
-    each = problem.each(point[np.newaxis], range(len(problem.steps)), executor)
-    return Leader(float(problem.mean(each)[0]), each[0])
+    each = problem.costs_by_drive(point[np.newaxis], range(len(problem.steps)), executor)
+    return Leader(float(problem.combined(each)[0]), each[0])
 
 
 def race(
@@ -107,12 +107,14 @@ def race(
         if not len(alive):
             break
         column = np.full((n, len(fresh)), np.nan)
-        column[alive] = problem.each(points[alive], fresh.tolist(), executor)
+        column[alive] = problem.costs_by_drive(points[alive], fresh.tolist(), executor)
         each = np.hstack([each, column])
         steps += len(alive) * int(problem.steps[fresh].sum())
-        costs[alive] = problem.mean(_in_order(each[alive], order[:drives]))
+        costs[alive] = problem.combined(_in_order(each[alive], order[:drives]))
         if rival and drives < m:  # the drives so far may be harder or easier than average
-            costs[alive] += rival.cost - problem.mean(rival.each[np.newaxis, np.sort(order[:drives])])[0]
+            costs[alive] += (
+                rival.cost - problem.combined(rival.costs_by_drive[np.newaxis, np.sort(order[:drives])])[0]
+            )
     failures = int(np.isinf(costs).sum())
     costs = _behind(costs, alive, dropped, rival.cost if rival else np.inf)
     if not many:
@@ -127,7 +129,7 @@ def race(
 def _ahead(each: Array, costs: Array, rival: Leader, drives: NDArray[np.int64]) -> Mask:
     """Select candidates that are better than the leader by more than one standard error of the difference."""
     with np.errstate(invalid="ignore"):  # a failed candidate has infinite costs
-        std = (each - rival.each[drives]).std(axis=1, ddof=1)
+        std = (each - rival.costs_by_drive[drives]).std(axis=1, ddof=1)
     return costs + std / np.sqrt(len(drives)) < rival.cost
 
 

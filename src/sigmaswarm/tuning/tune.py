@@ -215,7 +215,7 @@ def _problem_of(
                 warnings.warn(warning, SigmaswarmWarning, stacklevel=3)
     if not len(others):
         return problem, None, first, choice
-    held_back = problem.on(others)
+    held_back = problem.with_data(others)
     check_disjoint(problem, held_back)
     return problem, held_back, first, choice
 
@@ -297,7 +297,7 @@ def tune_problem(
         failures=sum(trial.failures for trial in trials),
         steps=sum(int(trial.steps[-1]) for trial in trials),
         full_steps=int(problem.steps.sum()) * evaluations,
-        data=problem.described,
+        data=problem.recorded_data,
         **(problem.diagnosis(point) if diagnose else {}),
         sensitivities=sensitivities(problem, point, cost, executor),
         validation=_validate(problem, held_back, point, executor) if held_back else None,

@@ -271,7 +271,7 @@ def _tune_all(
 
     if processes:
         for problem in problems.values():  # compiled and loaded once, before the processes fork
-            problem.each(problem.space.low[np.newaxis], [0], None)
+            problem.costs_by_drive(problem.space.low[np.newaxis], [0], None)
     return run_grid(
         list(design.tasks),
         one,
