@@ -92,11 +92,6 @@ def _tilts(own: Tilts) -> Tilts:
     return Tilts(on_own_states(own.plus), on_own_states(own.minus), nearest, transition, as_angles)
 
 
-def fix_error_transition(n: int, phi: float) -> Array:
-    """Return the transition F, (n, n), of b between two fixes; the other states do not change."""
-    return np.diag([1.0] * (n - 2) + [phi] * 2)
-
-
 def add_start(mean: Array, covariance: Array, variance: Array) -> None:
     """Add b to initial means (..., n) and covariances (..., n, n), in place; ``variance`` (...) is g s^2, m2."""
     for position, b in ((0, -2), (1, -1)):

@@ -167,9 +167,6 @@ class SearchConfig(BaseModel):
                 )
         return self
 
-    def optimizer_options(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in SWARM} if self.optimizer == "pso" else {}
-
 
 class TuneConfig(SearchConfig):
     """Options for tuning a built-in model; `defaults.default_filter_options` adds missing ``model`` and ``use``."""

@@ -148,7 +148,8 @@ def objective_for(
     with_truth, without = OBJECTIVES_OF_LOGS if logs else OBJECTIVES_OF_CARS
     cars = [log_properties(one) for one in data if not isinstance(one, Log)]
     tilts = model in MODELS and MODELS[model].tilts
-    if not logs and tilts and _allows_forecasts(cars):
+    white = 2 * sum(one.white for one in cars) > len(cars)
+    if not logs and tilts and white and all(one.driven > MIN_DRIVEN for one in cars):
         with_truth, without = FORECAST_OBJECTIVES
     if "fix-error" in use:
         with_truth = FIX_ERROR_OBJECTIVE
@@ -161,10 +162,6 @@ def objective_for(
             stacklevel=5,
         )
     return without if without_truth else with_truth
-
-
-def _allows_forecasts(cars: Sequence[LogProperties]) -> bool:
-    return 2 * sum(one.white for one in cars) > len(cars) and all(one.driven > MIN_DRIVEN for one in cars)
 
 
 def complete_config(config: C, data: Sequence[LogProperties | Log]) -> C:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sigmaswarm.arrays import Array
 from sigmaswarm.drives.tables import Mask
 from sigmaswarm.errors import InputError, TuningStopped
-from sigmaswarm.tuning.config import SearchConfig
+from sigmaswarm.tuning.config import SWARM, SearchConfig
 from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.optimizers.asktell import AskTell
 from sigmaswarm.tuning.optimizers.budget import Budgeted
@@ -247,7 +247,7 @@ class TrialRunner:
             budget=c.particles * c.generations,
             rng=np.random.default_rng(np.random.SeedSequence(c.seed, spawn_key=(number,))),
             polish=c.polish,
-            **c.optimizer_options(),
+            **({name: getattr(c, name) for name in SWARM} if c.optimizer == "pso" else {}),
         )
         if self.center is not None:
             optimizer.begin_near(self.center)

@@ -18,7 +18,7 @@ from sigmaswarm.filters.constants import (
     gap_covariance,
     process_noise_per_step,
 )
-from sigmaswarm.filters.kernels import FILTERS, fix_error_transition
+from sigmaswarm.filters.kernels import FILTERS
 from sigmaswarm.filters.models import THETA, CarModel, lateral_arm, require_driven_by_imu
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.starts import measured_by, require_accuracy, require_axes, require_odometer, start_of
@@ -174,7 +174,8 @@ class TextbookCar(Car):
     def _age_fix_error(self, stated: Array) -> None:
         p, filter = self.parameters, self.filter
         phi = float(np.exp(-self._since * self.timeline.nominal_interval / p.fix_error_time))
-        f, q = fix_error_transition(len(filter.mean), phi), np.zeros_like(filter.covariance)
+        f, q = np.eye(len(filter.mean)), np.zeros_like(filter.covariance)
+        f[-2:, -2:] *= phi  # the other states do not change
         variance = (p.fix_error or 0.0) * np.where(stated > 0, stated, p.fix_std**2)
         q[-2:, -2:] = np.diag(variance * (1.0 - phi * phi))  # Q of the error between two fixes
         filter.mean, filter.covariance = f @ filter.mean, f @ filter.covariance @ f.T + q
