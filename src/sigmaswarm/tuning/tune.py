@@ -281,8 +281,9 @@ def tune_problem(
             "no parameter set gave a finite cost: every filter failed on at least one drive; "
             + (problem.failure_reason(point) or "check the drives for NaN and for values in wrong units")
         )
-    if isinstance(problem, CarProblem) and problem.config.inflation:
-        point, cost, factor = inflate(problem, point, problem.config.inflation, executor)
+    car: Problem[Any] = problem
+    if isinstance(car, CarProblem) and car.config.inflation:
+        point, cost, factor = inflate(car, point, car.config.inflation, executor)
     evaluations = sum(trial.evaluations for trial in trials)
     tuning = Tuning(
         parameters=problem.parameters(point),
