@@ -120,6 +120,14 @@ class FilterRun:
     def whole(self) -> EstimateChunk:
         return join_chunks(self)
 
+    def at(self, times: Array) -> EstimateChunk:
+        """Run to the end; return only the estimates at ``times`` (k,), s, which are times of IMU samples."""
+        chunks: list[EstimateChunk] = []
+        for time, record, lost in self._parts:
+            rows = np.searchsorted(time, times[(times >= time[0]) & (times <= time[-1])])
+            chunks.append(self._piece(time[rows], record[rows], lost[rows]))
+        return join_chunks(chunks)
+
     def finished(self) -> Self:
         """Run to the end without computing estimates or detecting a failure; return the run."""
         for _ in self._parts:

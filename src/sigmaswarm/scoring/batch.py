@@ -231,8 +231,10 @@ class BatchScorer:
         """Score the parameter sets; return the result of ``take``, shape (n_sets, n_drives)."""
         return np.asfortranarray(take(self.scores(parameter_sets, executor)))
 
-    def map_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
-        return [function(one) for one in self.ready]
+    def map_prepared(
+        self, function: Callable[[PreparedDrive], T], executor: Executor | None = None
+    ) -> list[T]:
+        return run_jobs(function, [(one,) for one in self.ready], executor)
 
     def _run(
         self, parameter_sets: Sequence[FilterParameters], executor: Executor | None

@@ -95,11 +95,9 @@ class OutageDrifts:
         recording = FilterRun(outages, parameters, recover=True)
         if method != "tuned":
             return recording.finished()
-        for piece in recording:
-            rows = _rows_at(ends, piece)
-            error = np.hypot(*_errors(self._ready, piece.time[rows], piece.mean[rows, :2]).T)
-            variance = piece.covariance[rows][:, [0, 1], [0, 1]].mean(axis=1)
-            self._stated.append(np.vstack([piece.time[rows], variance, error]))
+        found = recording.at(ends)
+        error = np.hypot(*_errors(self._ready, found.time, found.mean[:, :2]).T)
+        self._stated.append(np.vstack([found.time, found.covariance[:, [0, 1], [0, 1]].mean(axis=1), error]))
         return recording
 
     def _add(self, method: str, drift: float, *, failed: bool) -> None:

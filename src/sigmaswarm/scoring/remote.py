@@ -71,7 +71,9 @@ class RemoteBatchScorer:
             whole[..., indices] = part
         return whole
 
-    def map_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
+    def map_prepared(
+        self, function: Callable[[PreparedDrive], T], executor: Executor | None = None
+    ) -> list[T]:
         return map_prepared(self.dataset, function, as_recorded=self.passes.as_recorded)
 
 

@@ -6,6 +6,7 @@ of the RMSE is measured.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 
@@ -106,7 +107,11 @@ def drift_table(forecasts: Sequence[DriftComparison], durations: Sequence[float]
 
 
 def forecasts_of(
-    parameters: FilterParameters, noise: MotionNoise, scorer: AnyBatchScorer, shown_std: float | None = None
+    parameters: FilterParameters,
+    noise: MotionNoise,
+    scorer: AnyBatchScorer,
+    shown_std: float | None = None,
+    executor: Executor | None = None,
 ) -> Iterator[DriftComparison]:
     """Measure the drift over outages of several lengths in the middle part of the first drives.
 
@@ -116,7 +121,7 @@ def forecasts_of(
     some = scorer.subset(range(min(len(scorer.dataset), MAX_NAMED_DRIVES)))
     for length in FORECAST_LENGTHS:
         measure = partial(drifts_of, parameters=parameters, length=length, noise=noise, shown_std=shown_std)
-        drifts = _mean_drifts(some.map_prepared(measure))
+        drifts = _mean_drifts(some.map_prepared(measure, executor))
         if drifts[0] > 0:
             yield DriftComparison(length, *drifts)
 

@@ -107,7 +107,7 @@ class Problem(ABC, Generic[P]):
         """Return the costs, shape (n,), of points, shape (n, d), without a prior."""
         return self.costs(points, executor)
 
-    def diagnosis(self, point: Array) -> dict[str, Any]:
+    def diagnosis(self, point: Array, executor: Executor | None) -> dict[str, Any]:
         """Return the attributes of `Tuning` on faults of the filter at a point that the objective does not show."""
         return {}
 
@@ -217,9 +217,9 @@ class CarProblem(Problem[FilterParameters]):
         )
         return self.space.point_of(parameters)
 
-    def fixes_alone(self) -> MotionNoise:
+    def fixes_alone(self, executor: Executor | None = None) -> MotionNoise:
         """Fit the noise of a constant-velocity filter that uses only fixes."""
-        return MotionNoise.typical(self.scorer.map_prepared(fitted_noise))
+        return MotionNoise.typical(self.scorer.map_prepared(fitted_noise, executor))
 
     def starts(self) -> Sequence[InitialState]:
         """Return the initial state of the filter on each drive."""
@@ -229,9 +229,9 @@ class CarProblem(Problem[FilterParameters]):
         """Return the bias of gz on each drive, rad/s, if the objective uses truth."""
         return self.scorer.dataset.map(true_gyro_bias) if self.objective.needs_truth else ()
 
-    def diagnosis(self, point: Array) -> dict[str, Any]:
-        noise = self.fixes_alone()
-        forecasts = forecasts_of(self.parameters(point), noise, self.scorer, self.shown_std)
+    def diagnosis(self, point: Array, executor: Executor | None) -> dict[str, Any]:
+        noise = self.fixes_alone(executor)
+        forecasts = forecasts_of(self.parameters(point), noise, self.scorer, self.shown_std, executor)
         return {
             "fixes_alone": noise,
             "forecasts": tuple(forecasts),

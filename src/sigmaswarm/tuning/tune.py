@@ -299,7 +299,7 @@ def tune_problem(
         steps=sum(int(trial.steps[-1]) for trial in trials),
         full_steps=int(problem.steps.sum()) * evaluations,
         data=problem.recorded_data,
-        **(problem.diagnosis(point) if diagnose else {}),
+        **(problem.diagnosis(point, executor) if diagnose else {}),
         sensitivities=sensitivities(problem, point, cost, executor),
         validation=_validate(problem, held_back, point, executor) if held_back else None,
         inflation_factor=factor,
