@@ -35,7 +35,7 @@ from sigmaswarm.learned.folder import (
     NetworkRecord,
     TrainingRecord,
 )
-from sigmaswarm.learned.noise_gru import NoiseLearner
+from sigmaswarm.learned.noise_training import NoiseLearner
 from sigmaswarm.learned.outage_training import OutageLearner
 from sigmaswarm.record_files import ARRAYS
 from sigmaswarm.tuning.optimizers import create_optimizer
