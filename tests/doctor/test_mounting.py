@@ -235,18 +235,20 @@ def test_a_recording_is_found_within_3_degrees(name: str):
     assert np.degrees(error) < 3
 
 
-def test_hills_at_constant_speed_are_no_turned_imu():
-    """In its last 22 s, the car drives at 8 m/s through a hilly bend."""
+@pytest.mark.parametrize(
+    ("run", "imu", "span"),
+    [(158, "gnss-ins-sim-mid", (0.0, 120.0)), (179, "adis16405", (20.0, 80.0))],
+    ids=["at 8 m/s through a bend", "slopes of 7%"],
+)
+def test_hills_are_no_turned_imu_and_hide_none(run: int, imu: str, span: tuple[float, float]):
     drive = sigmaswarm.simulate(
-        "urban",
-        run=158,
-        duration=120.0,
-        imu="gnss-ins-sim-mid",
-        gps="f9p-rtk",
-        terrain="hilly",
-        vibration=1.0,
+        "urban", run=run, duration=120.0, imu=imu, gps="f9p-rtk", terrain="hilly", vibration=1.0
     )
+    drive = clip(drive, *span)
     assert find_turn(gather(drive)) is None
+    turn = np.where(drive.imu.time > sum(span) / 2, 1j, 1.0)
+    force = (drive.imu.ax + 1j * drive.imu.ay) * turn
+    assert find_turn(gather(replace(drive, imu=replace(drive.imu, ax=force.real, ay=force.imag)))) is not None
 
 
 @pytest.mark.parametrize(
