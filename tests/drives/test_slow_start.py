@@ -61,6 +61,19 @@ def test_a_slow_robot_starts_within_its_deviation(speed: float, noise: float) ->
         assert error < 3.5 * std < np.radians(45.0)
 
 
+@pytest.mark.parametrize("stated", ["gps.csv", "drive.toml"])
+def test_a_slow_start_includes_stated_errors_that_last(stated: str) -> None:
+    """The fixes are smooth, so the fit does not show their error, which turns the start by over 30 deg."""
+    drive = robot(0.3, 0.05)
+    wander = 2.6 * np.sin(drive.gps.time / 15)
+    gps = replace(drive.gps, x=drive.gps.x + 0.5 * wander, y=drive.gps.y - 0.9 * wander)
+    accuracy = np.full(len(gps), 2.6)
+    about = {} if stated == "gps.csv" else {"gps_std_m": 2.6}
+    drive = replace(drive, gps=gps if about else replace(gps, std_x=accuracy, std_y=accuracy), metadata=about)
+    error, std = heading_error(drive)
+    assert error < 3.5 * std and initial_state(drive).covariance[0, 0] > 2.5**2
+
+
 @pytest.mark.parametrize("speed", [0.3, 0.4])
 def test_a_slow_robot_that_drives_to_and_fro_in_a_small_area_starts(speed: float) -> None:
     """Its fixes are never 10 m apart, but their noise is 2 cm."""

@@ -16,6 +16,7 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment_fit import AlignmentFit, InitialState
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.gyro_bias import CONTRADICTS, MAX_BIAS, GyroBiasEvidence
+from sigmaswarm.drives.sensors import white_noise
 from sigmaswarm.drives.stale_fixes import stale_fixes
 from sigmaswarm.drives.tables import Indices, headings_of
 from sigmaswarm.errors import AlignmentError
@@ -178,7 +179,7 @@ class Alignments:
         inside = (drive.gps.time > drive.imu.time[0]) & (drive.gps.time <= drive.imu.time[-1])
         inside &= np.isfinite(drive.gps.x + drive.gps.y)
         fixes = np.flatnonzero(inside if usable is None else inside & usable)
-        self.time = drive.gps.time[fixes]
+        self._used, self.time = fixes, drive.gps.time[fixes]
         self._position = (drive.gps.x + 1j * drive.gps.y)[fixes]
         self._first = np.searchsorted(self.time, self.time - longest, side="left")
         count = np.arange(len(fixes)) - self._first + 1
@@ -242,7 +243,10 @@ class Alignments:
         return fit.state() if usable else None
 
     def _fitted_slow(self, k: int) -> InitialState | None:
-        """Also fit the gyro's bias; do not use the accelerometer, since the error due to its bias grows with time."""
+        """Also fit the gyro's bias, without the accelerometer, since the error due to its bias grows with time.
+
+        The stated variance of the fixes that is not white noise is that of lasting errors.
+        """
         first = int(self._first[k])
         interval = float(self.time[k] - self.time[first]) / (k - first)
         rows = np.arange(k, first - 1, -max(1, round(SLOW_INTERVAL / interval)))[::-1]
@@ -253,6 +257,10 @@ class Alignments:
             share = float(1.0 / (1.0 + (fit.bias_std / SLOW_BIAS_STD) ** 2))
             fit.subtract(share * fit.yaw_bias)
         fit.add_bias_variance(share * fit.bias_std**2)
+        std = self._drive.gps.std
+        stated = self._drive.metadata.get("gps_std_m", 0.0) if std is None else std[:, self._used[rows]]
+        lasting = float(np.median(stated)) ** 2 - white_noise(self._position[rows]) ** 2
+        fit.add_lasting_errors(max(lasting, 0.0))
         largest_std, misfit = self._slow_limits
         far = fit.travel >= max(SLOW_TRAVEL, SLOW_SPEED * fit.span) and fit.misfit <= misfit * fit.travel
         usable = far and fit.heading_std <= largest_std and abs(fit.yaw_bias) < MAX_BIAS

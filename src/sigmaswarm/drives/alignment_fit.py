@@ -35,6 +35,7 @@ from sigmaswarm.geodesy import wrap_angle
 
 SLIP_STD = np.radians(1.0)  # rad, standard deviation of course minus heading at the IMU in ordinary driving
 ACCELERATION_BIAS_STD = 0.5  # m/s2, standard deviation of the prior of b (tilt and bias)
+FIX_ERROR_TIME = 60.0  # s, time constant of lasting errors of the fixes
 MIN_POSITION_STD = 0.05  # m per axis, smallest assumed standard deviation of fixes
 MAX_STEPS = 12  # largest number of Gauss-Newton steps
 CONVERGED = 1e-10  # m, rad, m/s or m/s2; the fit ends when no unknown changes by more
@@ -148,6 +149,12 @@ class AlignmentFit:
     def add_bias_variance(self, variance: float) -> None:
         """Add the effect of a gyro bias variance, (rad/s)^2, to the covariance of position, heading and speed."""
         self._covariance[:SLOPE, :SLOPE] += variance * np.outer(self._turns[:SLOPE], self._turns[:SLOPE])
+
+    def add_lasting_errors(self, variance: float) -> None:
+        """Add the effect of lasting errors of the fixes with a variance, m2 per axis, to the covariance."""
+        change = 2 * variance * -float(np.expm1(-self.span / FIX_ERROR_TIME))
+        added = variance, variance, change / max(self.travel, 1e-9) ** 2, change / self.span**2
+        self._covariance[range(SLOPE), range(SLOPE)] += added
 
     def state(self, *, tilts: bool = True) -> InitialState:
         """Return the initial state; with ``tilts``, include evidence about tilts if the IMU has gx and gy."""
