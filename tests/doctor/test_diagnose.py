@@ -176,7 +176,8 @@ def test_a_car_that_stands_shows_nothing_and_that_is_told():
     found = sigmaswarm.diagnose(
         replace(drive, gps=gps, imu=replace(drive.imu, ax=still, ay=still, gz=still + 1e-3))
     )
-    assert "unseen-motion" in found.codes
+    (unseen,) = (f for f in found.findings if f.code == "unseen-motion")
+    assert re.match(r"the fixes show no motion above [12]\.\d m/s, so heading", unseen.what)
     assert serious(found) == []
 
 

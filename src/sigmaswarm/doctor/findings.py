@@ -61,7 +61,7 @@ CONSEQUENCES = {
     "time-jump": "a filter predicts motion for hours without samples",
     "time-unit": "the time steps of a filter are wrong by this factor",
     "truth-clock": "errors relative to this truth, and filters that are tuned with it, are wrong",
-    "unseen-motion": "a fault of axes, units or clocks makes the filter useless but remains hidden",
+    "unseen-motion": "a fault of axes, units or clocks, which would make the filter useless, cannot be seen",
     "unseen-yaw": "a wrong sign or unit, which would make the filter useless, cannot be seen",
 }
 """Consequences of faults, by code; codes of notes have none."""

@@ -31,7 +31,13 @@ def check_observability(evidence: Evidence) -> Iterator[Finding]:
         remedy = start.remedy.replace(REPAIR_FINDINGS, "repair the faults of the other findings")
         yield Finding("no-start", "warning", start.what, "gps.csv", span, 0.99, remedy)
     if not evidence.drives:
-        what = "the fixes show no motion, so heading, axes, units and clocks can't be checked"
+        course = evidence.course
+        shown = (
+            f"the fixes show no motion above {course.slowest:.1f} m/s"
+            if course
+            else "there are too few fixes"
+        )
+        what = f"{shown}, so heading, axes, units and clocks can't be checked"
         remedy = "use a longer or faster drive"
         yield Finding("unseen-motion", "warning", what, "gps.csv", span, 0.99, remedy)
         return
