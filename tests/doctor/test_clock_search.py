@@ -11,7 +11,9 @@ import sigmaswarm
 from sigmaswarm import Drive, Gps, Imu
 from sigmaswarm.doctor.clock_search import search_offset
 from sigmaswarm.doctor.fixes import Course
+from sigmaswarm.doctor.mounting import rotate_imu
 from sigmaswarm.doctor.repairs import repair
+from sigmaswarm.geodesy import rotation_of
 from support import DRIVES, needs_shared, quickly
 
 
@@ -147,9 +149,16 @@ def test_a_log_that_begins_in_reverse(seed: int, slow: float):
 
 
 @pytest.mark.parametrize(
-    ("until", "fast"), quickly([(45.0, 8.0), (30.0, 8.0), (40.0, 10.0)], lambda until, fast: until == 45.0)
+    ("until", "fast", "mount"),
+    quickly(
+        [(until, fast, (0, 0, 0)) for until, fast in ((45.0, 8.0), (30.0, 8.0), (40.0, 10.0))]
+        + [
+            (30.0, 8.0, mount) for mount in ((180, 0, 0), (0, 180, 0), (0, 0, 90), (20, -30, 70), (0, 0, 180))
+        ],
+        lambda until, fast, mount: until == 45.0 or mount == (180, 0, 0),
+    ),
 )
-def test_a_long_start_in_reverse_is_one_finding(until: float, fast: float):
+def test_a_long_start_in_reverse_is_one_finding(until: float, fast: float, mount: tuple[float, float, float]):
     """The direction of ax and ay relative to the motion changes by 180 deg, but the IMU was not moved."""
     rng, t = np.random.default_rng(60), np.arange(0, 160, 0.02)
     back, on = np.clip(np.minimum((t - 2) / 3, (until - 4 - t) / 3), 0, 1), np.clip((t - until) / 4, 0, 1)
@@ -162,11 +171,12 @@ def test_a_long_start_in_reverse_is_one_finding(until: float, fast: float):
     imu = Imu(t, *(force + noise[:3])[:2], rate + noise[5], force[2] + noise[2], noise[3], noise[4])
     k = slice(None, None, 10)
     fixes = position[k] + 0.7 * (rng.standard_normal(len(t[k])) + 1j * rng.standard_normal(len(t[k])))
-    drive = Drive("robot", imu, Gps(t[k], fixes.real, fixes.imag))
+    drive = Drive("robot", rotate_imu(imu, rotation_of(*mount)), Gps(t[k], fixes.real, fixes.imag))
     (found,) = (f for f in sigmaswarm.diagnose(drive).findings if f.severity != "note")
     assert found.code == "reverse-start" and found.cut == pytest.approx(until, abs=4)
     _, rest = sigmaswarm.split_time(drive, at=float(found.cut))
-    assert not {"reverse-start", "mounting-changed"} & sigmaswarm.diagnose(rest).codes
+    codes = sigmaswarm.diagnose(rest).codes
+    assert not {"reverse-start", "mounting-changed"} & codes and ("mounting" in codes) == any(mount)
 
 
 def test_at_walking_speed_no_offset_is_invented():

@@ -307,7 +307,7 @@ def test_an_imu_in_someones_hand_at_an_end_is_cut_off(
     begin: float, axis: str, kept: tuple[float, float] | None
 ):
     """A vehicle turns about the vertical, and an IMU that moves in the middle of a log is another finding."""
-    drive = drive_of("icm-20602", "hilly")
+    drive = replace(drive_of("icm-20602", "hilly"), metadata={"heading_deg": 90.0})
     sick = handled(drive, begin, begin + 0.525, axis)
     found = {f.code: f for f in sigmaswarm.diagnose(sick).findings}
     assert ("mounting-handled" in found) == (kept is not None)
@@ -317,6 +317,7 @@ def test_an_imu_in_someones_hand_at_an_end_is_cut_off(
     ends = (sick.imu.time[0], kept[0]) if kept[0] else (kept[1], sick.imu.time[-1])
     assert finding.span == pytest.approx(ends, abs=1.1)
     mended = repaired(sick, sigmaswarm.diagnose(sick))
+    assert ("heading_deg" in mended.metadata) == ("heading_deg" not in finding.remedy) == (kept[0] == 0.0)
     for time in (mended.imu.time, mended.gps.time):
         np.testing.assert_allclose(time[[0, -1]], kept, atol=1.1)
     assert finding.repair and "mounting-handled" not in sigmaswarm.diagnose(mended).codes

@@ -86,9 +86,10 @@ def _diagnosed(drive: Drive) -> Diagnosis:
         return Diagnosis(drive.name, tuple(finding_of(wrong, "serious", ends, 0.999) for wrong in spoiled))
     evidence = gather(drive)
     found = [finding for check in CHECKS for finding in check(evidence)]
-    if any(finding.code == "mounting-changed" for finding in found):  # the parts have different axes
+    codes = {finding.code for finding in found}
+    if codes & {"mounting-changed", "reverse-start"}:  # the parts have different axes, or seem to have
         found = [f for f in found if f.repair is None or f.repair.action not in AXIS_ACTIONS]
-    if any(finding.code == "reverse-start" for finding in found):  # it explains this change of the axes
+    if "reverse-start" in codes:  # it explains this change of the axes
         found = [f for f in found if f.code != "mounting-changed" or OR_BACKWARD not in f.what]
     withheld = drive.metadata.get("withheld", ())
     found = [_contradicted(finding) if finding.code in withheld else finding for finding in found]

@@ -10,8 +10,8 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.acceleration_fit import fit_acceleration
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of, split_command
-from sigmaswarm.doctor.mounting import SERIOUS, Mounting, angle_of
-from sigmaswarm.doctor.windows import integral, smoothed
+from sigmaswarm.doctor.mounting import SERIOUS, Mounting, angle_of, level_rotation, rotate_imu
+from sigmaswarm.doctor.windows import Values, integral, smoothed
 from sigmaswarm.drives.alignment import StartFailure, find_start
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive
@@ -236,6 +236,8 @@ def check_handled(evidence: Evidence) -> Iterator[Finding]:
         if span[0] < span[1]:
             repair = Repair("cut-ends", (begin, last) if edge == begin else (first, end))
             remedy = f"leave out the samples and fixes {word} this time"
+            if edge == begin and evidence.drive.heading is not None:
+                remedy += ", and heading_deg of drive.toml, which refers to the first sample"
             yield Finding(
                 "mounting-handled", "warning", what.format(word, edge), WHERE, span, 0.99, remedy, repair
             )
@@ -261,20 +263,27 @@ def find_steady_span(drive: Drive) -> tuple[float, float]:
 def check_reverse(evidence: Evidence) -> Iterator[Finding]:
     """Find a log in which a filter would start in reverse and use the course as the heading.
 
-    Reverse driving before the filter's start is harmless.
+    The forward direction in the leveled axes is that in which the force agrees with the changes of speed after the
+    first part. Reverse driving before the filter's start is harmless.
     """
-    course, mount, imu = evidence.course, evidence.mount, evidence.drive.imu
-    if course is None or mount is None or not evidence.drives or mount.axes[0, 0] <= 0:
+    course, drive = evidence.course, evidence.drive
+    if course is None or not evidence.drives:
         return
-    start, drive = find_start(evidence.drive), evidence.drive
+    start = find_start(drive)
     if isinstance(start, StartFailure) or drive.heading is not None or drive.gps.heading is not None:
         return
-    gained = smoothed(imu.time, integral(imu.time, imu.ax), course.time - evidence.clock.delay, course.span)
+    imu = drive.imu if evidence.mounting is None else rotate_imu(drive.imu, level_rotation(drive.imu))
+    gained = integral(imu.time, imu.ax + 1j * imu.ay)
+    gained = smoothed(imu.time, gained, course.time - evidence.clock.delay, course.span)
     speed = np.abs(course.velocity)
     moving = speed > min(STANDS, OF_USUAL * float(np.quantile(speed, 0.9)))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], moving.astype(int), [0]])))
     runs = [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= 5]
-    slopes = [(run, _slope(course.time[run], speed[run], gained[run])) for run in runs]
+    step = max(round(STEP / float(np.median(np.diff(course.time)))), 1)
+    runs = [run for run in runs if run.stop - run.start >= step + 4]
+    changes = [[_change(values[run], step) for values in (speed, gained)] for run in runs]
+    forward = np.exp(1j * np.angle(sum(x.conj() @ y for y, x in changes[1:])))
+    slopes = [(run, _slope(y, (x * forward).real, step)) for run, (y, x) in zip(runs, changes, strict=True)]
     shown = [(run, *slope) for run, slope in slopes if slope]
     if len(shown) < 2:
         return
@@ -292,13 +301,14 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
         yield Finding("reverse-start", "serious", what, where, span, 0.99, remedy, cut=cut, command=command)
 
 
-def _slope(time: Array, speed: Array, gained: Array) -> tuple[float, float] | None:
-    """Fit speed changes to the integral of ax; return the slope and the smallest significant slope, or None."""
-    step = max(round(STEP / float(np.median(np.diff(time)))), 1)
-    if len(time) < step + 4:
-        return None
-    y, x = speed[step:] - speed[:-step], gained[step:] - gained[:-step]
-    y, x = y - y.mean(), x - x.mean()
+def _change(values: Values, step: int) -> Values:
+    """Return the changes over ``step`` values, minus their mean."""
+    change = values[step:] - values[:-step]
+    return change - change.mean()
+
+
+def _slope(y: Array, x: Array, step: int) -> tuple[float, float] | None:
+    """Fit changes y to changes x over ``step`` values; return the slope and the smallest significant slope, or None."""
     power = float(x @ x)
     if power < 1.0:
         return None
