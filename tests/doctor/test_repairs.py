@@ -13,6 +13,7 @@ from doctor.faults import FAULTS, MORE, codes_of
 from sigmaswarm import Diagnosis, Drive, Finding
 from sigmaswarm.doctor.findings import Repair
 from sigmaswarm.doctor.mounting import angle_of, rotate_imu
+from sigmaswarm.doctor.repairs import leave_different_axes
 from sigmaswarm.doctor.repairs import repair as repaired
 from sigmaswarm.geodesy import rotation_of
 from sigmaswarm.importing.mounting import parse_mount
@@ -305,3 +306,18 @@ def test_the_phone_with_a_wrong_mounting_gets_the_right_one(mount: str):
     assert "withheld" not in mended.metadata
     off = rotation_of(*mended.mounting) @ rotation_of(*plain.mounting).T
     assert np.degrees(angle_of(off)) < 0.2
+
+
+@pytest.mark.parametrize(
+    ("repairs", "different"),
+    [
+        ([Repair("gyro", (2.0, -1.0))], False),
+        ([Repair("gyro", (2.0, -1.0)), Repair("accelerometer", (1.0, 0.0, 0.0, 1.0, -1.0))], True),
+        ([Repair("gyro", (2.0, -1.0)), Repair("rotate", tuple(rotation_of(5, 3, 0).ravel()))], False),
+        ([Repair("rotate", tuple(rotation_of(180, 50, 60).ravel()))], False),
+        ([Repair("tilt-rates", (-1.0, 0.0, 0.0, -1.0)), Repair("accelerometer", (1.0, 0.0, 0.0, 1.0, -1.0))], False),
+    ],
+    ids=["one sensor", "signs of both sensors", "and a tilt", "rotation", "left-handed axes"],
+)  # fmt: skip
+def test_repairs_that_leave_two_sensors_with_different_axes(repairs: list[Repair], different: bool):
+    assert leave_different_axes(drive_of("simulated short"), repairs) == different

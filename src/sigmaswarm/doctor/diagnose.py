@@ -20,7 +20,7 @@ from sigmaswarm.doctor.checks.timing import check_clock, check_sampling, check_t
 from sigmaswarm.doctor.checks.velocity import check_velocity
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.findings import SEVERITIES, Diagnosis, Finding, finding_of
-from sigmaswarm.doctor.repairs import AXIS_ACTIONS
+from sigmaswarm.doctor.repairs import AXIS_ACTIONS, leave_different_axes
 from sigmaswarm.drives.checks import invalid_times, shortage_of
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
@@ -91,6 +91,9 @@ def _diagnosed(drive: Drive) -> Diagnosis:
         found = [f for f in found if f.repair is None or f.repair.action not in AXIS_ACTIONS]
     if "reverse-start" in codes:  # it explains this change of the axes
         found = [f for f in found if f.code != "mounting-changed" or OR_BACKWARD not in f.what]
+    of_axes = [f for f in found if f.repair and f.repair.action in AXIS_ACTIONS]
+    if leave_different_axes(drive, [f.repair for f in of_axes if f.repair]):
+        found = [_of_one_sensor(f) if f in of_axes else f for f in found]
     withheld = drive.metadata.get("withheld", ())
     found = [_contradicted(finding) if finding.code in withheld else finding for finding in found]
     found.sort(key=lambda finding: SEVERITIES.index(finding.severity))
@@ -106,6 +109,15 @@ def _contradicted(finding: Finding) -> Finding:
     )
     severity = "warning" if finding.severity == "serious" else finding.severity
     return replace(finding, severity=severity, remedy=remedy, repair=None)
+
+
+def _of_one_sensor(finding: Finding) -> Finding:
+    """Withhold the repair of a finding, since all repairs together give accelerometers and gyro different axes."""
+    remedy = (
+        "check the IMU's axes, or split the drive if it begins in reverse. With the repairs of all findings, "
+        f"accelerometers and gyro would have different axes. If only this fault exists, {finding.remedy}"
+    )
+    return replace(finding, remedy=remedy, repair=None)
 
 
 def _of_part(found: Sequence[Finding], whole: str) -> Iterator[Finding]:

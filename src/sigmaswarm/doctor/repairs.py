@@ -62,8 +62,30 @@ def _applied(drive: Drive, repairs: Sequence[Repair]) -> Drive:
     return drive
 
 
+def leave_different_axes(drive: Drive, repairs: Sequence[Repair]) -> bool:
+    """Return True if repairs of both sensors give accelerometers and gyro different axes, up to tilts.
+
+    Both must be rotated equally. If the axes were left-handed, the rates have the opposite signs.
+    """
+    if len(_names(drive.imu)) < 6:
+        return False
+    force, rates = _directions(drive, repairs)
+    handed, force, rates = np.sign(np.linalg.det(force)), np.rint(force), np.rint(rates)
+    same = [
+        np.array_equal(*pair) for pair in ((force, np.eye(3)), (rates, np.eye(3)), (rates, handed * force))
+    ]
+    return not any(same)
+
+
 def _rotation(drive: Drive, repairs: Sequence[Repair]) -> Array | None:
-    """Return the total rotation (3, 3) of repairs of the IMU's axes; None if they are not a rotation.
+    """Return the total rotation (3, 3) of repairs of the IMU's axes; None if they are not a rotation."""
+    force, rates = _directions(drive, repairs)
+    same = np.allclose(force, rates, atol=1e-6) and np.allclose(force @ force.T, np.eye(3), atol=1e-6)
+    return force if same and np.linalg.det(force) > 0 else None
+
+
+def _directions(drive: Drive, repairs: Sequence[Repair]) -> tuple[Array, Array]:
+    """Return the directions (3, 3) of the axes of accelerometers and gyro after repairs, in the recorded axes.
 
     Factors (units, scales) are ignored. If the IMU lacks one of the six axes, only ax, ay and gz are used; they can be
     rotated about z or exchanged.
@@ -71,9 +93,7 @@ def _rotation(drive: Drive, repairs: Sequence[Repair]) -> Array | None:
     imu = _of_unit_vectors(drive, repairs)
     six = len(_names(imu)) == 6
     force = _unit_rows(imu.ax, imu.ay, imu.az if six else imu.gz)
-    rates = _unit_rows(imu.gx, imu.gy, imu.gz) if six else force
-    same = np.allclose(force, rates, atol=1e-6) and np.allclose(force @ force.T, np.eye(3), atol=1e-6)
-    return force if same and np.linalg.det(force) > 0 else None
+    return force, _unit_rows(imu.gx, imu.gy, imu.gz) if six else force
 
 
 def _axes(drive: Drive, repairs: Sequence[Repair], rotation: Array | None) -> dict[str, dict[str, str]]:

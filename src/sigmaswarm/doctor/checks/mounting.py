@@ -281,10 +281,10 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
     runs = [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= 5]
     step = max(round(STEP / float(np.median(np.diff(course.time)))), 1)
     runs = [run for run in runs if run.stop - run.start >= step + 4]
-    changes = [[_change(values[run], step) for values in (speed, gained)] for run in runs]
+    changes = [(_change(speed[run], step), _change(gained[run], step)) for run in runs]
     forward = np.exp(1j * np.angle(sum(x.conj() @ y for y, x in changes[1:])))
-    slopes = [(run, _slope(y, (x * forward).real, step)) for run, (y, x) in zip(runs, changes, strict=True)]
-    shown = [(run, *slope) for run, slope in slopes if slope]
+    slopes = [_slope(y, np.asarray((x * forward).real, np.float64), step) for y, x in changes]
+    shown = [(run, *slope) for run, slope in zip(runs, slopes, strict=True) if slope]
     if len(shown) < 2:
         return
     (first, slope, limit), *rest = shown
