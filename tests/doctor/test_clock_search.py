@@ -172,6 +172,9 @@ def test_a_long_start_in_reverse_is_one_finding(until: float, fast: float, mount
     k = slice(None, None, 10)
     fixes = position[k] + 0.7 * (rng.standard_normal(len(t[k])) + 1j * rng.standard_normal(len(t[k])))
     drive = Drive("robot", rotate_imu(imu, rotation_of(*mount)), Gps(t[k], fixes.real, fixes.imag))
+    late = replace(drive, gps=replace(drive.gps, time=drive.gps.time + 18.0))
+    found = {f.code for f in sigmaswarm.diagnose(late).findings if f.severity != "note"}
+    assert found == {"reverse-start", "clock-offset"}
     if mount == (180, 0, 0):  # a stated heading permits the start, but not signs of single axes
         known = sigmaswarm.diagnose(replace(drive, metadata={"heading_deg": 40.0}))
         assert not any(f.repair for f in known.findings) and "gyro-sign" in known.codes

@@ -99,6 +99,11 @@ class Evidence:
         """First and last time of the IMU, s."""
         return float(self.drive.imu.time[0]), float(self.drive.imu.time[-1])
 
+    @property
+    def delay(self) -> float:
+        """Delay of the fixes in `course`, s: without `moved`, which is part of `clock`."""
+        return self.clock.delay - self.moved
+
     @cached_property
     def suggestion(self) -> SuggestedFilter:
         """The default filter of `tune` for the drive."""

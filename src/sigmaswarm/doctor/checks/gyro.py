@@ -108,7 +108,7 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
     if clear and abs(_whole_gain(evidence) - 1) > MIN_GAIN_ERROR / 2:
         repair, remedy = Repair("gyro", (2.0, 1 + off, 1.0)), f"multiply gz by {1 + off:.3g}"
         yield Finding("gyro-scale", "warning", turns(1 + off), where, span, confidence_of(4), remedy, repair)
-    bias = -gyro_drift(imu.time, course, yaw.factor * getattr(imu, yaw.column), evidence.clock.delay)
+    bias = -gyro_drift(imu.time, course, yaw.factor * getattr(imu, yaw.column), evidence.delay)
     if abs(bias) > BIAS_LIMITS[0]:
         severity = "warning" if abs(bias) > BIAS_LIMITS[1] else "note"
         what = f"the gyro's bias is about {np.degrees(bias):.2f} deg/s"

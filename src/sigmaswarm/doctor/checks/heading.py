@@ -165,6 +165,6 @@ def _delay(evidence: Evidence, theta: Array, known: Mask, best: int) -> float:
 
     tried = np.arange(-1.5, 1.51, 0.05)
     misfits = [misfit(float(delay)) for delay in tried]
-    own = evidence.clock.delay - evidence.moved if evidence.clock.visible else 0.0
+    own = evidence.delay if evidence.clock.visible else 0.0
     delay = float(tried[int(np.argmin(misfits))]) - own
     return delay if abs(delay) >= MIN_DELAY and min(misfits) < MAX_MISFIT_RATIO * misfit(own) else 0.0

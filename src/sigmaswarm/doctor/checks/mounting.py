@@ -147,7 +147,7 @@ def find_turn(evidence: Evidence) -> tuple[float, float] | None:
     course, imu, yaw = evidence.course, evidence.drive.imu, evidence.yaw
     if course is None or not yaw.known:
         return None
-    speed, at = np.abs(course.velocity), course.time - evidence.clock.delay
+    speed, at = np.abs(course.velocity), course.time - evidence.delay
     force, rate = (
         smoothed(imu.time, v, at, course.span) for v in (imu.ax + 1j * imu.ay, getattr(imu, yaw.column))
     )
@@ -274,7 +274,7 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
         return
     imu = drive.imu if evidence.mounting is None else rotate_imu(drive.imu, level_rotation(drive.imu))
     gained = integral(imu.time, imu.ax + 1j * imu.ay)
-    gained = smoothed(imu.time, gained, course.time - evidence.clock.delay, course.span)
+    gained = smoothed(imu.time, gained, course.time - evidence.delay, course.span)
     speed = np.abs(course.velocity)
     moving = speed > min(STANDS, OF_USUAL * float(np.quantile(speed, 0.9)))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], moving.astype(int), [0]])))
