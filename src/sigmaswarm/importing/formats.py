@@ -32,11 +32,11 @@ READERS: dict[str, tuple[str, str]] = {
     "sensor-logger": ("sensor_logger", "Sensor Logger's export, a folder or .zip"),
     "phyphox": ("phyphox", "phyphox's export as CSV, a folder or .zip"),
     "gnss-logger": ("gnss_logger", "a text file of Android's GnssLogger"),
-    "json": ("json_rows", "JSON: a list of objects, or an object on each line"),
+    "json": ("json_rows", "JSON: a list of objects, or an object on each line; a file or a folder"),
     "csv": ("columns", "CSV or Parquet: a file or a folder of files; a zip of CSV files"),
 }
 # Formats of a single file
-_SINGLE = ("mcap", "rtklib", "ubx", "nmea", "px4", "ardupilot", "matlab", "gnss-logger", "json")
+_SINGLE = ("mcap", "rtklib", "ubx", "nmea", "px4", "ardupilot", "matlab", "gnss-logger")
 _MIXED = ("nmea", "gnss-logger")
 _TEXTS = (*_MIXED, "rtklib", "csv")
 # Largest number of lines per row of a table, in texts with several kinds of lines; largest number of lines above the

@@ -13,7 +13,7 @@ from shlex import quote
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.quantities import NO_NUMBER, NO_VALUE
-from sigmaswarm.importing.readers.packed_cells import packed_cells
+from sigmaswarm.importing.readers.packed_cells import NAMED, packed_cells
 from sigmaswarm.importing.readers.row_kinds import MAX_ROWS, require_one_kind
 from sigmaswarm.importing.source import first_bytes
 from sigmaswarm.importing.units import COUNTS, parse_unit
@@ -85,6 +85,7 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
     surplus = width - len(names) if 0 < width - len(names) <= empty else 0
     notes = [packed] if packed else []
     if not names:
+        _require_one_kind(lines[first : first + MAX_ROWS], separator, shown_as)
         last = lines[above[-1]] if above else "#"
         if last.lstrip()[:1] not in COMMENTS and len(found := _titles(last, separator)) > 1:
             remedy = f"write a header with {width} names"
@@ -94,7 +95,6 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
             raise InputError(
                 f"{shown_as}, row {first + 1}: has {width} cells, but the header has {len(found)}; {remedy}"
             )
-        _require_one_kind(lines[first : first + MAX_ROWS], separator, shown_as)
         if names := _of_message(data[0]):
             notes.append(
                 f"{shown_as.name}: each row is read as a message of {width} values, in the format of "
@@ -129,11 +129,17 @@ def _of_message(row: Sequence[str]) -> list[str]:
 
 
 def is_table(file: Path) -> bool:
-    """Return True if the last 6 to 20 lines of the first 64 KiB are rows of at least three cells, mostly numbers."""
+    """Return True if the last 6 to 20 lines of the first 64 KiB are rows of at least three cells, mostly numbers.
+
+    The numbers may have names, as in `ax:0.1`.
+    """
     head = first_bytes(file, 65536)
     if b"\0" in head:
         return False
-    lines = [line for line in head.decode("utf-8", "replace").split("\n")[:-1] if line.strip()][-20:]
+    lines = [
+        NAMED.sub("1", line) for line in head.decode("utf-8", "replace").split("\n")[:-1] if line.strip()
+    ]
+    lines = lines[-20:]
     cells = [split(line, _separator(lines)) for line in lines]
     return len(lines) > 5 and all(len(c) > 2 and sum(map(is_value, c)) > 0.5 * len(c) for c in cells)
 

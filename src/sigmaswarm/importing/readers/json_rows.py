@@ -1,4 +1,7 @@
-"""JSON: a list of objects, one object per line, or an object of named lists; each kind of object is a table."""
+"""JSON: a list of objects, one object per line, or an object of named lists; each kind of object is a table.
+
+A folder may contain several such files.
+"""
 
 import json
 import re
@@ -10,21 +13,41 @@ from typing import Any, cast
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.readers.columns import log_of_files
+from sigmaswarm.importing.readers.columns import SUFFIXES, log_of_files
 from sigmaswarm.importing.readers.fields import MAX_DEPTH, MAX_ELEMENTS
 from sigmaswarm.importing.source import Limits, Log, first_bytes
 
 KINDS = ("sensor", "type", "name", "topic", "kind", "_measurement")
 MAX_KINDS = 50
+_SUFFIXES = (".json", ".jsonl", ".ndjson")
 Row = dict[str, Any]
 
 
 def recognizes(path: Path) -> bool:
-    head = first_bytes(path, 256).lstrip(b"\xef\xbb\xbf \r\n\t") if path.is_file() else b""
-    return re.match(rb'\[\s*\{\s*"|\{\s*"', head) is not None
+    if path.is_dir() and any(file.suffix.lower() in SUFFIXES for file in path.iterdir()):
+        return False
+    return bool(_files(path))
+
+
+def _files(path: Path) -> list[Path]:
+    there = path.iterdir() if path.is_dir() else [path]
+    files = sorted(f for f in there if f.is_file() and (f == path or f.suffix.lower() in _SUFFIXES))
+    heads = {file: first_bytes(file, 256).lstrip(b"\xef\xbb\xbf \r\n\t") for file in files}
+    return [file for file, head in heads.items() if re.match(rb'\[\s*\{\s*"|\{\s*"', head)]
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
+    frames: dict[str, pl.LazyFrame] = {}
+    for file in _files(path) if path.is_dir() else [path]:
+        for name, frame in _frames(file, limits).items():
+            name = name if file in (path, path / name) else f"{file.stem}.{name}"
+            frames[name], limits = frame, limits.less(len(frame.collect_schema()))
+    if not frames:
+        raise InputError(f"{path}: contains no list of objects; write a list with an object for each sample")
+    return log_of_files(path, frames, "JSON")
+
+
+def _frames(path: Path, limits: Limits) -> dict[str, pl.LazyFrame]:
     limits.check_unpacked(path.stat().st_size, path)
     content = _parsed(path)
     named = cast("Mapping[str, Any]", content) if isinstance(content, dict) else {"": content}
@@ -34,16 +57,14 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         rows = [dict(_flat(record)) for record in every if isinstance(record, dict)]
         for kind, some in _by_kind(rows).items():
             tables.setdefault(".".join(filter(None, (name, kind))) or path.name, []).extend(some)
-    if not any(tables.values()):
-        raise InputError(f"{path}: contains no list of objects; write a list with an object for each sample")
     frames: dict[str, pl.LazyFrame] = {}
-    for name, rows in tables.items():
+    for name, rows in {name: rows for name, rows in tables.items() if rows}.items():
         limits.check_rows(len(rows), path, name)
         columns = limits.first_columns(iter(dict.fromkeys(key for row in rows for key in row)), path)
         limits = limits.less(len(columns))
         cells = {c: pl.Series([row.get(c) for row in rows], strict=False) for c in columns}
         frames |= {name: pl.LazyFrame(cells)} if len(columns) > 1 else {}
-    return log_of_files(path, frames, "JSON")
+    return frames
 
 
 def _parsed(path: Path) -> Any:

@@ -8,7 +8,7 @@ from shlex import quote
 from sigmaswarm.errors import InputError
 
 _VALUE = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan"
-_NAMED = re.compile(rf"([A-Za-z_]\w*) *[:=] *(?:{_VALUE})(?= *[,;\s]|$)")
+NAMED = re.compile(rf"([A-Za-z_]\w*) *[:=] *(?:{_VALUE})(?= *[,;\s]|$)")
 _POINT = r"[+-]?\d*\.\d+(?:[eE][+-]?\d+)?"
 # Three or more numbers in brackets or quotes; those in quotes have decimal points, since "1,234,567" is a single number
 _VECTOR = re.compile(
@@ -17,7 +17,7 @@ _VECTOR = re.compile(
 _OUTER = re.compile(r"\"(?=[\[({])|(?<=[\])}])\"")  # quotes around brackets
 _CELL = re.compile(rf"{_VALUE}|[\w.:+-]*\d[\w.:+-]*")
 _NO_NAMES, _NO_BRACKETS = r"s/[A-Za-z_][A-Za-z0-9_]* *[:=] *//g", r"s/[]\"(){}[]//g"
-_SEPARATED = "s/ *[,; ] */,/g"
+_SEPARATED = "s/[[:space:]]*[,;[:space:]][[:space:]]*/,/g"
 _POINTS = re.compile(r"\bPOINT *(?:Z|M|ZM)? *\(", re.IGNORECASE)
 _PRINTED = re.compile(r"[\d:.]+ -> ")
 PARTS = {2: "xy", 3: "xyz", 4: "xyzw"}
@@ -41,12 +41,12 @@ def packed_cells(lines: Sequence[str], shown_as: Path) -> str:
         raise InputError(
             f"{shown_as}: rows begin with times of a serial monitor; remove these times, for example with: {command}"
         )
-    named = [found[1] for found in _NAMED.finditer(last)]
-    if len(named) >= max(MIN_NAMES, len(_cells(_NAMED.sub("1", last))) / 2) and len({*named}) == len(named):
+    named = [found[1] for found in NAMED.finditer(last)]
+    if len(named) >= max(MIN_NAMES, len(_cells(NAMED.sub("1", last))) / 2) and len({*named}) == len(named):
         before = [f"c{k + 1}" for k in range(len(_cells(last[: _start(last)])))]
         header = [*(["t"] if len(before) == 1 and "t" not in named else before), *named]
         what, edit = f"cells contain names ({named[0]}, {named[1]} ...)", f"{_NO_NAMES}; {_SEPARATED}"
-        if all([found[1] for found in _NAMED.finditer(row)] == named for row in rows[-MAX_ROWS:]):
+        if all([found[1] for found in NAMED.finditer(row)] == named for row in rows[-MAX_ROWS:]):
             raise InputError(_sentence(shown_as, rows, what, header, edit, named=True, titles=0))
     elif vectors := _vectors(last):
         what = f"cells contain several numbers ({vectors[0][:40]})"
@@ -65,12 +65,12 @@ def _vectors(row: str) -> list[str]:
 
 
 def _start(row: str) -> int:
-    found = _NAMED.search(row)
+    found = NAMED.search(row)
     return found.start() if found else 0
 
 
 def _cells(text: str) -> list[str]:
-    return [cell for cell in re.split(r" *[,; ] *", text.strip(" ,;")) if cell]
+    return [cell for cell in re.split(r"\s*[,;\s]\s*", text.strip(" \t,;")) if cell]
 
 
 def _titles(header: str, row: str) -> Iterator[str]:

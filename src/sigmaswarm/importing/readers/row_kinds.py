@@ -35,9 +35,10 @@ def require_one_kind(rows: Sequence[Sequence[str]], separator: str, shown_as: Pa
         return
     marked = all(re.match(r"[ $]*\w+:", row[place]) for row in rows)
     keep = f'k=${place + 1}; sub(/^[$ ]+/,"",k); sub(/[^A-Za-z0-9_].*/,"",k);{" sub(/:/,FS);" * marked}'
+    keep += r' sub(/\*[0-9A-Fa-f]+\r?$/,"");' * any(re.search(r"\*[0-9A-Fa-f]+ *$", row[-1]) for row in rows)
     command = (
         f"mkdir -p kinds && awk -F{quote(separator.replace(chr(9), chr(92) + 't'))} "
-        f'\'{{{keep} if (k!="") print > ("kinds/" k ".csv")}}\' {quote(shown_as.name)}'
+        f'\'{{{keep} if (k~/^({"|".join(sorted(kinds))})$/) print > ("kinds/" k ".csv")}}\' {quote(shown_as.name)}'
     )
     raise InputError(
         f"{shown_as}: has rows of several kinds ({list_names(sorted(kinds))}); write each kind to a separate file; for "
