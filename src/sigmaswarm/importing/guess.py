@@ -12,7 +12,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.common_clock import on_common_clock
 from sigmaswarm.importing.degree_parts import degree_parts
 from sigmaswarm.importing.expressions import compile_expression
-from sigmaswarm.importing.names import Name, plain_words, read_name, read_names
+from sigmaswarm.importing.names import Name, plain_words, read_name, read_names, split_words
 from sigmaswarm.importing.quantities import (
     Columns,
     degrees_as_meters,
@@ -21,6 +21,7 @@ from sigmaswarm.importing.quantities import (
     heading,
     is_placeholder,
     quantity,
+    with_gravity,
 )
 from sigmaswarm.importing.source import Fault, Guess, Part, Role
 from sigmaswarm.importing.ticks import rates_by_clock
@@ -40,6 +41,9 @@ SAMPLE_ROWS = 2000
 # log may begin without fixes and at standstill. Rows of a block are consecutive, so most time steps are those of the
 # log. A block contains fixes even if only 1 of 200 rows has one.
 BLOCKS, BLOCK = 16, 500
+_RECEIVER = re.compile(r"gps|gnss", re.IGNORECASE)
+# Columns of fixes for which a name with gps or gnss takes precedence: lat may be an estimate, speed that of the wheels
+_OF_RECEIVER = ("lat", "lon", "alt", "speed", "course", "bearing")
 _WHEELS = re.compile(r"odo|wheel|(?:^|[^a-z])can(?:[^a-z]|$)", re.IGNORECASE)
 TRUTH = re.compile(r"truth|ground|reference|(?:^|[^a-z])(?:gt|ref)(?:[^a-z]|$)", re.IGNORECASE)
 # Words of a truth's columns that do not change the meaning of a name; x_ref and ref_x may be setpoints
@@ -85,6 +89,12 @@ _FIX = (
 )
 # Words that mean a fix, and that only a receiver uses
 _SURE_FIX = r".*(?:[23]d|fix|rtk|float|single|ppp|sbas|psr|valid).*"
+# Names of columns with the number of a sensor; largest number of sensors; smallest share of rows at which it changes
+_SENSOR_NUMBER = (
+    "i|instance|index|id|address|serial|"
+    "(?:imu|sensor|device|dev|node|unit)(?:_?(?:id|no|nr|number|index|instance|name))?"
+)
+MAX_SENSORS, MIN_CHANGES = 8, 0.1
 MAX_WORDS = 20  # largest number of different words in a column of flags
 # Names of columns in which 3 means a fix in three dimensions, and 1 means no fix
 _DIMENSIONS = ".*(?:type|mode)"
@@ -234,25 +244,39 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
             name = replace(read_name(_OF_TRUTH.sub("", name.column)), column=name.column)
         if (what := name.meaning) is None or what == "t":
             continue
-        if what != "bearing" or len(column_numbers(frame[name.column])):  # a direction may be N or NE
-            columns.names.setdefault(what, name)
+        first = columns.names.get(what)
+        of_receiver = (
+            what in _OF_RECEIVER and _names_receiver(name) and not (first and _names_receiver(first))
+        )
+        # a direction may be N or NE
+        if (first is None or of_receiver) and (what != "bearing" or len(column_numbers(frame[name.column]))):
+            columns.names[what] = name
+        elif what == "bearing" and first and first.is_one("cog|track") and name.is_one("heading"):
+            columns.names |= {"course": first, "bearing": name}
     for what, (column, text) in degree_parts(frame).items():
         if text:
             columns.names[what], columns.degrees[what] = Name(column, what), text
         else:
             columns.names[what] = next(n for n in read_names(frame.columns) if n.column == column)
-    letter = "a" if FORCES.search(table) else "g" if RATES.search(table) else ""
+    called = f"{table} {'_'.join(split_words(table))}"  # also in English
+    letter = "a" if FORCES.search(called) else "g" if RATES.search(called) else ""
     if letter and not columns.has("lat", "lon"):
         for axis in "xyz":
             if axis in columns:
                 columns.names.setdefault(f"{letter}{axis}", columns.names.pop(axis))
     turned = "q" in columns and columns.names["q"].plain == "w"  # x, y, z are those of a quaternion
+    posed = "x" in columns and columns.names["x"].plain.startswith("pose_")  # a pose is usually an estimate
+    turned |= posed and not _RECEIVER.search(table)
     dropped = {"x", "y"} if _NO_PLACES.search(table) or turned or letter else set[str]()
     if "ax" in columns and columns.names["ax"].plain == "linear_x":  # velocities also have this name
         size = median_of(columns.norms(["ax", "ay", "az"])) if columns.has("ax", "ay", "az") else 0.0
         dropped |= set() if 8.0 < size < 12.0 or 0.85 < size < 1.15 else {"ax", "ay", "az"}
     columns.names = {what: name for what, name in columns.names.items() if what not in dropped}
     return columns
+
+
+def _names_receiver(name: Name) -> bool:
+    return _RECEIVER.search(name.column) is not None
 
 
 def _truths_of_columns(
@@ -315,7 +339,7 @@ def _candidates(
     degrees = {t for t, c in found.items() if c.has("lat", "lon")}
     located = {t for t, c in found.items() if c.located}
     truth = {t for t in found if t not in truths and (t == chosen_truth or TRUTH.search(t))}
-    loose = {t for t in forces if rates and not re.search("lin|gravity", t, re.IGNORECASE)}
+    loose = {t for t in forces if rates and not re.search("lin|gravi", t, re.IGNORECASE)}
     counted = {
         t
         for t, c in found.items()
@@ -346,7 +370,7 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
     elif role in ("gps", "truth") and columns.has("x", "y") and (fault := degrees_as_meters(columns, role)):
         yield "lat", TimeExpression("", fault=fault)
         located = True
-    if role == "gps" and (keep := _with_fix(columns)):
+    if keep := _with_fix(columns) if role == "gps" else _of_first_sensor(columns) if role == "imu" else None:
         yield "keep", keep
     skipped = {"lat", "lon"} | ({"x", "y"} if located else set())
     # "heading" is the course of a receiver with one antenna, unless the table also has a course or a std_heading
@@ -356,6 +380,7 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
     skipped |= {"bearing"} if course in columns and not heads else set()
     skipped |= set() if heads else {"std_heading"}
     skipped |= {"speed"} if role == "odometer" and "wheel_speed" in columns else set()
+    gravity = with_gravity(columns) if role == "imu" else {}
     for what in _WANTED[role]:
         if what not in columns or what in skipped:
             continue
@@ -365,9 +390,32 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
             degrees = "radians" in heading(columns, "bearing", role).expression
             yield what, TimeExpression(f"radians({columns.text(what)})" if degrees else columns.text(what))
         else:
-            yield what.removeprefix("wheel_"), quantity(columns, what, role)
+            found = quantity(columns, what, role)
+            yield what.removeprefix("wheel_"), replace(found, **gravity.get(what, {}))
     if role == "gps" and not columns.has("std_x", "std_y"):
         yield from _std_of_messages(columns.frame.columns)
+
+
+def _of_first_sensor(columns: Columns) -> TimeExpression | None:
+    """Return the condition of the rows of the first IMU if the rows of several IMUs alternate in a table."""
+    axes = [name.column for what, name in columns.names.items() if what in ("ax", "gz")]
+    rows = columns.frame.drop_nulls(axes)
+    for name in read_names(rows.columns) if axes else ():
+        cells, column = rows[name.column], quoted_column(name.column)
+        if not name.is_one(_SENSOR_NUMBER) or not (cells.dtype.is_integer() or cells.dtype == pl.String):
+            continue
+        cells = cells.drop_nulls()
+        sensors = [repr(v) for v in cells.unique().sort()]
+        alternate = (cells != cells.shift()).sum() >= MIN_CHANGES * len(cells)
+        if (
+            2 <= len(sensors) <= MAX_SENSORS
+            and alternate
+            and all(re.fullmatch(r"\w+|'[\w .:-]*'", s) for s in sensors)
+        ):
+            one, another = (f"{column} == {sensor}" for sensor in sensors[:2])
+            note = f"the rows of several IMUs alternate, and those with {one} are read"
+            return TimeExpression(one, f'{note}; for another IMU write --map "imu.keep={another}"')
+    return None
 
 
 def _std_of_messages(names: Sequence[str]) -> Iterator[tuple[str, TimeExpression]]:

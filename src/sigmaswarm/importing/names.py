@@ -13,7 +13,7 @@ LONGEST_NAME = 200
 
 _PARTS = "|".join(PARTS_OF_SECONDS)
 TIME = (
-    f"t|ts|time|time_?stamps?|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|(?:unix|posix)(?:_?time)?|utc|{_PARTS}|"
+    f"t|ts|time|time_?stamps?(?:_(?:unix|posix|utc))?|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|(?:unix|posix)(?:_?time)?|utc|{_PARTS}|"
     f"interval|(?:time|secs?|seconds|{_PARTS})_since_\\w{{1,20}}|since_start|loggingtime|logging_time"
 )
 TIME_OF_WEEK = (
@@ -48,8 +48,8 @@ NAMES: tuple[tuple[str, str], ...] = (
     ("ns", "n_s|ns_indicator|(?:lat|latitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ns|n_s)|north_south"),
     ("ew", "e_?w|ew_indicator|(?:lon|lng|longitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ew|e_w)|east_west"),
     ("alt", "alt|altitude|height|elevation|ele|(?:pos_)?lla_z"),
-    ("x", "x|ecef_?x|x_ecef|east|easting|e|pos(?:ition)?_?[xe]|utm_?(?:x|e|east|easting)|x_utm"),
-    ("y", "y|ecef_?y|y_ecef|north|northing|n|pos(?:ition)?_?[yn]|utm_?(?:y|n|north|northing)|y_utm"),
+    ("x", "x|ecef_?x|x_ecef|east|easting|e|pe|pos(?:ition)?_?[xe]|utm_?(?:x|e|east|easting)|x_utm"),
+    ("y", "y|ecef_?y|y_ecef|north|northing|n|pn|pos(?:ition)?_?[yn]|utm_?(?:y|n|north|northing)|y_utm"),
     ("z", "z|ecef_?z|z_ecef"),
     ("q", "w|qw|q_w"),
     ("vx", "vx|ve|v_?east|east_?vel(?:ocity)?|vel(?:ocity)?_?e(?:ast)?"),
@@ -61,7 +61,7 @@ NAMES: tuple[tuple[str, str], ...] = (
         "wheel_speed",
         "(?:wheels?|vehicle|car|can|odo(?:meter)?)_?(?:speed|velocity)|speed_?(?:can|wheels?)|odometer",
     ),
-    ("speed", "(?:ground_?)?speed|spd|velocity|vel|v"),
+    ("speed", "(?:ground_?)?speed|sog|spd|velocity|vel|v"),
     ("course", "course"),
     ("bearing", "bearing|track|heading|cog"),
     ("theta", "theta|yaw"),
@@ -86,9 +86,9 @@ _STATED: tuple[tuple[UnitDimension, str, str], ...] = (
 )
 _SHORT = r"(?:field|data|msg|imu\d?)_(?=[agw][xyz](?:_|$))"
 # Prefixes of message tables and of loggers
-_CHIPS = r"(?:adis|adxl|bmi|bmx|bno|icm|iim|lis|lsm|mpu)\d+_(?=[ag]_?[xyz]$)|measurement_(?=[xyz]$)"
+_CHIPS = r"(?:adis|adxl|bmi|bmx|bno|icm|iim|lis|lsm|mpu)\d*_(?=[ag]_?[xyz]$)|measurement_(?=[xyz]$)"
 _PREFIXES = re.compile(
-    rf"(?:field|data|msg|unit|imu\d?|gps\d?|gnss\d?|fix|location|position|pos_lla|pos)_(?=...)|(?:gps|gnss)\d?_(?=v?[xyzenu]$)|calibrated_(?=acc|gyr)|{_SHORT}|{_CHIPS}"
+    rf"(?:field|data|msg|unit|imu\d?|gps\d?|gnss\d?|fix|location|position|pos_lla|pos)_(?=...)|(?:gps|gnss)\d?_(?=[pv]?[xyzenu]$)|(?:pose_){{1,2}}position_(?=[xyz]$)|calibrated_(?=acc|gyr)|{_SHORT}|{_CHIPS}"
 )
 _FIXES = r"gps\d?|gnss\d?|fix|position|location"
 # Words of a shared prefix that do not change the meaning of a name; others may mark an estimate or another quantity
@@ -109,7 +109,7 @@ _TRANSLATED = {
         "date": "datum fecha",
         "acceleration": "beschleunigung beschl aceleracion aceleracao accelerazione versnelling przyspieszenie",
         "accelerometer": "beschleunigungssensor accelerometre acelerometro accelerometro akcelerometr",
-        "gyroscope": "gyroskop giroscopio gyroscoop zyroskop",
+        "gyroscope": "gyroskop giroscopio giroscopo gyroscoop zyroskop",
         "rate": "drehrate winkelgeschwindigkeit drehgeschwindigkeit",
         "yawrate": "gierrate giergeschwindigkeit",
         "rollrate": "wankrate wankgeschwindigkeit",
@@ -234,6 +234,12 @@ def _one_sensor(names: list[Name]) -> list[Name]:
     names = [
         replace(n, plain="") if n.is_one("(?:roll|pitch)_?rate") and n.meaning in turns else n for n in names
     ]
+    for stem in {n.plain[:-1] for n in names if n.meaning == "gy" and n.plain.endswith("_y")}:
+        if {f"{stem}r", f"{stem}p"} <= plains and plains.isdisjoint(
+            {f"{stem}x", f"{stem}z"}
+        ):  # roll, pitch, yaw
+            turned = {f"{stem}{letter}": f"{stem}{axis}" for letter, axis in zip("rpy", "xyz", strict=True)}
+            names = [replace(n, plain=turned.get(n.plain, n.plain)) for n in names]
     stated = {n.column: _meaning_in_table(n) for n in names if n.meaning is None and n.unit is None}
     known = {n.meaning for n in names} | {*stated.values()}
     if known >= {"lat", "lon"}:  # the values of a course and of a speed are compared with the positions

@@ -21,7 +21,7 @@ from sigmaswarm.drives.table_files import MAX_VALUE
 from sigmaswarm.errors import InputError, SigmaswarmError
 from sigmaswarm.importing.names import plain_words, read_name, unit_of
 from sigmaswarm.importing.positions import RADIUS_68
-from sigmaswarm.importing.quantities import AXES
+from sigmaswarm.importing.quantities import AXES, gravity_columns
 from sigmaswarm.importing.rates import unit_of_rates
 from sigmaswarm.importing.source import Part, Role
 from sigmaswarm.importing.times import quoted_column
@@ -48,6 +48,19 @@ RATE = {
 }
 # Words in the names of angles, and of accelerations without gravity
 ANGLES, FREE = {"attitude", "euler", "orientation", "angle", "angles"}, {"user", "linear", "lin", "free"}
+_ESTIMATES = {
+    "est",
+    "estimate",
+    "estimated",
+    "kf",
+    "ekf",
+    "ukf",
+    "filter",
+    "filtered",
+    "fused",
+    "pred",
+    "cmd",
+}
 ACCURACY = {"hacc", "accuracy", "eph", "sigma", "std", "stdev"}
 # Words in the names of positions in which "long" is the longitude
 PLACE = {"long", "gps", "gnss", "ins", "pos", "position"}
@@ -94,6 +107,8 @@ def meaning_of(name: str) -> Meaning | None:
         if len(words) > count and words[-1] != "turn" and (found := unit_of(words[-count:])) and found.known:
             words, unit = words[:-count], found
             break
+    if re.fullmatch("[agw][xyz]", words[-1] if words else "") and _ESTIMATES.isdisjoint(words):  # bosch_ax
+        words = [*words[:-1], "acc" if words[-1][0] == "a" else "gyro", words[-1][1]]
     if unit and unit.dimension in ("rate", "acceleration", "length", "angle"):
         column_text = in_si(unit, column_text)
     rest = set(words)
@@ -168,21 +183,16 @@ def propose_columns(
             chosen.setdefault(meaning.column, meaning)
         found = {column: meaning.expression for column, meaning in chosen.items()}
         if all(m.weak for column, m in chosen.items() if column in ("ax", "ay", "az")):
-            found |= {c: f"({found[c]} + {text})" for c, text in _gravity(names).items() if c in found}
+            gravity = {c: name for c, name in gravity_columns(names).items() if c in found}
+            found |= {c: f"({found[c]} + {_in_si(name)})" for c, name in gravity.items()}
         if found and (best is None or len(found) > len(best[1])):
             best = table, found
     return best
 
 
-def _gravity(names: Sequence[str]) -> dict[str, str]:
-    """Return the columns of gravity, which a phone may report in addition to acceleration; {} unless all exist."""
-    found: dict[str, str] = {}
-    for name in names:
-        unit, bare = read_name(name).unit, re.sub(r"(?<=[a-z])(?=[A-Z])|\W*[(\[].*", "_", name)
-        if (axis := re.fullmatch(r".*gravity_([xyz])_*", "_".join([*plain_words(bare), ""]))) is not None:
-            text = quoted_column(name)
-            found[f"a{axis[1]}"] = in_si(unit, text) if unit and unit.known else text
-    return found if len(found) == 3 else {}
+def _in_si(name: str) -> str:
+    unit, text = read_name(name).unit, quoted_column(name)
+    return in_si(unit, text) if unit and unit.known else text
 
 
 def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Proposal, str, bool]:
@@ -201,6 +211,10 @@ def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tup
             proposal, drive = scaled, made(scaled)
         first = diagnose(drive)
         corrected = _corrected(proposal, drive, first)
+        places = proposal.columns.get("gps", {})
+        if "mirrored-fixes" in first.codes and {"lat", "lon"} <= places.keys():
+            exchanged = {**places, "lat": places["lon"], "lon": places["lat"]}
+            corrected = replace(proposal, columns={**proposal.columns, "gps": exchanged})
         last = diagnose(made(corrected)) if corrected != proposal else first
     except SigmaswarmError as error:
         return (
@@ -210,6 +224,13 @@ def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tup
         )
     if corrected != proposal and _faults(last) >= _faults(first):
         corrected, last = proposal, first
+    column = places.get("std_x", "").partition("/")[0].strip("`")
+    stated = (unit := unit_of(plain_words(column)[-1:] or [""])) and unit.known
+    if column and not stated and "gps-noise" in last.codes:  # hAcc may be in mm
+        fixes = {name: text for name, text in corrected.columns["gps"].items() if name != "std_x"}
+        columns = {**corrected.columns, "gps": fixes}
+        corrected = replace(corrected, columns={role: texts for role, texts in columns.items() if texts})
+        last = replace(last, findings=tuple(f for f in last.findings if f.code != "gps-noise"))
     changed = "corrected with" if corrected != named else "checked with"
     basis = (
         f"the mapping follows from the columns' names and values, and was {changed} the motion of the fixes"
@@ -284,6 +305,21 @@ def _corrected(proposal: Proposal, drive: Drive, diagnosis: Diagnosis) -> Propos
         if np.count_nonzero(row) == 1 and {name, AXES[k]} <= imu.keys():
             corrected[name] = _times(imu[AXES[k]], float(row[k]))
     return replace(proposal, columns={**proposal.columns, "imu": {**imu, **corrected}}) if imu else proposal
+
+
+def reversed_forces(parts: Sequence[Part], make: Callable[[Proposal], Drive]) -> Proposal | None:
+    """Propose the other sign for accelerations, if the angular rates and all other axes are right; otherwise None.
+
+    Phones with iOS report accelerations with the sign of gravity, which no rotation corrects.
+    """
+    texts = {name: text for part in parts for name, text in part.columns.items() if name in AXES[:3]}
+    named = Proposal({}, {"imu": texts})
+    try:
+        codes = diagnose(_busiest_part(_plausible(make(named)))).codes
+    except SigmaswarmError:
+        return None
+    other = {name: _times(text, -1.0) for name, text in texts.items()}
+    return Proposal({}, {"imu": other}) if "accelerometer-sign" in codes else None
 
 
 def _times(expression: str, factor: float) -> str:

@@ -8,10 +8,17 @@ from typing import TypeVar
 
 import polars as pl
 
-from sigmaswarm.importing.names import Name, read_name
+from sigmaswarm.importing.names import Name, plain_words, read_name
 from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.times import TimeExpression, column_numbers, median_of, quoted_column, unknown_unit
-from sigmaswarm.importing.units import COUNTS, UnitDimension, in_si, other_units, possible_units
+from sigmaswarm.importing.units import (
+    COUNTS,
+    UnitDimension,
+    in_si,
+    other_units,
+    parse_unit,
+    possible_units,
+)
 from sigmaswarm.wording import quoted
 
 # Units of time that mean fractions of a degree in the names of latitude and longitude, by factor to s
@@ -188,6 +195,32 @@ def quantity(columns: Columns, what: str, role: Role) -> TimeExpression:
     )
 
 
+def gravity_columns(names: Sequence[str]) -> dict[str, str]:
+    """Return the columns of gravity, which a phone may report in addition to acceleration; {} unless all exist."""
+    found: dict[str, str] = {}
+    for name in names:
+        bare = "_".join([*plain_words(re.sub(r"(?<=[a-z])(?=[A-Z])|\W*[(\[].*", "_", name)), ""])
+        if axis := re.fullmatch(r".*gra(?:v(?:ity)?)?_([xyz])_*", bare):
+            found[f"a{axis[1]}"] = name
+    return found if len(found) == 3 else {}
+
+
+def with_gravity(columns: Columns) -> dict[str, dict[str, str]]:
+    """Add the columns of gravity to accelerations without gravity; return expression and note by axis, or {}."""
+    axes = AXES[:3]
+    parts = {a: read_name(n) for a, n in gravity_columns(columns.frame.columns).items()}
+    units = {n.unit for n in (*parts.values(), *(columns.names[a] for a in axes if a in columns))}
+    if not parts or not columns.has(*axes) or len(units) > 1:
+        return {}
+    sizes = [median_of(replace(columns, names=names).norms(axes)) for names in (columns.names, parts)]
+    if not sizes[0] < 0.5 * sizes[1]:
+        return {}
+    unit = units.pop() or parse_unit("g" if sizes[1] < 1.5 else "m/s2")
+    texts = {a: f"({columns.text(a)} + {quoted_column(parts[a].column)})" for a in axes}
+    note = "accelerations and gravity are in separate columns, and are added"
+    return {a: {"expression": in_si(unit, text) if unit else text, "note": note} for a, text in texts.items()}
+
+
 def _web_mercator(columns: Columns, role: Role) -> str:
     """Describe x and y that may be Web Mercator, with the remedy; "" if their magnitude or a name contradicts it."""
     sizes = [median_of(columns.numbers(n).abs()) for n in "xy" if n in columns]
@@ -281,7 +314,8 @@ def in_units(frame: pl.DataFrame, role: Role, texts: Mapping[str, str]) -> dict[
     quoted_names = {quoted_column(column): column for column in frame.columns}
     for what, text in texts.items():
         if what in DIMENSIONS and (column := quoted_names.get(text.removeprefix("-"))):
-            columns.names[what] = Name(column, what)
+            unit = read_name(column).unit
+            columns.names[what] = Name(column, what, unit if unit and unit.known else None)
     placed = geographic_position(columns, role) if columns.has("lat", "lon") else {}
     found = {what: placed.get(what) or quantity(columns, what, role) for what in columns.names}
     # the scale of raw rates in a remedy is only an example

@@ -344,8 +344,9 @@ def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> TimeExpre
     ]
     # ticks have no known unit
     running = max(clocks, key=lambda n: (not n.is_one("ticks?"), frame[n.column].n_unique()), default=None)
-    if running is None and names and _is_index(names[0], frame):
-        running = names[0]
+    dated = [n for n in names if isinstance(frame.schema[n.column], pl.Datetime)]
+    if running is None and (len(dated) == 1 or (names and _is_index(names[0], frame))):
+        running = dated[0] if len(dated) == 1 else names[0]
     return None if running is None else column_time(running, frame, role)
 
 
