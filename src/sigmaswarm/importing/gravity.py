@@ -12,10 +12,12 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.expressions import compile_expression
 from sigmaswarm.importing.gather import with_row_numbers
 from sigmaswarm.importing.mounting import AUTO
-from sigmaswarm.importing.quantities import PER_G
+from sigmaswarm.importing.names import read_name
+from sigmaswarm.importing.quantities import DIMENSIONS, PER_G
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import Part
 from sigmaswarm.importing.times import column_numbers, median_of
+from sigmaswarm.importing.units import in_si
 
 FORCES, RATES = ("ax", "ay", "az"), ("gx", "gy", "gz")
 MIN_TILT = math.radians(20.0)  # rad, smallest reported tilt; larger than the slopes of roads
@@ -55,7 +57,15 @@ def wrong_scale(imu: Imu, parts: Sequence[Part], rates: Mapping[str, str]) -> li
     force, faults = [v for v in (imu.ax, imu.ay, imu.az) if v is not None], list[str]()
 
     def add(texts: Mapping[str, str], what: str, form: str) -> None:
-        maps = " ".join(f'"imu.{name}={form.format(text)}"' for name, text in texts.items())
+        units = {text: read_name(text.strip("`")).unit for text in texts.values()}
+        dimension = DIMENSIONS[next(iter(texts))]
+        scaled = {
+            name: in_si(unit, text)
+            if (unit := units[text]) and unit.dimension == dimension
+            else form.format(text)
+            for name, text in texts.items()
+        }
+        maps = " ".join(f'"imu.{name}={text}"' for name, text in scaled.items())
         scale = f"so their scale is wrong; specify it, for example --map {maps}"
         faults.append(f"{', '.join(texts.values())} {what}, {scale}")
 

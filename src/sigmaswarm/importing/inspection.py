@@ -1,5 +1,6 @@
 """Inspect a log: list its tables with rates and ranges of columns, and find the recipe of a drive."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -23,14 +24,16 @@ from sigmaswarm.importing.guess import Z_DOWN
 from sigmaswarm.importing.increments import RATE, increments
 from sigmaswarm.importing.joining import EVER, without_overlap
 from sigmaswarm.importing.opening import Request, opened
-from sigmaswarm.importing.proposal import Proposal, check_proposal, propose_columns
+from sigmaswarm.importing.proposal import Proposal, check_proposal, propose_columns, reversed_forces
 from sigmaswarm.importing.quantities import in_units
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Fault, ImportProgress, Log, Part, Role
-from sigmaswarm.importing.times import column_numbers, time_of, time_of_rows
-from sigmaswarm.importing.unnamed import columns_by_values
+from sigmaswarm.importing.times import column_numbers, rising_time, time_of, time_of_rows
+from sigmaswarm.importing.unnamed import columns_by_units, columns_by_values
 
 PREVIEW_ROWS = 5000  # number of first rows of a table from which ranges are computed
+IMU_RATES = (10, 20, 25, 40, 50, 100, 104, 125, 200, 208, 250, 400, 416, 500, 800, 1000)  # Hz, usual rates
+MAX_LONGER = 0.03  # largest relative difference between the durations of IMU and fixes
 # Largest number of rows that are read if the rows of tables alternate; tables that begin later are shown without values
 MAX_SCANNED_ROWS = 25_000
 
@@ -115,7 +118,7 @@ def inspect_request(request: Request, progress: ImportProgress = lambda done: No
             for name, table in log.tables.items()
             for rows in [first[path][name]]
         ]
-        proposal = _proposal(request, recipe, first)
+        proposal = _proposal(request, recipe, first, logs)
         if not notes and not proposal:
             notes = _obstacles(request, recipe, logs, guesses, first)
         works = not notes
@@ -124,9 +127,21 @@ def inspect_request(request: Request, progress: ImportProgress = lambda done: No
         mount, tilted = tilted_mount(recipe, first[request.home("imu")], downward=down)
         assumed = (tilted,) if tilted else convert.assumed_mounting(guesses, recipe)
         notes += (*convert.notes_of(request, logs, guesses, recipe), *assumed)
+    if (
+        down
+        and works
+        and not proposal
+        and (forces := reversed_forces(recipe.roles["imu"], partial(_imported, request, progress)))
+    ):
+        proposal, down = forces, False
+        notes = tuple(n for n in notes if f"--mount {Z_DOWN}" not in n)
     evidence = ""
     if proposal:
         proposal, evidence, works = check_proposal(proposal, partial(_imported, request, progress))
+        if "row/" in proposal.columns.get("imu", {}).get("t", ""):
+            evidence += (
+                "; imu.t assumes a constant rate, and that the rows of the IMU begin and end with the fixes"
+            )
     unread = _unread(tables, recipe, proposal)
     options, settings = (proposal.options, proposal.settings) if proposal else ("", {})
     faults = tuple(fault for guess in guesses.values() for fault in guess.faults)
@@ -205,7 +220,9 @@ def _imported(request: Request, progress: ImportProgress, proposal: Proposal) ->
     return convert.import_drive(changed, "proposal", progress, raw=True).drive
 
 
-def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal | None:
+def _proposal(
+    request: Request, recipe: Recipe, first: Beginnings, logs: Mapping[Path, Log]
+) -> Proposal | None:
     tables: dict[Role, str] = {}
     found: dict[Role, Mapping[str, str]] = {}
     roles: tuple[Role, ...] = ("imu", "gps")
@@ -219,10 +236,11 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal |
         names = {table: there[table].columns for table in chosen}
         unnamed = ((table, columns_by_values(there[table], role)) for table in chosen)
         summed = ((table, increments(columns)) for table, columns in names.items() if role == "imu")
-        by_values, by_sums = (
-            None if known else next((f for f in found if f[1]), None) for found in (unnamed, summed)
+        stated = ((table, columns_by_units(there[table], role)) for table in chosen)
+        by_values, by_sums, by_units = (
+            None if known else next((f for f in found if f[1]), None) for found in (unnamed, summed, stated)
         )
-        proposed = by_values or propose_columns(names, role, known) or by_sums
+        proposed = by_values or propose_columns(names, role, known) or by_sums or by_units
         table, columns = proposed or (parts[0].table if parts else "", {})
         used[role] = request.home(role), table, known, columns
         if proposed is None:
@@ -242,7 +260,32 @@ def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> Proposal |
             found[role] = ({"t": time.expression} if time and time.expression else {}) | {**found[role]}
         rate = _rate(rows, found[role].get("t", known.get("t"))) or 0.0
         found[role] = {name: text.replace(RATE, f"{rate:.6g}") for name, text in found[role].items()}
+    path, table, known, _ = used["imu"]
+    imu, fixes = {**known, **found.get("imu", {})}, {**used["gps"][2], **found.get("gps", {})}
+    rows, (home, places, *_) = first[path].get(table, pl.DataFrame()), used["gps"]
+    if {"ax", "gz"} <= imu.keys() and "t" not in imu and time_of_rows(rows, "imu", {}, "imu") is None:
+        time = rising_time(rows, "imu")
+        steps = [column_numbers(values).diff().drop_nulls() for values in rows]
+        if not time and not any(
+            len(of) and (of > 0).all() for of in steps
+        ):  # a counter is better than row numbers
+            time = _time_of_fixes(logs[path], table, logs[home], places, fixes.get("t", ""))
+        found |= {"imu": {"t": time, **found.get("imu", {})}} if time else {}
     return Proposal(tables, found) if found else None
+
+
+def _time_of_fixes(log: Log, table: str, fixes: Log, places: str, time: str) -> str:
+    """Return a time of the IMU from its row number, at the usual rate for which its rows last as long as the fixes."""
+    if not time or not log.tables[table].columns:
+        return ""
+    count = sum(len(rows) for _, rows, _ in log.batches({table: log.tables[table].columns[:1]}))
+    spans = [_span(rows, time) for rows in _batches_of(fixes, Part(places, {"t": time}))]
+    begin, end = min((low for low, _ in spans), default=0.0), max((high for _, high in spans), default=0.0)
+    if not count or not 0 < end - begin < math.inf:
+        return ""
+    rate = min(IMU_RATES, key=lambda r: abs(math.log(count / r / (end - begin))))
+    begins = f"{begin:.10g} + " if begin else ""
+    return f"{begins}row/{rate}" if abs(count / rate - (end - begin)) < MAX_LONGER * (end - begin) else ""
 
 
 def _key(texts: Mapping[str, str], rows: pl.DataFrame) -> str:

@@ -2,16 +2,27 @@
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 import polars as pl
 
 from sigmaswarm.arrays import Array
+from sigmaswarm.importing.dates import SECOND
+from sigmaswarm.importing.expressions import time_expression
+from sigmaswarm.importing.increments import RATE
 from sigmaswarm.importing.names import read_name, read_names
 from sigmaswarm.importing.quantities import AXES, MAX_QUARTILE_RATIO, PER_G
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.times import column_time, date_time, median_of, quoted_column, time_of
+from sigmaswarm.importing.times import (
+    column_numbers,
+    column_time,
+    date_time,
+    median_of,
+    quoted_column,
+    step_of,
+    time_of,
+)
 from sigmaswarm.importing.units import G, in_si
 
 UNNAMED = re.compile(r"(?:c|.*_)\d+|.*\[\d+\]")
@@ -25,6 +36,7 @@ GRAVITY = (G, *PER_G, 1.0)
 TOLERANCE = 0.05  # largest relative deviation of the median specific force from gravity
 MIN_SPREAD = 1e-3  # smallest relative spread of the specific force; a quaternion's magnitude is constant
 DATE_AND_CLOCK = r"^\d+[-/.]\d+[-/.]\d+$", r"^\d+:\d+:\d+"  # forms of day and time of day in two columns
+_OF_AXES = ("acceleration", "rate")  # dimensions of the columns of an IMU
 MIN_TURN_RATIO = 2.0  # smallest ratio of the 95% to the 25% quantile of angular rates
 MIN_FALLS = 0.9  # smallest share of new seconds at which a fraction falls; after a gap it may rise
 MAX_DEGREE_STEP = 1e-3  # deg, largest median step of latitude and longitude
@@ -44,9 +56,25 @@ def columns_by_values(frame: pl.DataFrame, role: Role) -> dict[str, str]:
     place = (_place(values) or _meters(values)) if role == "gps" else axes if "gx" in axes else {}
     # in a table with an IMU, the IMU's rate determines the unit of the times
     time = next(_times(frame, "imu" if "gx" in axes else role, _summed(values)), "")
-    return (
-        {"t": time, **{what: quoted_column(name) for what, name in place.items()}} if place and time else {}
-    )
+    per_step = ""
+    if role == "imu" and time and not place:
+        clock = frame.select(time_expression(time, frame).alias("t"))["t"]
+        place = _axes(values, [G * step_of(clock) / SECOND])  # increments of velocity and angle
+        place, per_step = (place, f"*{RATE}") if "gx" in place else ({}, "")
+    texts = {what: quoted_column(name) + per_step for what, name in place.items()}
+    return texts if role == "imu" and not time else {"t": time, **texts} if place and time else {}
+
+
+def columns_by_units(frame: pl.DataFrame, role: Role) -> dict[str, str]:
+    """Return the columns of a role in a table whose names state only units: three accelerations and three rates."""
+    units = {name.column: name.unit for name in read_names(frame.columns) if name.unit is not None}
+    kinds = {dimension: [n for n, u in units.items() if u.dimension == dimension] for dimension in _OF_AXES}
+    if role == "gps":
+        angles = {n: column_numbers(frame[n]).to_numpy() for n, u in units.items() if u.dimension == "angle"}
+        return {what: quoted_column(name) for what, name in _place(angles).items()}
+    if any(len(names) != 3 for names in kinds.values()):
+        return {}
+    return dict(zip(AXES, map(quoted_column, chain(*kinds.values())), strict=True))
 
 
 def _letters(frame: pl.DataFrame) -> dict[str, str]:
@@ -94,12 +122,12 @@ def _summed(values: dict[str, Array]) -> dict[str, str]:
     names = [*values]
     for week, name, rest in zip(["", *names], names, names[1:], strict=False):
         whole, seconds = values[name], quoted_column(name)
-        if len(whole) < 3 or not np.all(whole == np.round(whole)) or not np.ptp(whole):
+        if len(whole) < 3 or not np.ptp(whole):
             continue
         weekly = (
             week and not np.ptp(values[week]) and 1000 < values[week][0] < 5000 and whole.max() <= 604_800
         )
-        if _are_fractions(whole, values[rest]):
+        if np.all(whole == np.round(whole)) and _are_fractions(whole, values[rest]):
             seconds = f"{seconds} + {quoted_column(rest)}"
         elif not weekly or not np.all(np.diff(whole) > 0):
             continue
@@ -152,12 +180,12 @@ def header_by_values(frame: pl.DataFrame) -> str:
     return ",".join(given.get(name, name) for name in values) if found and clock else ""
 
 
-def _axes(values: dict[str, Array]) -> dict[str, str]:
+def _axes(values: dict[str, Array], gravity: Sequence[float] = GRAVITY) -> dict[str, str]:
     """Find three columns whose magnitude is gravity, and the rates in three other columns if there are any."""
     place = _place(values).values()  # with an altitude, their magnitude is about constant
     names = [name for name, column in values.items() if np.isfinite(column).any() and name not in place]
     names = [name for name in names if not np.all(np.diff(values[name]) > 0)]  # without times
-    for k in _forces(values, names, GRAVITY):
+    for k in _forces(values, names, gravity):
         return dict(zip(AXES, [*names[k : k + 3], *_rates(values, names, k)], strict=False))
     return {}
 
