@@ -131,6 +131,7 @@ MATRICES: dict[str, Columns] = {
         "fix": np.c_[T[::EVERY], PLACES],
     },
     "times outside": {"t": T, "imu": SIX, "tg": T[::EVERY], "gps": PLACES},
+    "no times of the IMU": {"imu": SIX, "gps": np.c_[T[::EVERY], PLACES]},
     "transposed": {"imu": np.c_[T, SIX].T, "gps": np.c_[T[::EVERY], PLACES].T},
 }
 

@@ -75,6 +75,8 @@ GRAVITY = np.array([0.0, 0.0, -1.0])
 APART = {
     "Apple": ("userAcceleration{}", "gravity{}", "rotationRate{}", "XYZ", 1 / G),
     "with units": ("user_acc_{}(G)", "gravity_{}(G)", "rotation_rate_{}(radians/s)", "xyz", 1 / G),
+    "of known names": ("acc_{}", "grav_{}", "gyro_{}", "xyz", -1.0),
+    "of known names, in g": ("acc_{}", "gra_{}", "gyro_{}", "xyz", -1 / G),
     "in m/s2": ("Linear_Acc_{}2 [m/s^2]", "Gravity {} [m/s^2]", "Gyro2 {} [rad/s]", "XYZ", 1.0),
 }
 
@@ -133,6 +135,11 @@ NAMES = {
     "race": ("time", "GForce{}", "Gyro{}", "Latitude", "Longitude"),
     "bus": ("timestamps", "ESP.{}beschl", "ESP.{}rate", "Pos.Latitude", "Pos.Longitude"),
     "elements": ("time", "I.acc[{}]", "I.pqr[{}]", "lat", "lon"),
+    "sketch": ("timestamp_unix", "mpu_a{}", "mpu_g{}", "gps_lat", "gps_lon"),
+    "unknown prefix": ("time", "bosch_a{}", "bosch_w{}", "gps_lat", "gps_lon"),
+    "letters of turns": ("time", "imu_a{}", ("gyro_r", "gyro_p", "gyro_y"), "lat", "lon"),
+    "only units": ("Zeit [s]", "S{} [mg]", "R{} [°/s]", "P1 [°]", "P2 [°]"),
+    "only units, exchanged": ("Zeit [s]", "S{} [mg]", "R{} [°/s]", "P2 [°]", "P1 [°]"),
 }
 PARTS = {"bus": (("Laengs", "Quer", "Vertikal"), ("Wank", "Nick", "Gier")), "elements": ("012", "012")}
 
@@ -141,14 +148,16 @@ PARTS = {"bus": (("Laengs", "Quer", "Vertikal"), ("Wank", "Nick", "Gier")), "ele
 def test_more_names_of_loggers(tmp_path: Path, form: str):
     time, force, rate, lat, lon = NAMES[form]
     scale = (1 / G, np.degrees(1)) if any(word in force for word in ("g]", "IMU", "GForce")) else (1.0, 1.0)
-    letters = PARTS.get(form, ("XYZ", "XYZ"))
+    scale = (1e3 / G, scale[1]) if "[mg]" in force else scale
+    letters = PARTS.get(form, ("xyz", "xyz") if "_" in force else ("XYZ", "XYZ"))
     columns: dict[str, Any] = {time: TIME}
     for k, axis in enumerate("xyz"):
         columns[force.format(letters[0][k])] = IMU[f"a{axis}"] * scale[0]
         columns[rate[k] if isinstance(rate, tuple) else rate.format(letters[1][k])] = (
             IMU[f"g{axis}"] * scale[1]
         )
-    write(tmp_path / "log.csv", {**columns, lat: sparse(LAT), lon: sparse(LON)})
+    places = {lat: sparse(LAT), lon: sparse(LON)}
+    write(tmp_path / "log.csv", columns | dict(sorted(places.items()) if "P1" in lon else places.items()))
     require_same(as_proposed(tmp_path / "log.csv"))
 
 
@@ -166,6 +175,18 @@ LINES: dict[str, tuple[Line, Line]] = {
     "marks": (
         lambda t, v: ",".join(["$VNIMU", f"{t:.3f}", *v, "28.1"]),
         lambda t, v: ",".join(["$VNGPS", f"{t:.3f}", *v, "500.0", "12"]),
+    ),
+    "checksums": (
+        lambda t, v: ",".join(["$IMU", f"{t:.3f}", *v]) + "*5A",
+        lambda t, v: ",".join(["$GPS", f"{t:.3f}", *v, "500.0"]) + "*1f",
+    ),
+    "numbers below a header": (
+        lambda t, v: ";".join(["1", f"{t:.3f}", *v]),
+        lambda t, v: ";".join(["geo", f"{t:.3f}", *v, "500.0", "3.5"]),
+    ),
+    "marks below other kinds": (
+        lambda t, v: ",".join(["$IMU", f"{t:.3f}", *v]),
+        lambda t, v: ",".join(["$GNSS", f"{t:.3f}", *v, "500.0", "3.5"]),
     ),
     "colons": (
         lambda t, v: "\t".join([f"IMUN:{t * 1e9:.0f}", *v]),
@@ -189,7 +210,9 @@ def test_rows_of_several_kinds_are_separated_by_the_named_command(tmp_path: Path
     fixes = zip(FIXED.tolist(), LAT, LON, strict=True)
     lines += [(t + 1e-3, fix(t + 5, [f"{lat:.9f}", f"{lon:.9f}"])) for t, lat, lon in fixes]
     log = tmp_path / "my log.txt"
-    log.write_text("\n".join(line for _, line in sorted(lines)) + "\n")
+    heads = {"numbers below a header": "info;time;text\n"}
+    heads["marks below other kinds"] = "$COL,IMU,t,ax,ay,az\n$COL,GNSS,t,lat,lon,alt,acc\n$DATA\n"
+    log.write_text(heads.get(form, "") + "\n".join(line for _, line in sorted(lines)) + "\n")
     with pytest.raises(InputError, match="rows of several kinds") as caught:
         imported(log)
     found = re.search(r"run: (.*), and import the folder kinds$", str(caught.value))
@@ -640,3 +663,141 @@ def test_increments_are_multiplied_by_the_rate(tmp_path: Path, form: str):
         columns[angle.format(letter)] = IMU[f"g{axis}"] * scale[1]
     write(tmp_path / "log.csv", columns)
     require_same(as_proposed(tmp_path / "log.csv"))
+
+
+@pytest.mark.parametrize(
+    ("name", "values"), [("I", (0, 1)), ("sensor", ("front", "rear")), ("id", (7, 5, 6))]
+)
+def test_of_alternating_imus_the_first_is_read(tmp_path: Path, name: str, values: tuple[Any, ...]):
+    first = pl.DataFrame({"t": TIME, **IMU})
+    others = [first.with_columns(pl.exclude("t") + 0.1 * k) for k in range(len(values))]
+    ordered = sorted(values)
+    frames = [
+        rows.with_columns(pl.lit(v).alias(name), row=pl.int_range(pl.len()))
+        for v, rows in zip(ordered, others, strict=True)
+    ]
+    pl.concat(frames).sort("row", maintain_order=True).drop("row").write_csv(tmp_path / "imu.csv")
+    write(tmp_path / "gps.csv", {"t": FIXED, "lat": LAT, "lon": LON})
+    require_same(as_proposed(tmp_path))
+    (said,) = [n for n in imported(tmp_path).notes if "several IMUs alternate" in n]
+    option = re.search(r'--map "(imu.keep=.*)"', said)
+    assert option is not None
+    assert abs(np.median(imported(tmp_path, maps=[option[1]]).drive.imu.az - IMU["az"]) - 0.1) < 1e-6
+
+
+def test_an_id_of_laps_is_no_number_of_an_imu(tmp_path: Path):
+    laps = np.arange(len(TIME)) // 700
+    write(tmp_path / "log.csv", {"t": TIME, "id": laps, **IMU, "lat": sparse(LAT), "lon": sparse(LON)})
+    require_same(as_proposed(tmp_path / "log.csv"))
+
+
+Tables = dict[str, dict[str, Any]]
+NAMED = {f"a{a}": f"linear_acceleration.{a}" for a in "xyz"} | {
+    f"g{a}": f"angular_velocity.{a}" for a in "xyz"
+}
+FOLDERS: dict[str, Tables] = {
+    "Spanish": {
+        "acelerómetro": {"hora": TIME, **dict(zip("xyz", [IMU[f"a{a}"] for a in "xyz"], strict=True))},
+        "giróscopo": {"hora": TIME, **dict(zip("xyz", [IMU[f"g{a}"] for a in "xyz"], strict=True))},
+        "gps": {"hora": FIXED, "latitud": LAT, "longitud": LON},
+    },
+    "an IMU without time": {"imu": IMU, "gps": {"t": FIXED, "lat": LAT, "lon": LON}},
+    "signs of a phone": {
+        "imu": {"t": TIME}
+        | {f"acc_{a}": -IMU[f"a{a}"] / G for a in "xyz"}
+        | {f"rot_{a}": IMU[f"g{a}"] for a in "xyz"},
+        "gps": {"t": FIXED, "lat": LAT, "lon": LON},
+    },
+}
+
+
+@pytest.mark.parametrize("form", FOLDERS)
+@pytest.mark.parametrize("suffix", ["csv", "jsonl"])
+def test_folders_of_loggers(tmp_path: Path, form: str, suffix: str):
+    for name, columns in FOLDERS[form].items():
+        frame = pl.DataFrame(columns)
+        if suffix == "csv":
+            frame.write_csv(tmp_path / f"{name}.csv")
+        else:
+            frame.write_ndjson(tmp_path / f"{name}.jsonl")
+            (tmp_path / "about.json").write_text('{"device": "phone", "rate": 50}')
+    require_same(as_proposed(tmp_path))
+
+
+def test_an_unnamed_index_of_dates_is_the_time(tmp_path: Path):
+    for name, time, columns in (("imu", TIME, IMU), ("gps", FIXED, {"lat": LAT, "lon": LON})):
+        dates = pl.Series(np.round((time + 1.7e9) * 1e6).astype(np.int64)).cast(pl.Datetime("us"))
+        pl.DataFrame({"__index_level_0__": dates, **columns}).write_parquet(tmp_path / f"{name}.parquet")
+    require_same(as_proposed(tmp_path))
+
+
+@pytest.mark.parametrize("name", ["odometry-gps", "odom"])
+def test_a_pose_is_a_fix_only_in_a_table_named_after_a_receiver(tmp_path: Path, name: str):
+    write(tmp_path / "imu.csv", {"t": TIME} | {NAMED[n]: v for n, v in IMU.items()})
+    place = {
+        f"pose.pose.position.{a}": v
+        for a, v in zip("xyz", (DRIVE.gps.x, DRIVE.gps.y, 0 * FIXED), strict=True)
+    }
+    write(tmp_path / f"{name}.csv", {"t": FIXED, **place})
+    if name == "odom":
+        with pytest.raises(InputError, match="no position fixes"):
+            imported(tmp_path)
+    else:
+        np.testing.assert_allclose(np.diff(as_proposed(tmp_path).gps.x), np.diff(DRIVE.gps.x), atol=1e-6)
+
+
+def test_columns_of_a_receiver_precede_those_of_others(tmp_path: Path):
+    """Speed and position of other sources, and the course and the heading, are in the same table."""
+    assert DRIVE.truth is not None
+    east, north = (np.interp(FIXED, DRIVE.truth.time, v) for v in (DRIVE.truth.vx, DRIVE.truth.vy))
+    course, speed = np.degrees(np.arctan2(east, north)) % 360, np.hypot(east, north)
+    other = {"lat": sparse(LAT + 0.01), "lon": sparse(LON), "speed_kmh": sparse(0 * FIXED + 7)}
+    of_gps = {"gps_lat": sparse(LAT), "gps_lon": sparse(LON), "gps_speed_kmh": sparse(3.6 * speed)}
+    turned = {"cog": sparse(course), "heading": sparse(course + 2)}
+    write(tmp_path / "log.csv", {"t": TIME, **IMU, **other, **of_gps, **turned})
+    drive = as_proposed(tmp_path / "log.csv")
+    require_same(drive)
+    assert drive.gps.speed is not None and drive.gps.course is not None and drive.gps.heading is not None
+    np.testing.assert_allclose(drive.gps.speed, speed[: len(drive.gps)], atol=1e-6)
+    np.testing.assert_allclose(
+        np.degrees(np.angle(np.exp(1j * (drive.gps.course - drive.gps.heading)))), 2, atol=1e-6
+    )
+
+
+def test_an_accuracy_that_contradicts_the_fixes_is_not_proposed(tmp_path: Path):
+    write(
+        tmp_path / "log.csv",
+        {"t": TIME, **IMU, "lat": sparse(LAT), "lon": sparse(LON), "hAcc": sparse(0 * FIXED + 900.0)},
+    )
+    assert "std_x" not in inspect_request(Request(tmp_path / "log.csv")).proposal
+
+
+def test_accelerations_in_mg_that_were_mapped_by_hand_get_the_factor_of_mg(tmp_path: Path):
+    forces = {f"S{a} [mg]": 985 * IMU[f"a{a}"] / G for a in "xyz"}
+    write(
+        tmp_path / "log.csv",
+        {
+            "t": TIME,
+            **forces,
+            **{f"g{a}": IMU[f"g{a}"] for a in "xyz"},
+            "lat": sparse(LAT),
+            "lon": sparse(LON),
+        },
+    )
+    maps = ["imu.t=t", *(f"a{a}=`S{a} [mg]`" for a in "xyz"), *(f"g{a}=g{a}" for a in "xyz")]
+    with pytest.raises(InputError, match=r'"imu.az=`Sz \[mg\]`\*0.00980665"'):
+        imported(tmp_path / "log.csv", maps=maps)
+
+
+@pytest.mark.parametrize("between", ["\t", "; ", ", "])
+def test_numbers_with_names_are_separated_by_the_named_command(tmp_path: Path, between: str):
+    cells = {"t": TIME, **IMU, "lat": np.interp(TIME, FIXED, LAT), "lon": np.interp(TIME, FIXED, LON)}
+    rows = (
+        between.join(f"{n}:{v:.9f}" for n, v in zip(cells, row, strict=True))
+        for row in zip(*cells.values(), strict=True)
+    )
+    (tmp_path / "serial.log").write_text("\n".join(rows) + "\n")
+    with pytest.raises(InputError, match="cells contain names") as caught:
+        imported(tmp_path / "serial.log")
+    run(str(caught.value).partition("for example with: ")[2], tmp_path)
+    assert len(imported(tmp_path / "new.csv").drive.imu) == len(TIME)

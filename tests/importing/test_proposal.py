@@ -336,9 +336,12 @@ def test_the_remedy_for_a_time_that_imu_and_fixes_share_works_when_typed(tmp_pat
     assert len(import_drive(Request(tmp_path / "log.csv", maps=maps), "log").drive.imu) == len(imu)
 
 
+DT = float(np.median(np.diff(DRIVE.imu.time)))
 ORDERS = {
     "t acc gyro": ("t ax ay az gx gy gz", 1.0, 1.0),
     "row t gyro acc, with a magnetometer": ("row t gx gy gz ax ay az mx my mz", 1.0, 1.0),
+    "increments": ("t gx gy gz ax ay az", DT, DT),
+    "increments with a week": ("week t ax ay az gx gy gz", DT, DT),
     "t acc gyro lat lon, in g": ("t ax ay az gx gy gz lat lon", 1 / G, 1.0),
     "quaternion before gyro and acc in counts": (
         "t qx qy qz qw gx gy gz ax ay az",
@@ -357,6 +360,7 @@ def test_columns_without_names_are_recognized_by_their_values(tmp_path: Path, or
     fixes = lat[last], lon[last]
     tilt = 0.02 * np.sin(imu.time)
     columns = {"row": np.arange(len(imu)), "t": imu.time, "lat": fixes[0], "lon": fixes[1]}
+    columns["week"] = np.full(len(imu), 2315)
     columns |= {name: force * getattr(imu, name) for name in ("ax", "ay", "az")}
     columns |= {name: rate * getattr(imu, name) for name in ("gx", "gy", "gz")}
     if rate > 1:
@@ -366,7 +370,8 @@ def test_columns_without_names_are_recognized_by_their_values(tmp_path: Path, or
     pl.DataFrame([columns[name] for name in names.split()]).write_csv(
         tmp_path / "imu.csv", include_header=False
     )
-    pl.DataFrame({"t": gps.time, "lat": lat, "lon": lon}).write_csv(tmp_path / "gps.csv")
+    week = {"week": np.full(len(gps), 2315), "tow": gps.time} if "week" in names else {"t": gps.time}
+    pl.DataFrame({**week, "lat": lat, "lon": lon}).write_csv(tmp_path / "gps.csv")
     asked = Request(tmp_path / "imu.csv", gps=None if "lat" in names else tmp_path / "gps.csv")
     seen = inspect_request(asked)
     assert seen.works and seen.evidence.endswith("signs, axes and units agree")
