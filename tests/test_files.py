@@ -16,6 +16,7 @@ from sigmaswarm.files import (
     atomic_file,
     atomic_folder,
     earlier_result,
+    free_path,
     locked_folder,
     make_folder,
     staged_files,
@@ -327,3 +328,14 @@ def test_a_list_of_files_can_not_name_files_outside_of_its_folder(tmp_path: Path
 def test_a_folder_with_a_file_of_the_system_alone_is_empty(tmp_path: Path):
     (tmp_path / ".DS_Store").touch()
     assert earlier_result(tmp_path, "evaluation") == frozenset()
+
+
+def test_a_free_path_continues_the_numbers_of_an_earlier_one(tmp_path: Path):
+    for name in ("parts", "parts-2", "parts-4", "2026-01-05"):
+        (tmp_path / name).mkdir()
+    free = {
+        name: free_path(tmp_path / name).name
+        for name in ("parts", "parts-2", "parts-4", "parts-5", "2026-01-05", "new")
+    }
+    three = dict.fromkeys(("parts", "parts-2", "parts-4"), "parts-3")
+    assert free == three | {"parts-5": "parts-5", "2026-01-05": "2026-01-05-2", "new": "new"}

@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 RESULT_FILE = ".sigmaswarm-result.json"  # in the folder of a result: its kind and the names of its files
+DETAILS_FILE = (
+    "details.txt"  # in the folder of a tuning or an evaluation: the output of the command with all details
+)
 _HIDDEN = re.compile(
     r"\.DS_Store|Thumbs\.db|desktop\.ini|\.sigmaswarm\.lock|\..+\.sigmaswarm-[0-9a-f]{12}(\.lock)?"
 )
@@ -65,9 +68,15 @@ def nan_to_none(content: Any) -> Any:
 
 
 def free_path(path: Path | str, inside: str = "") -> Path:
-    """Return the first path of PATH/``inside``, PATH-2/``inside``, PATH-3/``inside`` ... that does not exist."""
+    """Return the first path of PATH/``inside``, PATH-2/``inside``, PATH-3/``inside`` ... that does not exist.
+
+    For PATH-2 the next path is also PATH-3, not PATH-2-2, if PATH exists.
+    """
     path = Path(path)
     base = path.resolve() if path.name in ("", "..") else path
+    numbered = re.fullmatch(r"(.+)-\d+", base.name)
+    if path.exists() and numbered and base.with_name(numbered[1]).exists():
+        path = base = base.with_name(numbered[1])
     paths = ((path if i == 1 else base.with_name(f"{base.name}-{i}")) / inside for i in count(1))
     return next(free for free in paths if not free.exists())
 

@@ -39,14 +39,17 @@ def test_a_good_drive_ends_with_0(sigmaswarm, good, here: Path):
     ended = sigmaswarm("doctor", "fine")
     assert (ended.code, ended.err) == (0, "")
     assert ended.out.startswith("urban-clear-00: no serious fault")
-    assert "\n--verbose adds 4 notes\nnext: sigmaswarm split fine --out parts\n" in ended.out
+    assert (
+        "\ndetails: sigmaswarm doctor fine --verbose    (4 notes)\nnext: sigmaswarm split fine --out parts\n"
+        in ended.out
+    )
     verbose = sigmaswarm("doctor", "fine", "--verbose").out
     assert "  note     [imu-rate] There are 2000 IMU samples at 50 Hz over 40 s. (imu.csv, t)\n" in verbose
-    assert "--verbose" not in verbose and verbose.endswith("\nnext: ".join(ended.out.split("\nnext: ")[1:]))
+    assert "details: " not in verbose and verbose.endswith("\nnext: ".join(ended.out.split("\nnext: ")[1:]))
     Path("one").mkdir()
     shutil.copytree("fine", "one/fine")  # the folder of a drive's folder
     assert "\nnext: sigmaswarm split one/fine --out parts\n" in sigmaswarm("doctor", "one").out
-    assert "(with another drive for the evaluation: sigmaswarm tune fine --out tuned)\n" in ended.out
+    assert "\nor, with another drive for the evaluation: sigmaswarm tune fine --out tuned\n" in ended.out
     for used in ("parts", "tuned", "tuned-2"):
         Path(used).mkdir()
     said = sigmaswarm("doctor", "fine").out
@@ -59,22 +62,25 @@ def test_a_good_drive_ends_with_0(sigmaswarm, good, here: Path):
 def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
     ended = sigmaswarm("doctor", sick)
     assert (ended.code, ended.err) == (1, "")
-    fault, what, *consequence, remedy = ended.out.split("\n--verbose")[0].splitlines()
+    fault, what, *consequence, remedy = ended.out.split("\ndetails: ")[0].splitlines()
     assert fault == "urban-clear-00: 1 SERIOUS fault, 0 warnings"
     assert (
         what == "  SERIOUS  [gyro-sign] The yaw rate has the wrong sign: it must be positive in a left turn."
     )
     assert consequence == ["           A filter turns left where the car turns right."]
-    tested = "(sigmaswarm doctor --fix tests this repair, and applies it if it helps)"
-    assert remedy == f"           -> change the sign of gz {tested}"
+    assert remedy == "           -> change the sign of gz (or doctor --fix)"
     assert "the integral of gz" not in ended.out
-    assert f"\nnext: sigmaswarm doctor {sick} --fix mended\n" in ended.out
+    helps = "    (writes a copy with the repairs that help)"
+    assert f"\nnext: sigmaswarm doctor {sick} --fix mended{helps}\n" in ended.out
     verbose = " ".join(sigmaswarm("doctor", sick, "--verbose").out.split())
     assert (
         "times the integral of gz" in verbose
         and "(imu.csv, gz; t = 0.0 to 40.0 s; confidence 99.9%)" in verbose
     )
     mended = sigmaswarm("doctor", sick, "--fix", "mended")
+    again = f"sigmaswarm doctor {sick} mended/urban-clear-00 --verbose"
+    assert f"\ndetails: {again}    (the evidence and " in mended.out
+    assert sigmaswarm(*again.split()[1:]).out.count("  note     ") >= 2
     assert "\nnext: sigmaswarm split mended/urban-clear-00 --out parts\n" in mended.out
 
 
@@ -406,7 +412,9 @@ def test_a_lever_arm_that_the_turns_do_not_show_changes_no_copy(sigmaswarm, good
     assert "gps_lever_arm_m" not in read_drive(here / "mended" / good.name).metadata
 
 
-def test_copies_replace_earlier_ones_only_on_request_and_never_the_drive(sigmaswarm, sick: Path, here: Path):
+def test_copies_replace_earlier_ones_only_on_request_and_never_the_drive(
+    sigmaswarm, sick: Path, here: Path, monkeypatch: pytest.MonkeyPatch
+):
     commands = (
         ("doctor", sick, "--fix", "copies"),
         ("split", sick, "--out", "copies"),
@@ -415,10 +423,13 @@ def test_copies_replace_earlier_ones_only_on_request_and_never_the_drive(sigmasw
     for command in commands:
         assert sigmaswarm(*command, "--overwrite").code in (0, 1)
         before = {file: file.read_bytes() for file in sorted((here / "copies").rglob("*.*"))}
-        ended = sigmaswarm(*command)
+        with monkeypatch.context() as patched:
+            patched.setattr(library, "diagnose", None)  # the folder is checked before the work
+            ended = sigmaswarm(*command)
         assert (
             ended.code == 2
-            and "exists and is not empty; add --overwrite, or name another folder" in ended.err
+            and "exists and is not empty; add --overwrite, or name another folder, for example copies-2\n"
+            in ended.err
         )
         assert {file: file.read_bytes() for file in sorted((here / "copies").rglob("*.*"))} == before
         assert sigmaswarm(*command, "--overwrite").code in (0, 1)

@@ -40,11 +40,15 @@ def test_c_of_a_tuning_with_a_mounting_says_so(sigmaswarm: Command, tuned: Path,
         return "tuning.toml"
 
     said = sigmaswarm("export", mounted(0.0, 10.5, 90.0), "--to", "c99", "--out", "c").out
-    assert "the mounting of the training drives (roll, pitch, yaw: 0, 10.5, 90 deg)\nnext: " in said
+    assert (
+        "the IMU is rotated relative to the vehicle (roll, pitch, yaw: 0, 10.5, 90 deg). In your program, "
+        in said
+    )
+    assert "pass each sample in SI units to ins_gps_turn_imu() first\nnext: " in said
     replayed = sigmaswarm(
         "export", "tuning.toml", "--to", "c99", "--out", "r", "--replay", drives / "urban-clear-00"
     ).out
-    assert "deg). The samples in replay.csv are rotated already\nnext: " in replayed
+    assert " first; the samples in replay.csv are rotated already\nnext: " in replayed
     assert "ins_gps_turn_imu" in Path("c/ins_gps.c").read_text()
     assert "ins_gps_turn_imu" not in sigmaswarm("export", tuned, "--to", "c99", "--out", "d").out
     ended = sigmaswarm("export", mounted(0.0, np.nan, 90.0), "--to", "c99", "--out", "e")
@@ -68,8 +72,8 @@ def test_robot_localization_from_its_yaml_and_back(sigmaswarm: Command, drives: 
     assert "## Accuracy on urban-clear-00" in page and "| other EKF, robot-localization (ekf.yaml) |" in page
     assert "TRAINING DATA: the tuning used all of the 30 s of urban-clear-00" in page
     for wrong, said in (
-        (("--to", "robot-localization", "--out", "ekf", "--against", "t"), "--against needs --check"),
-        (("--to", "filterpy", "--out", "ekf"), "filterpy does not support robot-localization"),
+        (("--to", "robot-localization", "--out", "new", "--against", "t"), "--against needs --check"),
+        (("--to", "filterpy", "--out", "new"), "filterpy does not support robot-localization"),
     ):
         ended = sigmaswarm("export", "t", *wrong)
         assert (ended.code, ended.err.count("\n")) == (2, 1) and said in ended.err
@@ -306,7 +310,8 @@ def test_results_replace_no_files_of_anyone_else(sigmaswarm: Command, tuned: Pat
     assert (here / "c/replay.csv").exists()
     again = ("export", tuned, "--to", "c99", "--out", "c")
     ended = sigmaswarm(*again)
-    assert ended.code == 2 and "already exists; choose another name, or add --overwrite" in ended.err
+    assert ended.code == 2 and "choose another folder, for example --out c-2, or add --overwrite" in ended.err
+    assert sigmaswarm("export", "nowhere", *again[2:]).err == ended.err  # the folder is checked first
     assert sigmaswarm(*again, "--overwrite").code == 0
     assert not (here / "c/replay.csv").exists()
     (here / "mine").mkdir()
@@ -343,7 +348,7 @@ def test_an_evaluation_replaces_the_page_of_the_last_and_not_its_own_tuning(
     assert sigmaswarm("report", "e").code == 0 and (here / "e/page.html").exists()
     ended = sigmaswarm("evaluate", "e", drive, "--out", "e")
     assert ended.code == 2 and "e: contains e, which this command reads; choose another --out" in ended.err
-    ended = sigmaswarm("evaluate", tuned, drive, "--out", "e")
+    ended = sigmaswarm("evaluate", "nowhere", drive, "--out", "e")  # the folder is checked first
     assert ended.code == 2 and "e: already contains an evaluation; choose another folder" in ended.err
     assert "--out e-2, or add --overwrite" in ended.err and (here / "e/page.html").exists()
     assert sigmaswarm("evaluate", tuned, drive, "--out", "e", "--overwrite").code == 0

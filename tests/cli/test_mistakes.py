@@ -189,8 +189,9 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     "out-exists": (
         results,
         "tune good --out t --particles 2 --generations 1",
-        ["t", "already contains", "--resume"],
+        ["t: already contains a tuning; choose another folder, for example --out t-2, or add --resume"],
     ),
+    "out-exists-first": (results, "tune nowhere --out t", ["t: already contains a tuning"]),
     "out-of-another": (
         results,
         "tune good --out t --particles 3 --generations 1 --resume",
@@ -234,6 +235,16 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
         nothing,
         "evaluate good tuning.toml",
         ["good: is a drive", "as in sigmaswarm evaluate TUNING good"],
+    ),
+    "evaluate-into-a-drive": (
+        nothing,
+        "evaluate tuning.toml good --out good/e",
+        ["good/e: is in the drive ", "choose an --out outside of this folder"],
+    ),
+    "export-into-a-drive": (
+        nothing,
+        "export tuning.toml --to c99 --out good",
+        ["good: is in the drive ", "choose an --out outside of this folder"],
     ),
     "export-a-drive": (
         nothing,

@@ -35,6 +35,14 @@ def test_verbose_adds_evidence_and_details_and_the_default_names_them(capsys: py
     assert printed(verbose=True) == (
         f"{what}           Its delay is 3 s. All turns show it.\none\ntwo\ncost 3\nnext: tune\n"
     )
+    output = Output(verbose=False)
+    output.show("result", remark)
+    output.details("note", "one")
+    details = output.text
+    output.next("next: tune", place="details.txt")
+    named = "details: details.txt    (the evidence and 1 note)"
+    assert capsys.readouterr().out == f"{what}{named}\nnext: tune\n"
+    assert details == f"{what}           Its delay is 3 s. All turns show it.\none\n"
     silent = Output(verbose=True, silent=True)
     silent.show("result")
     silent.details("note", remark)
@@ -91,11 +99,15 @@ def test_evaluate_prints_table_three_sentences_and_the_next_command(
     empty = lines.index("")
     (written,) = (i for i, line in enumerate(lines) if line.startswith("wrote "))
     assert written - empty - 1 == 3, ended.out
+    assert lines[written + 1].startswith("details: e/details.txt    (the ")
     assert lines[written + 2].startswith("next: sigmaswarm report e")
     verbose = sigmaswarm("evaluate", tuned, "drive", "--out", "e2", "--verbose").out
     for line in lines[:written]:
         assert line.strip() in verbose
     assert "whiteness" in verbose and "whiteness" not in ended.out
+    for folder in ("e", "e2"):
+        details = Path(folder, "details.txt").read_text()
+        assert details == verbose[: verbose.index("\nwrote ") + 1]
 
 
 @pytest.mark.parametrize(

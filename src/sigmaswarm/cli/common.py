@@ -48,12 +48,15 @@ def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *
     from sigmaswarm.drives.reader import all_drive_locations
     from sigmaswarm.drives.writer import require_replaceable
     from sigmaswarm.errors import InputError
+    from sigmaswarm.files import free_path
 
     read = {Path(place).resolve() for place in all_drive_locations(sources)}
     for folder in folders:
         if overwrite and folder.resolve() in read:
             raise InputError(f"{folder}: is a drive that this command reads; name another folder")
-        require_replaceable(folder.resolve(), overwrite, "add --overwrite, or name another folder")
+        other = free_path(folder.parent, folder.name).parent
+        remedy = f"add --overwrite, or name another folder, for example {quote(str(other))}"
+        require_replaceable(folder.resolve(), overwrite, remedy)
 
 
 def require_free(*files: Path | None, overwrite: bool) -> None:
@@ -67,22 +70,33 @@ def require_free(*files: Path | None, overwrite: bool) -> None:
 
 
 def require_result_folder(
-    out: Path, sources: "Iterable[Location | None]", kind: str, mark: str = "", *, overwrite: bool = True
+    out: Path,
+    sources: "Iterable[Location | None]",
+    kind: str,
+    mark: str = "",
+    *,
+    alone: bool = True,
+    overwrite: bool = True,
+    option: str = "--overwrite",
 ) -> None:
-    """Raise `InputError` if ``out`` is or contains a source, or contains files other than a result of this kind.
+    """Raise `InputError` if ``out`` is in a drive, contains a source or files other than a result of this kind.
 
-    Without ``overwrite``, also raise the error if ``out`` contains a result of this kind. ``mark``: see
-    `earlier_result`.
+    Without ``overwrite``, also raise the error if ``out`` contains a result of this kind; ``option``: the option that
+    permits this. ``mark`` and ``alone``: see `earlier_result`.
     """
+    from sigmaswarm.drives.writer import drive_around
     from sigmaswarm.errors import InputError
     from sigmaswarm.files import earlier_result, free_path
 
     for source in filter(None, sources):
         if out.resolve() in (Path(source).resolve(), Path(source).resolve().parent):
             raise InputError(f"{out}: contains {source}, which this command reads; choose another --out")
-    if earlier_result(out, kind, mark) != frozenset() and not overwrite:
+    if around := drive_around(out.resolve()):
+        raise InputError(f"{out}: is in the drive {around}; choose an --out outside of this folder")
+    if earlier_result(out, kind, mark, alone=alone) != frozenset() and not overwrite:
         free = f"choose another folder, for example --out {quote(str(free_path(out)))}"
-        raise InputError(f"{out}: already contains an {kind}; {free}, or add --overwrite")
+        article = "an" if kind[0] in "aeiou" else "a"
+        raise InputError(f"{out}: already contains {article} {kind}; {free}, or add {option}")
 
 
 def require_tuning(tuning: Path, remedy: str) -> None:

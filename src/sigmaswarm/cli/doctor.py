@@ -1,5 +1,6 @@
 """`sigmaswarm doctor`."""
 
+import shlex
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -66,8 +67,8 @@ def doctor(
     read, fix = _read(drives), options.fix
     if fix is not None:
         _check_names(read)
-        _refuse_parts(read, drives)
         require_writable([fix / drive.name for drive in read], drives, overwrite=options.overwrite)
+        _refuse_parts(read, drives)
     within = options.lever_arm_within
     arm = None if within is None else _lever_arm(read, within, repaired=fix is not None)
     result: list[dict[str, Any]] = []
@@ -86,7 +87,8 @@ def doctor(
             following = [*next_steps(diagnosis, folder, drive)]
     if arm:
         output.show(f"lever arm: {arm}")
-    output.next(*following)
+    places = [*drives, *([fix / drive.name for drive in read] if fix else [])]
+    output.next(*following, place=f"sigmaswarm doctor {shlex.join(map(str, places))} --verbose")
     if options.json:
         print_json({"drives": result, "serious": serious, **({"lever_arm": arm.to_dict()} if arm else {})})
     if serious:

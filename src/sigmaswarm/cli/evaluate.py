@@ -23,7 +23,7 @@ from sigmaswarm.cli.options import FIELDS, AsRecorded, Cluster, Json, Overwrite,
 from sigmaswarm.cli.output import Output, Remark
 from sigmaswarm.cli.remarks import name_training_files, warn_of_unusable
 from sigmaswarm.errors import InputError, SigmaswarmWarning
-from sigmaswarm.files import free_path
+from sigmaswarm.files import DETAILS_FILE, free_path
 from sigmaswarm.wording import as_sentence
 
 if TYPE_CHECKING:
@@ -111,24 +111,28 @@ def evaluate(
         sigmaswarm evaluate tuned drives/friday --bank
         sigmaswarm evaluate tuned drives/friday --json
     """
+    _check_input(tuning, options)  # before the imports, which take seconds
     from sigmaswarm.learned.folder import load_learned
     from sigmaswarm.reports.evaluation import save_evaluation
     from sigmaswarm.tuning.record import TunedFilter
 
-    _check_input(tuning, options)
     learned, tuned, out = load_learned(tuning), TunedFilter.read(tuning), options.out
     record = tuned.record
     remedies: list[Remedy] = []
     result = _evaluated(tuning, tuned, drives, options, learned, remedies)
     _warn_of_drives(result, record)
-    written = save_evaluation(result, out, tuning, learned and learned.save) if out else []
+    training_drives = [drive.name for drive in record.data]
+    remarks = [one for one in (record.result.warnings if record.result else ()) if one not in record.unusable]
+    more = name_training_files(remarks, training_drives, drives)
+    details = Output(verbose=True, silent=True)
+    print_evaluation(details, result, more)
+    written = (
+        save_evaluation(result, out, tuning, learned and learned.save, details=details.text) if out else []
+    )
     if options.json:
         print_json(result.to_dict())
         warn_of_unusable(tuning, record)
         return
-    training_drives = [drive.name for drive in record.data]
-    remarks = [one for one in (record.result.warnings if record.result else ()) if one not in record.unusable]
-    more = name_training_files(remarks, training_drives, drives)
     output = Output(verbose=options.verbose)
     print_evaluation(output, result, more)
     if written:
@@ -136,7 +140,7 @@ def evaluate(
         output.details("the files", ", ".join(path.name for path in written))
     usable = not warn_of_unusable(tuning, record) and not learned
     export = _better_filter(result, options) or (_export(tuning, tuned, drives) if usable else ())
-    output.next(*_next_steps(out, remedies, export))
+    output.next(*_next_steps(out, remedies, export), place=out / DETAILS_FILE if out else "")
 
 
 def print_evaluation(output: Output, evaluation: "Evaluation", more: Iterable[str] = ()) -> None:
@@ -169,17 +173,16 @@ def print_evaluation(output: Output, evaluation: "Evaluation", more: Iterable[st
 
 def _check_input(tuning: Path, options: EvaluateOptions) -> None:
     from sigmaswarm.filters.robot_yaml import YAML
-    from sigmaswarm.scoring.records import EVALUATION, EVALUATION_FILE
 
+    if options.out:
+        sources, overwrite = [tuning, options.against], options.overwrite
+        require_result_folder(options.out, sources, "evaluation", "evaluation.json", overwrite=overwrite)
     if tuning.suffix in YAML:
         raise InputError(
             f"{tuning}: is a configuration of robot_localization, not a tuning; evaluate a tuning and add --against "
             f"{tuning}, or use `sigmaswarm run`"
         )
     require_tuning(tuning, f"pass the tuning first, as in sigmaswarm evaluate TUNING {quote(str(tuning))}")
-    if options.out:
-        sources, overwrite = [tuning, options.against], options.overwrite
-        require_result_folder(options.out, sources, EVALUATION, EVALUATION_FILE, overwrite=overwrite)
 
 
 def _next_steps(out: Path | None, remedies: Sequence[Remedy], export: Iterable[str]) -> Iterator[str]:

@@ -16,6 +16,7 @@ from sigmaswarm.cli.common import (
     read_drives,
     read_silently,
     require_free,
+    require_result_folder,
     require_tuning,
 )
 from sigmaswarm.cli.options import FIELDS, Json, Overwrite
@@ -80,6 +81,9 @@ def export(
         sigmaswarm export tuned --to robot_localization --out filter-ros
         sigmaswarm export tuned --to robot_localization --out ekf --check drives/friday --against tuned-tilted12
     """
+    to, out = target_named(options.to), options.out
+    # before the imports, which take seconds; the user's own files are checked when the names of the exported are known
+    require_result_folder(out, [], f"export to {to}", alone=False, overwrite=options.overwrite)
     from sigmaswarm.exports.check import check_export
     from sigmaswarm.exports.targets import export_texts, write_texts
     from sigmaswarm.filters.models import MODELS
@@ -87,7 +91,6 @@ def export(
     from sigmaswarm.scoring.view import accuracy_section
     from sigmaswarm.tuning.record import TunedFilter
 
-    to, out = target_named(options.to), options.out
     following = f"sigmaswarm export tuned --to {options.to} --out {quote(str(out))}"
     require_tuning(tuning, f"tune first: sigmaswarm tune {quote(str(tuning))} --out tuned, then {following}")
     tuned = TunedFilter.read(tuning)
@@ -135,11 +138,11 @@ def _check_options(options: ExportOptions, *, ros: bool) -> None:
 def _notes(target: Target, record: "TuningRecord", *, replay: bool) -> Iterator[str]:
     if record.mounting and target == "c99":
         angles = ", ".join(f"{angle:.4g}" for angle in record.mounting)
-        axes = "listed in the README.md of the export" if record.imu_axes else "and SI units of the sensor"
+        axes = "with the axes in README.md" if record.imu_axes else "in SI units"
         yield (
-            f"pass each IMU sample to ins_gps_turn_imu(), in the axes {axes}. This "
-            f"function applies the mounting of the training drives (roll, pitch, yaw: {angles} deg)"
-            f"{'. The samples in replay.csv are rotated already' if replay else ''}"
+            f"note: the IMU is rotated relative to the vehicle (roll, pitch, yaw: {angles} deg). In your program, pass "
+            f"each sample {axes} to ins_gps_turn_imu() first"
+            f"{'; the samples in replay.csv are rotated already' if replay else ''}"
         )
     if target != "filterpy" and record.mountings_differ:
         yield (

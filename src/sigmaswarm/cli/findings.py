@@ -56,11 +56,7 @@ def _problem(finding: "Finding", folder: "Location | None", *, part: bool) -> Re
     (what, *evidence), (remedy, *more) = sentences(finding.what), sentences(remedy)
     start, end = finding.span
     place = f"({finding.where}; t = {start:.1f} to {end:.1f} s; confidence {100 * finding.confidence:.3g}%)"
-    fixed = (
-        " (sigmaswarm doctor --fix tests this repair, and applies it if it helps)"
-        if finding.repair and not part
-        else ""
-    )
+    fixed = " (or doctor --fix)" if finding.repair and not part else ""
     return Remark(
         finding.severity,
         f"[{finding.code}] {as_sentence(what)}",
@@ -274,7 +270,8 @@ def next_steps(diagnosis: "Diagnosis", out: Path, drive: "Drive") -> Iterator[st
     elif part != "test" and (short := too_short_for_outages(drive)):
         yield f"next: use a longer drive; {short}"
         return
-    yield from [f"next: {repair}"] if repair else []
+    why = "    (writes a copy with the repairs that help)" * (" --fix " in repair)
+    yield from [f"next: {repair}{why}"] if repair else []
     then, place = "then" if repair else "next", shlex.quote(str(ready))
     if part == "test":
         yield f"{then}: sigmaswarm evaluate TUNING {place} --out {free_path('evaluation')}"
@@ -284,4 +281,4 @@ def next_steps(diagnosis: "Diagnosis", out: Path, drive: "Drive") -> Iterator[st
         yield "      (keep the other part for the evaluation)"
     else:
         yield f"{then}: sigmaswarm split {place} --out {free_path('parts')}"
-        yield f"      (with another drive for the evaluation: sigmaswarm tune {place} --out {free_path('tuned')})"
+        yield f"or, with another drive for the evaluation: sigmaswarm tune {place} --out {free_path('tuned')}"

@@ -206,19 +206,11 @@ def _request(source: Path, options: ImportOptions) -> "Request":
 
 
 def _import(request: "Request", out: Path, options: ImportOptions) -> None:
+    _check_folders(request, out, options)  # before the imports, which take seconds
     from sigmaswarm.doctor.diagnose import diagnose
-    from sigmaswarm.drives.writer import require_replaceable, write_drive
+    from sigmaswarm.drives.writer import write_drive
     from sigmaswarm.importing.convert import import_drive
 
-    read = [
-        place.resolve() for place in (request.source, request.gps, request.truth, request.odometer) if place
-    ]
-    if any(out.resolve() in (place, place.parent) for place in read) and out.exists():
-        raise InputError(f"{out}: contains a log that this command reads; choose another folder")
-    recipe = options.save_recipe
-    also = f" (which also replaces {recipe})" if recipe and recipe.is_file() else ""
-    require_replaceable(out.resolve(), options.overwrite, f"add --overwrite{also}, or choose another folder")
-    require_free(options.save_recipe, overwrite=options.overwrite)
     with progress_bar("importing") as show, warnings.catch_warnings():
         warnings.simplefilter("ignore", DriveWarning)  # the diagnosis contains the same checks in more detail
         imported = import_drive(request, options.name or out.resolve().name, lambda share: show(share, 1.0))
@@ -237,10 +229,28 @@ def _import(request: "Request", out: Path, options: ImportOptions) -> None:
     # the remedy of a finding about the axes replaces the note on the assumed axes
     axes = imported.assumed or (() if imported.recipe.mount else (AXES_NOTE,))
     output.show(*_notes([*imported.notes, *(() if affects_axes(diagnosis) else axes)]))
-    output.details("the columns that were read", *_columns_read(imported.recipe))
+    if options.verbose:  # --show prints them too
+        output.show(*_columns_read(imported.recipe))
     print_diagnosis(output, diagnosis, out)
     again = _with_corrected_fixes(diagnosis)
-    output.next(*([f"next: {again}"] if again else next_steps(diagnosis, out, imported.drive)))
+    steps = [f"next: {again}"] if again else next_steps(diagnosis, out, imported.drive)
+    output.next(*steps, place=f"sigmaswarm doctor {shlex.quote(str(out))} --verbose")
+
+
+def _check_folders(request: "Request", out: Path, options: ImportOptions) -> None:
+    """Raise `InputError` if the drive or the recipe can't be written."""
+    from sigmaswarm.drives.writer import require_replaceable
+
+    read = [
+        place.resolve() for place in (request.source, request.gps, request.truth, request.odometer) if place
+    ]
+    if any(out.resolve() in (place, place.parent) for place in read) and out.exists():
+        raise InputError(f"{out}: contains a log that this command reads; choose another folder")
+    recipe = options.save_recipe
+    also = f" (which also replaces {recipe})" if recipe and recipe.is_file() else ""
+    remedy = f"add --overwrite{also}, or choose another folder, for example --out {shlex.quote(str(free_path(out)))}"
+    require_replaceable(out.resolve(), options.overwrite, remedy)
+    require_free(options.save_recipe, overwrite=options.overwrite)
 
 
 def _with_corrected_fixes(diagnosis: "Diagnosis") -> str:

@@ -1,6 +1,7 @@
 """Print the result of a command: result, problems, details (only with ``--verbose``), next commands."""
 
 from collections import Counter
+from io import StringIO
 from textwrap import wrap
 from typing import NamedTuple
 
@@ -41,45 +42,60 @@ class Output:
 
     def __init__(self, *, verbose: bool, silent: bool = False) -> None:
         self._verbose, self._silent = verbose, silent
+        self._all: list[object] = []
         self._hidden: Counter[str] = Counter()
 
     def show(self, *lines: object) -> None:
         """Print lines, tables and remarks; evidence is printed only with ``--verbose``."""
+        self._all += lines
         for line in () if self._silent else lines:
-            print_lines(self._drawn(line) if isinstance(line, Remark) else line)
+            if isinstance(line, Remark) and line.evidence and not self._verbose:
+                self._hidden["the evidence"] += 1
+            print_lines(_drawn(line, self._verbose))
 
     def details(self, name: str, *lines: object) -> None:
         """Print lines only with ``--verbose``; ``name``: a noun that is counted, or "the" and a noun."""
         if self._verbose:
             self.show(*lines)
         else:
+            self._all += lines
             self._hidden[name] += len(lines)
 
-    def next(self, *lines: object) -> None:
-        """Name the hidden details, and print the next commands."""
+    @property
+    def text(self) -> str:
+        """The output with all details."""
+        text = StringIO()
+        print_lines(*(_drawn(line, verbose=True) for line in self._all), file=text)
+        return text.getvalue()
+
+    def next(self, *lines: object, place: object = "") -> None:
+        """Name the hidden details, and print the next commands.
+
+        ``place``: a file with the details, or a command that prints them; by default the same command with
+        ``--verbose``.
+        """
         hidden = [
             name if name.startswith("the ") else count_of(n, name) for name, n in self._hidden.items() if n
         ]
         *others, last = hidden or [""]
-        if last:
-            self.show(f"--verbose adds {' and '.join(filter(None, [', '.join(others), last]))}")
+        if names := " and ".join(filter(None, [", ".join(others), last])):
+            self.show(f"details: {place}    ({names})" if place else f"--verbose adds {names}")
         self.show(*lines)
 
-    def _drawn(self, remark: Remark) -> object:
-        """Format a remark; the remedy is one line, so that a command in it can be copied."""
-        from rich.text import Text
 
-        if remark.evidence and not self._verbose:
-            self.details("the evidence", remark.evidence)
-        texts = [*filter(None, (remark.what, remark.consequence, remark.evidence * self._verbose))]
-        if not remark.label:
-            return " ".join(texts)
-        width = max(console().width - INDENT, MIN_COLUMNS)
-        lines = [
-            line
-            for text in texts
-            for line in wrap(text, width, break_long_words=False, break_on_hyphens=False)
-        ]
-        lines += [f"-> {remark.remedy}"] if remark.remedy else []
-        label = f"  {remark.label.upper() if remark.label == 'serious' else remark.label}"
-        return Text.assemble((f"{label:{INDENT}}", _STYLES[remark.label]), f"\n{'':{INDENT}}".join(lines))
+def _drawn(line: object, verbose: bool) -> object:
+    """Format a remark; the remedy is one line, so that a command in it can be copied."""
+    from rich.text import Text
+
+    if not isinstance(line, Remark):
+        return line
+    texts = [*filter(None, (line.what, line.consequence, line.evidence * verbose))]
+    if not line.label:
+        return " ".join(texts)
+    width = max(console().width - INDENT, MIN_COLUMNS)
+    lines = [
+        part for text in texts for part in wrap(text, width, break_long_words=False, break_on_hyphens=False)
+    ]
+    lines += [f"-> {line.remedy}"] if line.remedy else []
+    label = f"  {line.label.upper() if line.label == 'serious' else line.label}"
+    return Text.assemble((f"{label:{INDENT}}", _STYLES[line.label]), f"\n{'':{INDENT}}".join(lines))

@@ -73,7 +73,11 @@ def reference(
     out = options.out
     given = {name: getattr(options, name) for name in ("offset", "accuracy", "fix_std", "seed")}
     arm: Any = parse_numbers(options.lever_arm, 3, "--lever-arm", "0.9,-0.4,1.2")
-    require_replaceable(out.resolve(), options.overwrite, "add --overwrite, or choose another folder")
+    require_replaceable(
+        out.resolve(),
+        options.overwrite,
+        f"add --overwrite, or choose another --out, for example {quote(str(free_path(out)))}",
+    )
     read = read_silently(drive)
     with tuning_progress("tuning the smoother") as progress:
         made = sigmaswarm.reference(read, options.fixes, lever_arm=arm, progress=progress, **given)

@@ -58,8 +58,8 @@ def split(
 
     whole = read_silently(drive)
     parts = _parts(whole, 0.7 if train_fraction is None else train_fraction, at)
-    diagnosis, own = sigmaswarm.diagnose(whole), all(map(is_repaired_alone, parts))
     require_writable([out / part.name for part in parts], [drive], overwrite=overwrite)
+    diagnosis, own = sigmaswarm.diagnose(whole), all(map(is_repaired_alone, parts))
     for part in parts:
         sigmaswarm.write_drive(part, out / part.name, overwrite=overwrite)
     if json:
@@ -128,6 +128,10 @@ def _require_enough(whole: "sigmaswarm.Drive", parts: "Sequence[sigmaswarm.Drive
         )
 
 
+def _free(out: Path) -> str:
+    return shlex.quote(str(free_path(out)))
+
+
 def _is_longer(part: "sigmaswarm.Drive", other: "sigmaswarm.Drive") -> bool:
     return part.duration >= other.duration
 
@@ -137,7 +141,7 @@ def _next_steps(parts: "Sequence[sigmaswarm.Drive]", out: Path, *, own: bool) ->
     from sigmaswarm.drives.split import part_of
 
     if len(parts) == 1:
-        return [f"next: sigmaswarm split {shlex.quote(str(out / parts[0].name))} --out {free_path(out.name)}"]
+        return [f"next: sigmaswarm split {shlex.quote(str(out / parts[0].name))} --out {_free(out)}"]
     short, named = [too_short_for_outages(part) for part in parts], bool(part_of(parts[0]))
     # tune on the part that is long enough
     chosen = parts[::-1] if (short[0] and not short[1]) or not (named or _is_longer(*parts)) else parts
@@ -147,7 +151,7 @@ def _next_steps(parts: "Sequence[sigmaswarm.Drive]", out: Path, *, own: bool) ->
     serious = any(diagnosis.serious for diagnosis in diagnoses)
     failed = [isinstance(find_start(part), StartFailure) for part in chosen]
     if not named and not failed[0] and (failed[1] or too_short_for_outages(chosen[1])):
-        again = f"sigmaswarm split {train} --out {free_path(out.name)}"
+        again = f"sigmaswarm split {train} --out {_free(out)}"
         return [f"next: {again}    (the other part is too short for an evaluation)"]
     if any(failed) or any(map(has_unrepairable, diagnoses)) or (serious and not own):
         return [f"next: sigmaswarm doctor {train} {test}"]

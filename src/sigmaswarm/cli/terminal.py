@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from sigmaswarm.wording import escape_controls
 
@@ -58,11 +58,11 @@ def console(**options: Any) -> "Console":
     return Plain(markup=False, emoji=False, highlight=False, **options)
 
 
-def print_lines(*lines: object) -> None:
-    """Print lines and tables to stdout, without line breaks in long lines."""
-    stdout = console(soft_wrap=True)
+def print_lines(*lines: object, file: IO[str] | None = None) -> None:
+    """Print lines and tables to stdout or to a file, without line breaks in long lines."""
+    out = console(soft_wrap=True, file=file)
     for line in lines:
-        stdout.print(line)
+        out.print(line)
 
 
 def one_line(text: object) -> str:

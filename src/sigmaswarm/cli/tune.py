@@ -21,7 +21,7 @@ from sigmaswarm.cli.output import Output, Remark
 from sigmaswarm.cli.remarks import local_folders, name_files, warn_of_unusable
 from sigmaswarm.cli.terminal import tuning_progress
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import free_path
+from sigmaswarm.files import DETAILS_FILE, free_path, write_atomically
 from sigmaswarm.tuning.config import DEFERRED_OPTIONS, RENAMED, TuneConfig, option_words
 from sigmaswarm.wording import TO_DO, as_sentence
 
@@ -116,7 +116,10 @@ def tune(
     out
         Folder for tuning.toml, the convergence history and figures. It must not contain a tuning, except with --resume.
     """
-    require_result_folder(out, [options.start], "tuning", "config.json")
+    again = options.resume or not (out / "tuning.toml").exists()
+    require_result_folder(
+        out, [options.start], "tuning", "config.json", overwrite=again, option="--resume to print it again"
+    )
     remedies = None if options.trust_log else list[Remedy]()
     with cluster_at(options.cluster) as client:
         groups = read_datasets(drives, options.validation or [], cluster=client, remedies=remedies, gaps=True)
@@ -129,23 +132,22 @@ def tune(
         print_json(tuning.to_dict())
     output = Output(verbose=options.verbose, silent=options.json)
     _print_tuning(output, tuning, track, drives)
+    if not (remedies or record.unusable):
+        output.details("the command for a filter with the receiver's velocity", *velocity)
+    write_atomically(out / DETAILS_FILE, output.text)
     output.show(f"wrote {', '.join(map(str, (out / FILE, *pictures)))}")
     unusable = warn_of_unusable(out, record)
     if remedies:
         command, repaired = remedies[0]
         then = "tune on the repaired copy" if repaired else "correct the log, and tune again"
-        output.next(
-            f"next: {command}", f"      (then {then}, since the faults in the log distort this filter)"
-        )
+        steps = [f"next: {command}", f"      (then {then}, since the faults in the log distort this filter)"]
     elif unusable:
         check = f"sigmaswarm doctor {join(map(str, drives))}"
-        output.next(f"next: {check}    (then tune with more --trials, or on other drives)")
+        steps = [f"next: {check}    (then tune with more --trials, or on other drives)"]
     else:
-        output.details("the command for a filter with the receiver's velocity", *velocity)
-        if any(remark.startswith(TO_DO) for remark in tuning.remarks):
-            output.next('first: follow "to do" above, or go on with this filter:', *following)
-        else:
-            output.next(*following)
+        first = any(remark.startswith(TO_DO) for remark in tuning.remarks)
+        steps = ['first: follow "to do" above, or go on with this filter:'] * first + following
+    output.next(*steps, place=out / DETAILS_FILE)
 
 
 def _tune(
@@ -176,11 +178,11 @@ def _tune(
     evaluate, splitting = (
         _next(out, given[0], tuning.data[0]["name"], part=part) if alone else (_evaluate(out), [])
     )
-    compare, velocity = _compare(evaluate, out, [one["sha256"] for one in tuning.data]), list[str]()
+    against, velocity = _against(out, [one["sha256"] for one in tuning.data]), list[str]()
     if isinstance(tuning.config, TuneConfig) and not options.paper and all(held_back.map(_has_velocity)):
         more = {"start": options.start, "validation": options.validation}
         velocity = _with_velocity(given, tuning.config, read, config | {k: v for k, v in more.items() if v})
-    following = [f"next: {evaluate} --out {free_path('evaluation')}", *splitting, *compare]
+    following = [f"next: {evaluate} --out {free_path('evaluation')}{against}", *splitting]
     return tuning, track, following, velocity
 
 
@@ -190,7 +192,7 @@ def _print_tuning(output: Output, tuning: "Tuning[Any]", track: "FirstTrack", gi
 
     record, folders = tuning.record, local_folders(given)
     output.show(
-        *([f"model: {tuning.choice}"] if tuning.choice else []),
+        *([f"model: {tuning.choice} (tune --help explains the names)"] if tuning.choice else []),
         *filter(None, (record.start, record.validation)),
     )
     if record.drifts:
@@ -205,14 +207,17 @@ def _print_tuning(output: Output, tuning: "Tuning[Any]", track: "FirstTrack", gi
 
 
 def _larger_drifts(record: "TuningRecord") -> Iterator[Remark]:
+    from sigmaswarm.scoring.targets import OUTAGE_FIRST_AFTER
+
     config, usual = record.config, TuneConfig.model_fields
     all_evaluations = usual["particles"].default * usual["generations"].default
     few = config["particles"] * config["generations"] < all_evaluations
+    length = OUTAGE_FIRST_AFTER + max((one.length_s for one in record.forecasts), default=0.0)
     remedy = (
         "tune with the default --particles and --generations"
         if few
-        else "evaluate the filter on data that the tuning did not use; if its drift is also larger there, tune on more "
-        "or longer drives"
+        else f"evaluate the filter on other data (at least {length:g} s after its start); if its drift is also larger "
+        "there, tune on more or longer drives"
     )
     yield from (Remark("warning", as_sentence(text), remedy=remedy) for text in record.larger_drifts)
 
@@ -258,8 +263,8 @@ def _with_velocity(
     ]
 
 
-def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:
-    """Suggest a comparison with the newest tuning of the same drives in a sibling folder."""
+def _against(out: Path, tuned_on: Sequence[str]) -> str:
+    """Return the option that adds the newest tuning of the same drives in a sibling folder to an evaluation."""
     from sigmaswarm.scoring.records import SCORES_FILE
     from sigmaswarm.tuning.record import FILE, TuningRecord
 
@@ -274,8 +279,8 @@ def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:
             sibling = out.parent / file.parent.name  # as the user writes it, unless OUT is "." or a link
             there = sibling.exists() and sibling.samefile(file.parent)
             other = quote(str(sibling if there else relpath(file.parent)))
-            return [f"then: {evaluate} --out {free_path('comparison')} --against {other}"]
-    return []
+            return f" --against {other}"
+    return ""
 
 
 def _evaluate(out: Path, drive: Path | None = None) -> str:

@@ -70,8 +70,7 @@ def require_replaceable(
 
     A folder inside a drive is also refused, since the drive could no longer be replaced or copied.
     """
-    around = (parent for parent in folder.parents if (parent / "drive.toml").is_file())
-    if around := next((parent for parent in around if has_table(parent, "imu")), None):
+    if around := drive_around(folder.parent):
         raise DriveError(f"{folder} is inside the drive {around}; name a folder outside of it")
     if not folder.exists():
         return
@@ -84,6 +83,12 @@ def require_replaceable(
         )
     if entries and not overwrite:
         raise DriveError(f"{folder} exists and is not empty; {remedy}")
+
+
+def drive_around(folder: Path) -> Path | None:
+    """Return the drive that an absolute path is or is in; None if there is none."""
+    places = (place for place in (folder, *folder.parents) if (place / "drive.toml").is_file())
+    return next((place for place in places if has_table(place, "imu")), None)
 
 
 def _contents(drive: Drive, folder: Path, form: Form) -> dict[str, bytes]:

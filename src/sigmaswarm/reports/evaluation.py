@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from sigmaswarm.drives.overlap import TRAINING_DATA_FILE
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import staged_files, write_atomically
+from sigmaswarm.files import DETAILS_FILE, staged_files, write_atomically
 from sigmaswarm.reports.figures import (
     Chart,
     as_map,
@@ -58,11 +58,12 @@ def save_evaluation(
     folder: Path,
     tuning: Path | None = None,
     save_network: Callable[[Path], list[Path]] | None = None,
+    details: str = "",
 ) -> list[Path]:
     """Write the records and pictures of an evaluation into a folder; return the paths of all files.
 
     ``tuning``: the evaluated tuning.toml or its folder; the tuning is also copied. ``save_network`` writes a copy of
-    the evaluated network into a folder.
+    the evaluated network into a folder. ``details``: the content of details.txt; "" for no such file.
     """
     with staged_files(folder, EVALUATION, EVALUATION_FILE) as new:
         written = [*evaluation.save(new), save(comparison(evaluation), new / "comparison.png")]
@@ -77,6 +78,9 @@ def save_evaluation(
             written += [save(f, new / f"{stem}-{kind}.png") for kind, f in figures.items() if f]
         written += copy_tuning(tuning, new) if tuning else []
         written += save_network(new) if save_network else []
+        if details:
+            write_atomically(new / DETAILS_FILE, details)
+            written.append(new / DETAILS_FILE)
         write_checksums(new)
     return [folder / file.relative_to(new) for file in written]
 
