@@ -116,7 +116,7 @@ def test_c_takes_raw_samples(imported: Drive, tuning: Path, tmp_path: Path, flag
     parameters = sigmaswarm.FilterParameters.load(tuning)
     assert distance(means, expected(imported, parameters)) < off
     readme = (tmp_path / "README.md").read_text()
-    assert "`ins_gps_turn_imu()` rotates each\nsample, as in `on_sample()` below" in readme
+    assert "to `ins_gps_turn_imu()`, as in `on_sample()` below" in readme
     assert "rotate\neach sample in the same way" not in readme
     board = board_of(tmp_path, *flags).Filter(0.0, [0.0] * 5, np.eye(5).ravel().tolist())
     matrix = np.array([board.turned(sample) for sample in np.eye(6).tolist()]).T
@@ -191,9 +191,8 @@ def test_the_readme_of_the_c_states_the_expressions_of_the_import(tmp_path: Path
     sigmaswarm.tune(again, model="planar5", kind="ekf", **FEW, out=tmp_path / "tuned")
     readme = sigmaswarm.export(tmp_path / "tuned", "c99")["README.md"]
     assert readme == sigmaswarm.export(sigmaswarm.Tuning.load(tmp_path / "tuned"), "c99")["README.md"]
-    block = readme.partition("the columns of the logs, before the rotation:\n\n```text\n")[2].partition(
-        "\n```"
-    )[0]
+    block = readme.partition("from the columns of the log. Compute them in the same way:\n\n```text\n")[2]
+    block = block.partition("\n```")[0]
     assert block.split("\n") == [
         "ax = -fwd of acc.csv",
         "ay = left*9.80665 of acc.csv",

@@ -77,7 +77,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Evalu
 def save(found: Evaluation, tuned: Path, out: Path) -> None:
     """As `sigmaswarm evaluate --out`, without the pictures."""
     out.mkdir()
-    found.save(out)
+    found.save(str(out))
     copy_tuning(tuned, out)
 
 

@@ -102,7 +102,8 @@ def test_the_verdicts_count_the_drives_of_each_kind():
         "optimistic": "on 1 of 5 drives the filter is overconfident",
         "pessimistic": "on 2 of 5 drives the filter is underconfident",
         "consistent": "on 1 of 5 drives the filter is consistent",
-        "unknown": "on 1 of 5 drives the filter had too few fixes to determine its consistency",
+        "unknown": "on 1 of 5 drives the filter had too few fixes to determine its consistency, which needs more than "
+        "20",
     }
     alone = judged([pessimistic])["pessimistic"]
     assert alone.endswith("are 41% too large (mean NIS 1, should be 2)")

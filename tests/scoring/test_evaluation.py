@@ -321,7 +321,8 @@ def test_a_failed_filter_is_not_said_to_have_too_few_fixes(failed: bool):
     result = DriveResult({**dict.fromkeys(METHODS, Score()), "tuned": Score(failed=failed)})
     view = Evaluation({"town": result}).view
     assert (
-        "The filter had too few fixes to determine its consistency." in view.verdicts().values()
+        "The filter had too few fixes to determine its consistency, which needs more than 20."
+        in view.verdicts().values()
     ) is not failed
     assert ("The tuned filter failed on town." in view.warnings()) is failed
 

@@ -51,11 +51,11 @@ def test_correlated_fix_errors_lead_to_a_range(nis: float):
     """A filter of 0.35 m was off by 1.26 m, since predictions do not show errors that all fixes have in common."""
     said = describe_position(recorded(nis, 0.0), 1.4)
     assert said.startswith(
-        "between 0.5 and 2 m RMS, since there is no truth. The upper value includes errors that consecutive fixes"
+        "between 0.5 and 2 m RMS, estimated without truth. The upper value includes errors that successive fixes share"
     )
     assert describe_position(recorded(nis, 0.0), 0.2).startswith("about 0.5 m RMS")
     unknown = describe_position(recorded(0.2, 0.4), 2.1)  # the covariance includes no error of 2.1 m per axis
-    assert "With common errors of the fixes of 2.1 m per axis, it is about 3 m RMS" in unknown
+    assert "If successive fixes share errors of 2.1 m per axis, it is about 3 m RMS" in unknown
     assert "an error that all fixes have in common" in describe_position(recorded(nis, 0.0))
 
 

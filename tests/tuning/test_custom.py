@@ -80,7 +80,7 @@ def test_the_cost_is_that_of_the_parameters():
     tuning = tune(LOGS, objective="innovation-nll", **SMALL)
     assert tuning.cost == np.mean([e.nll.mean() for e in estimates(tuning)])
     assert (
-        f"on 2 logs\nfilter: pendulum (ukf), 2 trial(s)\nparameters: alpha {tuning.parameters['alpha']:.3g}, "
+        f"on 2 logs\nfilter: pendulum (ukf), 2 trials\nparameters: alpha {tuning.parameters['alpha']:.3g}, "
         in repr(tuning)
     )
     assert f"length {tuning.parameters['length']:.3g} m, q_rate " in repr(tuning)

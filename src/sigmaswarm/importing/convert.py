@@ -100,7 +100,7 @@ def import_drive(
         if field:
             drive = with_magnetometer(drive, field, recipe, notes.append, request.part)
         elif recipe.declination_deg is not None:
-            raise InputError("--declination needs a magnetometer; choose its table with --mag-topic")
+            raise InputError("--declination needs a magnetometer; choose its topic or table with --mag-topic")
     except InputError as error:
         raise InputError(f"{request.log}: {error}") from None
     source = os.fsencode(request.log).decode("utf-8", "replace")  # a name may not be valid UTF-8

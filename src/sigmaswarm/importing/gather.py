@@ -241,7 +241,7 @@ def _with_tables(part: Part, log: Log, role: Role) -> list[Part]:
     chosen = quote(fitting[0]) if len(fitting) == 1 else "TABLE"
     raise InputError(
         f"{log.path}: has several tables ({list_names(log.tables)}); choose one for {', '.join(part.columns)} with "
-        f"--{role}-topic {chosen}, or write a recipe with table = ..."
+        f"--{role}-table {chosen}, or write a recipe with table = ..."
     )
 
 

@@ -184,7 +184,7 @@ VERDICTS: dict[Kind, str] = {
         "is overconfident about its position: the standard deviations are {nees_size}. NIS does not show this, since "
         "the predictions contain errors of the fixes, which cancel in the innovations"
     ),
-    "unknown": "had too few fixes to determine its consistency",
+    "unknown": f"had too few fixes to determine its consistency, which needs more than {2 * LAGS}",
 }
 
 

@@ -302,8 +302,9 @@ class Evaluation:
     def _repr_html_(self) -> str:
         return self.view.to_html()
 
-    def save(self, folder: Path) -> list[Path]:
+    def save(self, folder: str | Path) -> list[Path]:
         """Write scores.json, scores.csv, evaluation.json, tracks.npz and, if known, ``against``; return the paths."""
+        folder = Path(folder)
         paths = [folder / name for name in (SCORES_FILE, "scores.csv", EVALUATION_FILE, TRACKS_FILE)]
         write_json(paths[0], self.to_dict())
         write_atomically(paths[1], self._frame({m: m for m in self.names}).write_csv())

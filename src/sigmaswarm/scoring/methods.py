@@ -23,7 +23,7 @@ METHODS = {
     "imu_only": "IMU only",
 }
 """Display names of the rows of every comparison."""
-LEGEND = "baseline: the same model with typical noise; fixes alone: a filter without an IMU"
+LEGEND = "baseline: the same filter before tuning; fixes alone: a filter without the IMU"
 FIXES_ALONE_NOTE = (
     'The method "fixes alone" is a constant-velocity filter without the IMU. '
     "Its noise parameters are fitted to {}"

@@ -193,7 +193,7 @@ def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
     if consistency.mean_nis < low and (alike or consistency.mean_nis < MIN_INFORMATIVE_NIS):
         guess = ""
         if largest > max(expected, own):
-            guess = f". With common errors of the fixes of {lasting:.2g} m per axis, it is about {largest:.2g} m RMS"
+            guess = f". If successive fixes share errors of {lasting:.2g} m per axis, it is about {largest:.2g} m RMS"
         elif expected > own:
             guess = (
                 f". It may be as large as {expected:.2g} m RMS, the difference between prediction and fix that the "
@@ -210,9 +210,9 @@ def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
         return f"more than the {size} that the filter estimates. {included}, more than the filter expects ({nis})"
     if largest > MAX_LASTING_RATIO * own:
         return (
-            f"between {own:.2g} and {largest:.2g} m RMS, since there is no truth. The upper value includes errors that "
-            f"consecutive fixes have in common. The lower value is from the filter's covariance. The log does not show "
-            f"the size of the common errors; the upper value assumes {lasting:.2g} m per axis"
+            f"between {own:.2g} and {largest:.2g} m RMS, estimated without truth. The upper value includes errors that "
+            f"successive fixes share. The lower value is from the filter's covariance. The log does not show the size "
+            f"of the shared errors; the upper value assumes {lasting:.2g} m per axis"
         )
     if consistency.mean_nis < low:
         return f"about {size}, {source}. {COMMON_ERROR}. {included}, which is less than expected ({nis})"

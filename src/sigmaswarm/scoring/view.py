@@ -41,15 +41,15 @@ from sigmaswarm.scoring.remarks import (
     worse_than_untuned,
 )
 from sigmaswarm.scoring.score import MIN_HEADING_SPEED
-from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, SHORT_OUTAGE_LENGTH
+from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, OUTAGE_FIRST_AFTER, SHORT_OUTAGE_LENGTH
 from sigmaswarm.tables import Cell, Column, Table
 from sigmaswarm.wording import as_sentence, describe_change, describe_pair
 
 LATE_START = 5.0  # s from the start of a drive; if the scores start later, this is reported
 NO_TRUTH = (
-    "there is no truth, so errors of position and heading can't be computed. The tables contain the drift of each "
-    "filter relative to the hidden fixes, which includes the errors of these fixes. They also contain the consistency "
-    "of the tuned filter's predictions of the fixes (NIS)"
+    "there is no truth, so errors of position and heading are unknown. A drift is the distance from a fix that was "
+    "hidden from the filter, so it includes the error of this fix. The mean NIS shows whether the tuned filter's "
+    "predictions of the fixes are as accurate as its covariances state"
 )
 
 
@@ -183,8 +183,8 @@ class EvaluationView:
             return f"The tuned filter {what.format(f'{tuned:.3g}')}{compared} on {drives}."
         if any(mean_of("tuned", measure) is not None for measure in DRIFTS):
             return (
-                f"On {drives}, there is no time for an outage of {self.setup.outage_length_s:g} s; use a longer part "
-                "of a drive."
+                f"On {drives}, there is no time for an outage of {(length := self.setup.outage_length_s):g} s; use a "
+                f"part with at least {_least(length):g} s after the start of the filter."
             )
         return f"On {drives}, the tuned filter failed, or there is no truth, so scores are missing."
 
@@ -307,7 +307,12 @@ class EvaluationView:
     def missing_scores(self) -> tuple[str, ...]:
         """Return a sentence for each drift that is missing for some drives, and for a missing heading error."""
         slow = f"did not exceed {MIN_HEADING_SPEED:g} m/s according to the truth"
-        reasons = dict.fromkeys(DRIFTS, "can't contain such an outage") | {"heading_rmse_deg": slow}
+        lengths = SHORT_OUTAGE_LENGTH, self.setup.outage_length_s, LONG_OUTAGE_LENGTH
+        reasons = {
+            m: f"can't contain such an outage, which needs {_least(length):g} s after the start of the filter"
+            for m, length in zip(DRIFTS, lengths, strict=True)
+        }
+        reasons |= {"heading_rmse_deg": slow}
         without_truth = {drive.name for drive in self.setup.data if not drive.has_truth}
         sentences: list[str] = []
         for m, reason in reasons.items():
@@ -415,6 +420,11 @@ def with_training(drive: DriveRecord, tuned_on: Sequence[DriveRecord]) -> DriveR
 def _compared(tuned: float, other: float, name: str) -> str:
     change = describe_change(100 * (other - tuned) / other, "lower", "HIGHER")
     return f"{change} {name} ({other:.3g} m)"
+
+
+def _least(length: float) -> float:
+    """Return the shortest time, s, from the start of a filter to the end of an outage."""
+    return OUTAGE_FIRST_AFTER + length
 
 
 def _column(measure: Measure) -> Column:

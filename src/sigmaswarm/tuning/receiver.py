@@ -33,10 +33,7 @@ UNKNOWN = "A log without truth does not show an error that all fixes have in com
 AT_THE_TOP = "at the top of drive.toml"
 TUNE_AGAIN = "tune again with a new folder"
 IF_KNOWN = f"If you know it (m per axis), write it as gps_std_m {AT_THE_TOP}; then {TUNE_AGAIN}"
-NO_STD = (
-    "The fixes do not show their accuracy either, since the baseline does not drift less with their scatter as the "
-    f"standard deviation. {IF_KNOWN}"
-)
+NO_STD = f"The fixes do not show their accuracy either. {IF_KNOWN}"
 
 
 @dataclass(frozen=True)
@@ -182,8 +179,8 @@ def prior_warnings(
         if cost <= MIN_PRIOR_COST or tuned * MAX_STD_RATIO < std:
             continue
         compromise = (
-            f"R corresponds to a standard deviation of {tuned:.2g} m per axis, a compromise between the "
-            "innovations and"
+            f"R (measurement noise) corresponds to {tuned:.2g} m per axis, a compromise between the innovations "
+            "and"
         )
         if np.isfinite(one.stated):
             lasting = (

@@ -74,18 +74,21 @@ def _disturbed(evidence: Evidence) -> Iterator[Finding]:
     moved, off = np.diff(course.position[fit.rows[part]], axis=1), np.diff(fit.residual[part], axis=1)
     turn = np.degrees(np.max(np.abs(np.angle(moved * np.conj(moved - off)))))
     duration = len(fixes) * float(np.median(np.diff(course.time)))
+    start, end = float(course.time[fixes[0]]), float(course.time[fixes[-1]])
     what = (
-        f"for {duration:.0f} s the fixes scatter by {noise:.2g} m per axis from fix to fix, {noise / usual:.0f} "
-        f"times as much as in the quiet parts. Their course differs by up to {turn:.0f} deg from that of the IMU. "
+        f"for {duration:.0f} of the {end - start:.0f} s from t = {start:.0f} s, the fixes scatter by {noise:.2g} m per "
+        f"axis from fix to fix, {noise / usual:.0f} times as much as in the quiet parts."
+        f" Their course differs by up to {turn:.0f} deg from that of the IMU. "
         "Multipath at buildings or trees has this effect"
     )
-    span = float(course.time[fixes[0]]), float(course.time[fixes[-1]])
-    command = split_command(*span)
+    command = split_command(start, end)
     remedy = (
         f"{NO_ACTION} with the default filter of tune (robust), which reduces the weight of such fixes; for "
         f"other filters, leave them out: {command}"
     )
-    yield Finding("gps-disturbed", "warning", what, "gps.csv, positions", span, 0.99, remedy, command=command)
+    yield Finding(
+        "gps-disturbed", "warning", what, "gps.csv, positions", (start, end), 0.99, remedy, command=command
+    )
 
 
 def _stated(evidence: Evidence) -> Iterator[Finding]:
