@@ -131,6 +131,7 @@ def test_a_drift_larger_than_the_baseline_s_names_a_safe_step(particles: int, in
     )
     (said,) = _larger_drifts(record)
     assert "drifts MORE than the baseline" in said.what and said.remedy.endswith(remedy)
+    assert ("other data (at least 40 s after its start); " in said.remedy) is (particles == 30)
     record.forecasts = forecasts[:1]
     assert not [*_larger_drifts(record)]
 

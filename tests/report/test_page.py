@@ -349,6 +349,8 @@ def test_without_truth_the_page_says_what_can_be_told_and_has_no_empty_columns(
                 assert any(row[i] is not None for row in table.rows), column
     scores, spread = report.sections[1].tables
     assert any(" random placements; for a single placement it is" in text for text in report.sections[1].text)
+    missing = "blind can't contain such an outage, which needs 40 s after the start of the filter."
+    assert f"No 30 s outage drift: {missing}" in report.sections[1].text
     titles = [title for s in (1, 5) for title in ("outages", f"{s} s outage drift", "range over placements")]
     assert [c.title for c in spread.columns[2:]] == titles
     for row in spread.rows:

@@ -136,8 +136,8 @@ def evaluate(
     output = Output(verbose=options.verbose)
     print_evaluation(output, result, more)
     if written:
-        output.show(f"wrote {len(written)} files to {out}")
-        output.details("the files", ", ".join(path.name for path in written))
+        names = ": " + ", ".join(path.name for path in written) if options.verbose else ""
+        output.show(f"wrote {len(written)} files to {out}{names}")
     usable = not warn_of_unusable(tuning, record) and not learned
     export = _better_filter(result, options) or (_export(tuning, tuned, drives) if usable else ())
     output.next(*_next_steps(out, remedies, export), place=out / DETAILS_FILE if out else "")

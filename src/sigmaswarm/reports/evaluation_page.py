@@ -140,7 +140,7 @@ def _comparison(view: EvaluationView) -> Section:
     tables = [view.mean_table()] if len(view.scores.drives) > 1 else []
     tables += [view.drive_table(), *([view.drift_table()] if view.scores.drifts else [])]
     coverage = () if view.without_truth else view.coverage()
-    text = (*coverage, explained_scores(view), *view.drifts(), *view.explanations())
+    text = (*coverage, explained_scores(view), *view.missing_scores(), *view.drifts(), *view.explanations())
     return Section("Comparison", text, tuple(tables), method_bars(view))
 
 
