@@ -1,4 +1,4 @@
-"""Pages in the Chromium of this machine."""
+"""Open pages in Chromium."""
 
 import os
 import shutil
@@ -16,21 +16,21 @@ DRAWN = ".scatterlayer path.js-line, .scatterlayer path.point, g[id^=axes] path"
 
 @contextmanager
 def open_browser() -> Iterator[object]:
-    """A browser; the test skips where there is none."""
+    """Yield a browser; skip the test if Chromium or Playwright is not installed."""
     if CHROMIUM is None:
         pytest.skip("no Chromium on this machine: the page is not opened (apt-get install chromium)")
     sync_api = pytest.importorskip(
         "playwright.sync_api", reason="playwright is not installed (dependency group test)"
     )
     with sync_api.sync_playwright() as playwright:
-        sandbox = [] if os.geteuid() else ["--no-sandbox"]  # Chromium's own sandbox does not run as root
+        sandbox = [] if os.geteuid() else ["--no-sandbox"]  # Chromium's sandbox does not work as root
         opened = playwright.chromium.launch(executable_path=CHROMIUM, args=sandbox)
         yield opened
         opened.close()
 
 
 class Opened:
-    """A page in the browser, with everything that it complained of or asked for."""
+    """A page in the browser; records its console messages, errors, dialogs and requests."""
 
     def __init__(self, browser, file: Path, width: int) -> None:
         self.context = browser.new_context(viewport={"width": width, "height": 900})
@@ -49,24 +49,24 @@ class Opened:
         return self.page.evaluate(script)
 
     def settle(self) -> None:
-        """Until two frames have been drawn."""
+        """Wait until two frames have been drawn."""
         self.run("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
     def drawn(self) -> list[int]:
-        """How many lines, points, bars and boxes each chart has, of plotly.js or as SVG."""
+        """Return the number of lines, points, bars and boxes of each chart (plotly.js or SVG)."""
         return self.run(
             f"[...document.querySelectorAll('.chart')].map((c) => c.querySelectorAll({DRAWN!r}).length)"
         )
 
     def width(self) -> float:
-        """px from the left edge to the right end of the page, or of its widest plot."""
+        """Return the right end of the page or of its widest chart, px from the left edge."""
         return self.run(
             "Math.max(document.documentElement.scrollWidth, ...[...document.querySelectorAll('.chart svg')]"
             ".map((s) => s.getBoundingClientRect().right))"
         )
 
     def width_on_paper(self, file: Path) -> float:
-        """Print into a file; px of the widest plot there."""
+        """Print the page to a PDF file; return the width of the widest chart on paper, px."""
         self.page.pdf(path=file, format="A4")
         assert file.read_bytes().startswith(b"%PDF")
         self.page.emulate_media(media="print")
@@ -76,7 +76,7 @@ class Opened:
         )
 
     def check_silence(self) -> None:
-        """It has not complained, nor asked for anything but itself."""
+        """Check that the page logged nothing, and requested no file except itself."""
         assert self.complaints == []
         assert len(self.requests) == 1
         assert self.requests[0].startswith("file:")

@@ -8,22 +8,22 @@ from collections.abc import Generator, Iterator
 from functools import lru_cache
 from pathlib import Path
 
-# Before NumPy and Polars are imported: as many processes as cores run the tests, so more threads only cost time.
+# Set before NumPy and Polars are imported: one test process runs per core, so more threads only cost time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("POLARS_MAX_THREADS", "1")
 
 import pytest
 from hypothesis import HealthCheck, settings
 
-# Under `nohup` SIGINT is ignored, by all child processes too: tests of interrupts need Python's handler.
+# Under `nohup`, SIGINT is ignored by this process and its children; tests of interrupts need Python's handler.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# No file of a test must survive a power failure; to wait for the disk would take 4% of the time.
+# Files of tests need not survive a power failure; waiting for the disk would take 4% of the time.
 os.fsync = lambda fd: None
 
-# A busy machine is no failure, and the same commit gets the same verdict; ``HYPOTHESIS_PROFILE=long``, as in
-# `make test-long`, and ``search`` look farther.
+# No deadline, since a machine may be busy. Examples are the same in each run, so a commit always gets the same
+# result. `make test-long` sets HYPOTHESIS_PROFILE=long (more examples); ``search`` draws new examples each time.
 patient = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("sigmaswarm", patient, derandomize=True, max_examples=12)
 settings.register_profile("long", patient, derandomize=True, max_examples=200)
@@ -33,13 +33,13 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "sigmaswarm"))
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """One more than the processors, since tests wait for other processes; xdist counts only physical cores."""
+    """Return the number of processors + 1, since tests wait for other processes; xdist counts only physical cores."""
     return (os.cpu_count() or 1) + 1
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collect_file(file_path: Path) -> Generator[None, list[pytest.Collector], list[pytest.Collector]]:
-    """Leave the docstrings of tests alone: the plugin for Markdown would import each file a second time for them."""
+    """Do not collect docstrings of tests: the plugin for Markdown would import each test file a second time."""
     found = yield
     return [file for file in found if type(file).__name__ != "MarkdownDocstringCodeModule"]
 
@@ -48,14 +48,14 @@ LONG_PAGES = (
     *("docs/models.md", "docs/objectives.md", "docs/reference/doctor.md", "docs/reference/evaluation.md"),
     *("docs/reference/drives.md", "docs/reference/experiments.md", "docs/reference/own_models.md"),
 )
-"""Pages whose examples take seconds. Tests call the same functions, and README.md tunes and evaluates."""
+"""Pages with examples that take seconds. Tests call the same functions; README.md tunes and evaluates."""
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave some pages to `make test-long`, before pytest selects by marker; begin with the workbench.
+    """Mark slow pages as long, before pytest selects tests by marker; run the tests of the workbench first.
 
-    Its tests take up to half a minute: at the end, one process would wait for another.
+    A test of the workbench takes up to 30 s: at the end of the run, the other processes would wait for it.
     """
     items.sort(key=lambda item: not item.nodeid.startswith("tests/workbench"))
     for item in items:
@@ -65,7 +65,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
-    """Simulate drives of a minute, not of three, for the example of README.md, which tunes and evaluates."""
+    """Simulate drives of 60 s instead of 180 s for the example of README.md, which tunes and evaluates."""
     if not item.nodeid.startswith("README.md"):
         return (yield)
     import sigmaswarm
@@ -79,9 +79,9 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
 
 
 def pytest_collection_finish() -> None:
-    """Simulate and diagnose the same drive once, and keep the collected tests out of garbage collections.
+    """Cache simulated drives and diagnoses, and exclude the collected tests from garbage collection.
 
-    Garbage collections would take 6% of the processor's time. Tests of the simulation itself use `simulated_anew`.
+    Garbage collections would take 6% of the processor time. Tests of the simulation use `simulated_anew`.
     """
     if scenarios := sys.modules.get("sigmaswarm.simulation.scenarios"):
         scenarios._drive = lru_cache(64)(scenarios._drive)
@@ -93,7 +93,7 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture
 def unpainted() -> Iterator[None]:
-    """Pictures are not drawn, which takes half a second each: where a test is about something else."""
+    """Replace pictures by empty ones in tests of other things; drawing takes 0.5 s per picture."""
     from support import no_pictures
 
     with no_pictures():
@@ -102,7 +102,7 @@ def unpainted() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def undiagnosed() -> Iterator[None]:
-    """Tunings look for no faults that the objective does not show, which takes 70% of a small one."""
+    """Skip the search for faults that the objective does not show; it takes 70% of the time of a small tuning."""
     from sigmaswarm.tuning.tune import tune_problem
 
     with pytest.MonkeyPatch.context() as patch:
@@ -112,7 +112,7 @@ def undiagnosed() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def quick_study() -> Iterator[None]:
-    """Studies end sooner: they time one live filter instead of four, and draw fewer resamples."""
+    """Shorten studies: time one live filter instead of four, and draw fewer resamples."""
     from sigmaswarm.experiments import statistics
     from sigmaswarm.experiments.study import timings
 
@@ -124,7 +124,7 @@ def quick_study() -> Iterator[None]:
 
 @pytest.fixture
 def simulated_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each call of `simulate` computes its drive."""
+    """Disable the cache of simulated drives."""
     from sigmaswarm.simulation import scenarios
 
     monkeypatch.setattr(scenarios, "_drive", scenarios._drive.__wrapped__)
@@ -140,7 +140,7 @@ def unoptimized(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[object]:
-    """One for a process: Playwright can't be started twice in a thread."""
+    """Yield one browser per process: Playwright can't be started twice in a thread."""
     from browsing import open_browser
 
     with open_browser() as opened:

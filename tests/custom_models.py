@@ -1,4 +1,4 @@
-"""Custom models that several tests share: a pendulum, and a point on a line."""
+"""Custom models used by several test files: a pendulum, and a point on a line."""
 
 import numpy as np
 
@@ -43,7 +43,7 @@ def pendulum_log(
     start: tuple[float, float] = (0.7, 0.0),
     length: float = 0.8,
 ) -> Log:
-    """A pendulum that is nudged at random and seen ten times a second, between the steps of the filter."""
+    """Simulate a pendulum with random accelerations; its angle is measured at 10 Hz, between steps of the filter."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(duration * 100) + 1) / 100
     p = PENDULUM.record(length, 1e-3, 4e-4)
@@ -66,7 +66,7 @@ def pendulum_log(
 
 
 def point_model(**changes) -> Model:
-    """A point on a line, pushed by white noise, its place measured: linear, so that a Kalman filter is exact."""
+    """Model of a point on a line: white-noise acceleration, measured position. Linear, so a Kalman filter is exact."""
 
     def f(state, dt, u, p):
         return np.array([state[0] + state[1] * dt, state[1]])
@@ -87,7 +87,7 @@ def point_model(**changes) -> Model:
 
 
 def point_log(name: str = "line", *, seed: int = 0, n: int = 600, q: float = 0.5, r: float = 0.3) -> Log:
-    """The point, exactly as its model says, with jittered steps and a measurement at every other one."""
+    """Simulate the point model with jittered steps and a measurement at every second step."""
     rng = np.random.default_rng(seed)
     time = np.cumsum(rng.uniform(0.05, 0.15, n))
     state, seen = np.array([1.0, -0.5]), []

@@ -1,4 +1,4 @@
-"""A Dask scheduler and workers in separate processes on 127.0.0.1, each ended by its process id."""
+"""A Dask scheduler and workers in separate processes on 127.0.0.1; each is ended by its process id."""
 
 import os
 import subprocess
@@ -18,23 +18,23 @@ log = os.open(sys.argv.pop(1), os.O_WRONLY | os.O_CREAT)
 os.dup2(log, 1), os.dup2(log, 2)
 sys.path = [place for place in sys.path if not place.endswith("tests")]
 """
-"""What precedes the program of a fork, which else knows the tests and writes to a pipe."""
+"""Code that runs first in a fork: it removes the modules of the tests, and redirects output to a log file."""
 OTHER_VERSION = "import sigmaswarm.versions; sigmaswarm.versions.__version__ = '0.0.1'\n" + WORKER
 
 
 class Processes:
-    """A scheduler, and workers that can be killed and that can come, in a folder for their files and logs."""
+    """A scheduler and workers that can be added and killed. A folder contains their files and logs."""
 
     def __init__(
         self, folder: Path, workers: int = 2, *, threads: int = 1, memory: str = "0", forked: bool = False
     ) -> None:
-        """``forked``: they have imported what they need when they start; their memory is then not their own alone."""
+        """If ``forked``, workers are forks with all imports loaded; memory is shared with the template process."""
         self.folder, self._threads, self._memory, self._forked = folder, threads, memory, forked
         folder.mkdir(parents=True, exist_ok=True)
         self._started: dict[str, subprocess.Popen[bytes] | Process] = {}
         self.file = folder / "scheduler.json"
         options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(self.file)]
-        options += ["--idle-timeout", "3600"]  # should nobody be left to end it
+        options += ["--idle-timeout", "3600"]  # ends the scheduler if the test could not
         self._start("scheduler", SCHEDULER, options)
         self._wait(self.file.exists)
         for _ in range(workers):
@@ -51,18 +51,18 @@ class Processes:
 
     @property
     def address(self) -> str:
-        """The scheduler's."""
+        """The address of the scheduler."""
         import json
 
         return str(json.loads(self.file.read_text())["address"])
 
     @property
     def workers(self) -> list[str]:
-        """Names of those that were started and not killed."""
+        """The names of the workers that were started and not killed."""
         return [name for name in self._started if name != "scheduler"]
 
     def add(self, program: str = WORKER, *options: str) -> str:
-        """Start a worker, without a nanny; its name."""
+        """Start a worker without a nanny; return its name."""
         name = f"worker-{len(list(self.folder.glob('worker-*.log')))}"
         usual = [
             "--no-nanny",
@@ -78,23 +78,23 @@ class Processes:
         return name
 
     def kill(self, name: str) -> None:
-        """End one process at once, by its own id."""
+        """Kill one process by its id."""
         process = self._started.pop(name)
         process.kill()
         process.wait()
 
     def memory(self, name: str) -> int:
-        """Bytes that a process has in memory, at most so far."""
+        """Return the peak memory of a process, bytes."""
         status = Path(f"/proc/{self._started[name].pid}/status").read_text()
         return int(status.split("VmHWM:")[1].split()[0]) * 1024
 
     def processor(self, name: str) -> float:
-        """Seconds of a processor that a process has used so far."""
+        """Return the processor time of a process, s."""
         fields = Path(f"/proc/{self._started[name].pid}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def log(self) -> str:
-        """What all of them wrote."""
+        """Return the output of all processes."""
         return "".join(file.read_text() for file in sorted(self.folder.glob("*.log")))
 
     def _start(self, name: str, program: str, arguments: Sequence[str]) -> None:

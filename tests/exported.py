@@ -1,4 +1,4 @@
-"""Build and run exported filters like a user: with a C compiler, and with a separate Python."""
+"""Build and run exported filters as users do: with a C compiler, and with a separate Python process."""
 
 import shutil
 import subprocess
@@ -26,22 +26,22 @@ needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not i
 needs_clang = pytest.mark.skipif(shutil.which("clang") is None, reason="clang is not installed")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic")
 OPTIMIZED = ("-O2",)
-"""As users build it: the optimizer also finds what to warn of."""
+"""Flags of a user's build; with optimization, the compiler finds more to warn of."""
 SANITIZERS = (
-    "-O0",  # the optimizer takes four fifths of the build, and removes what the sanitizers look for
+    "-O0",  # optimization takes 80% of the build time, and removes faults that the sanitizers would find
     "-fsanitize=address,undefined,float-divide-by-zero,float-cast-overflow",
-    "-fsanitize-undefined-trap-on-error",  # a third less to compile; without it, and with -g, a report says where
+    "-fsanitize-undefined-trap-on-error",  # compiles 33% faster; for a report with the line, remove it and add -g
 )
-NO_TRAP = ("-fno-sanitize=float-divide-by-zero",)  # IEEE's inf is meant: all_finite finds it
+NO_TRAP = ("-fno-sanitize=float-divide-by-zero",)  # division by zero gives inf, which all_finite detects
 
 
 _KEPT = TemporaryDirectory(prefix="sigmaswarm-built-")
-"""Programs that this process has built; it goes with the process."""
+"""Programs that this process has built; removed when the process ends."""
 
 
 @dataclass(frozen=True)
 class Replayed:
-    """What an exported filter wrote: (k,), (k, n), (k, n)."""
+    """Output of an exported filter: times (k,), means (k, n), variances (k, n)."""
 
     time: np.ndarray
     mean: np.ndarray
@@ -49,7 +49,7 @@ class Replayed:
 
 
 export = cache(export_texts)
-"""The texts of an exported filter, written out once in a process."""
+"""Texts of exported filters, cached per process."""
 
 
 def export_filter(parameters: FilterParameters, target: str, folder: Path, **options) -> list[Path]:
@@ -70,9 +70,9 @@ def build(
     main: str = "",
     lanes: int = 1,
 ) -> Path:
-    """The replaying program (or ``main``, C source, in its place) on an exported C library.
+    """Build the replay program (or ``main``, other C source) with an exported C library.
 
-    It is not optimized, which takes a third of the time, unless the flags have OPTIMIZED.
+    The build is not optimized, which takes a third of the time, unless the flags contain OPTIMIZED.
     """
     write(folder, parameters, lanes=lanes)
     source = folder / "replay.c"
@@ -82,7 +82,7 @@ def build(
     sources = [folder / "ins_gps.c", folder / "ins_gps_align.c", source]
     texts = tuple(file.read_text() for file in (*sources, *sorted(folder.glob("*.h"))))
     program = Path(_KEPT.name) / sha256(repr((texts, flags, compiler)).encode()).hexdigest()
-    if not program.exists():  # the same C, built the same way, is the same program
+    if not program.exists():  # built once for equal texts, flags and compiler
         command = [compiler, *STRICT, "-O0", *flags, *sources, "-lm", "-o", program]
         built = subprocess.run(command, capture_output=True, text=True, check=False)
         assert built.returncode == 0, built.stderr
@@ -90,7 +90,7 @@ def build(
 
 
 def replay(program: Path, drive: Drive, model: ModelName = "planar5") -> Replayed:
-    """Run the C program over a drive; the rows of planar models are the same."""
+    """Run the C program over a drive; planar models all use the same input rows."""
     rows = replay_rows(drive, model)
     done = subprocess.run([program], input=rows, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -114,7 +114,7 @@ def run_script(
 
 
 def run_alone(script: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
-    """Run an exported script in a process that has imported NumPy and FilterPy, and can't find sigmaswarm."""
+    """Run an exported script in a process that has imported NumPy and FilterPy but cannot import sigmaswarm."""
     return processes.run(_ISOLATED, script, *arguments)
 
 
@@ -127,7 +127,7 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 
 
 def twin(drive: Drive, parameters: FilterParameters, moved: float = 1e-13) -> tuple[np.ndarray, float]:
-    """The library's means (k, n), and how far they go when the initial heading is moved by ``moved`` rad."""
+    """Return the library's means (k, n), and their change if the initial heading is changed by ``moved`` rad."""
     initial = initial_state(drive)
     mean = initial.mean.copy()
     mean[4] += moved
@@ -138,14 +138,14 @@ def twin(drive: Drive, parameters: FilterParameters, moved: float = 1e-13) -> tu
 
 
 def distance(one: np.ndarray, other: np.ndarray) -> float:
-    """The largest difference of two runs' means, relative to max(1, |x_i|); headings around the circle."""
+    """Return the largest difference of two runs' means, relative to max(1, |x_i|), with wrapped headings."""
     difference = one - other
     difference[:, 4] = (difference[:, 4] + np.pi) % (2 * np.pi) - np.pi
     return float(np.max(np.abs(difference) / np.maximum(1.0, np.abs(other))))
 
 
 def tuned(model: str, kind: str, interval: float, *, everything: bool = True) -> FilterParameters:
-    """A sensible filter for fixes of about a metre: about what tunings on real drives end with."""
+    """Return parameters for fixes with an error of about 1 m, similar to tuning results on real drives."""
     per_second = (1e-3, 1e-3, 0.05, 0.05, 1e-5, 1e-5, 1e-5, 1e-9, 1e-5, 1e-5, 1e-9, 1e-9)
     q = tuple(variance * interval for variance in per_second[: len(MODELS[model].states)])
     p = FilterParameters(0.5, 2.0, 0.0, q, (1.0, 1.2), model, kind=kind, nominal_interval=interval)
@@ -163,6 +163,6 @@ def tuned(model: str, kind: str, interval: float, *, everything: bool = True) ->
 
 
 def jumping(drive: Drive) -> Drive:
-    """The drive with fixes that jump 40 m after its middle: a gate turns them away at first, but not for good."""
+    """Return the drive with fixes that jump by 40 m at half time: a gate first rejects them and later accepts them."""
     late = drive.gps.time > drive.imu.time[0] + drive.duration / 2
     return replace(drive, gps=replace(drive.gps, x=drive.gps.x + 40.0 * late))

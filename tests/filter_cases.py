@@ -26,20 +26,20 @@ WEIGHED = {
     "robust": {"robust_dof": 4.0},
     "both": {**OPTIONS["all"], "gate": None, "accuracy_scale": 0.4, "robust_dof": 2.0},
 }
-"""Options that weigh fixes, which do not go with every kind."""
+"""Options that weight fixes; not every filter type supports them."""
 WEIGHED_CASES = [(kind, option) for kind in ("ukf", "ekf") for option in WEIGHED]
 WEIGHED_CASES += [("strong-tracking-ukf", "accuracy"), ("fuzzy-ukf", "accuracy")]
 
 
 def stands_for_all(model: str, kind: str, option: str) -> bool:
-    """What the quick tests take of all models, kinds and options: each option twice, each filter with all of them."""
+    """Select the quick tests: every filter with all options together, and two filters with each single option."""
     return option == "all" or (model, kind) in (("planar5", "ukf"), ("planar8", "ekf"))
 
 
 def parameters(model: str, **more) -> FilterParameters:
     more = {"kind": MODELS[model].filter_types[0], **more}
     if more.get("kind") == "strong-tracking-ukf":
-        more = {"forgetting": 0.5, **more}  # so that it has something to do on a drive that is as modelled
+        more = {"forgetting": 0.5, **more}  # otherwise it has no effect on a drive that fits the model
     if more.get("kind") == "fuzzy-ukf":
         more = {"forgetting": 0.7, "fuzzy_gains": (5.0, 20.0), **more}
     q = (1e-4, 2e-4, 1e-3, 2e-3, 1e-6, 1e-8, 2e-8, 1e-10, 1e-7, 2e-7, 1e-11, 2e-11)[
@@ -50,7 +50,7 @@ def parameters(model: str, **more) -> FilterParameters:
 
 @cache
 def equipped(duration: float = 24.0) -> Drive:
-    """A drive whose receiver also tells speed and course, and whose antenna is neither at the IMU nor at its height."""
+    """Return the drive with speed and course in the fixes, and an antenna beside and above the IMU."""
     drive = make_drive(duration=duration, gps_std=0.5, jitter=0.3, seed=5)
     truth, t = drive.truth, drive.gps.time
     assert truth is not None
@@ -62,7 +62,7 @@ def equipped(duration: float = 24.0) -> Drive:
 
 @cache
 def straying() -> Drive:
-    """The drive with stated accuracies, a burst of outliers, and a jump after 14 s that lasts: a filter recovers."""
+    """Return the drive with stated accuracies, a burst of outliers, and a jump after 14 s that makes a filter reset."""
     drive, rng = equipped(), np.random.default_rng(2)
     gps, n = drive.gps, len(drive.gps)
     x, late = gps.x.copy(), gps.time > gps.time[0] + 14.0
@@ -74,7 +74,7 @@ def straying() -> Drive:
 
 @cache
 def two_receivers() -> Drive:
-    """The drive with a second receiver that has the first one's clock; some of their fixes lie on IMU samples."""
+    """Return the drive with a second receiver with the same clock; some fixes coincide with IMU samples."""
     drive, rng = equipped(), np.random.default_rng(1)
     gps, imu = drive.gps, drive.imu.time
     assert gps.speed is not None
@@ -88,7 +88,7 @@ def two_receivers() -> Drive:
 
 @cache
 def rough() -> Drive:
-    """The drive with fixes frozen for a while, one of them repeated once more later, and two gaps in its IMU."""
+    """Return the drive with stale fixes, one of which is repeated again later, and two gaps in its IMU."""
     drive = equipped()
     gps, imu = drive.gps, drive.imu
     frozen = (gps.time > 12.0) & (gps.time < 13.1)

@@ -1,4 +1,4 @@
-"""Whole runs of filters, compared with a twin: the same filter with a slightly different initial heading."""
+"""Compare whole runs of filters, with a twin: the same filter with a slightly different initial heading."""
 
 from dataclasses import dataclass, replace
 
@@ -14,13 +14,13 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass, Targets
 from stepwise import steps_with_fixes
 
-TWIN_TURN = 1e-13  # rad, how far the twin's initial heading is moved
-TWIN_LIMIT = 1e-12  # where the twin is farther away, the filter is chaotic and proves nothing
+TWIN_TURN = 1e-13  # rad, change of the twin's initial heading
+TWIN_LIMIT = 1e-12  # if the twin differs by more, the filter is chaotic, and a comparison proves nothing
 
 
 @dataclass(frozen=True, eq=False)
 class FreeRun:
-    """One set, free running: distance of the compiled means (n, at IMU samples) from FilterPy's and a twin's."""
+    """One parameter set: distances of the compiled means (n, at IMU samples) from those of FilterPy and of a twin."""
 
     filterpy: np.ndarray
     filterpy_covariance: np.ndarray
@@ -28,14 +28,14 @@ class FreeRun:
 
     @property
     def judged(self) -> np.ndarray:
-        """Up to where the twin has never been farther away than TWIN_LIMIT."""
+        """Samples before the first one where the twin differs by more than TWIN_LIMIT."""
         return np.maximum.accumulate(self.twin) < TWIN_LIMIT
 
 
 def free_run(
     timeline: Timeline, initial: InitialState, p: FilterParameters, n_steps: int | None = None
 ) -> FreeRun:
-    """The compiled filter, FilterPy with the same root of P, and the compiled twin with its heading moved."""
+    """Run the compiled filter, FilterPy with the same root of P, and a compiled twin with a changed heading."""
     their_mean, their_covariance = filterpy_run(timeline, initial, p, n_steps, theta_first=True)
     n = len(their_mean)
     ours, twin = (compiled_run(timeline, start, p) for start in (initial, moved(initial, TWIN_TURN)))
@@ -49,7 +49,7 @@ def free_run(
 def compiled_run(
     timeline: Timeline, initial: InitialState, p: FilterParameters
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Means and covariances of the compiled filter over the whole timeline."""
+    """Return means and covariances of the compiled filter over the whole timeline."""
     run = FilterRun(FilterPass(timeline, initial, Targets.none(timeline)), p).whole()
     assert run.sound.all(), "the compiled filter failed"
     return run.mean, run.covariance
@@ -63,7 +63,7 @@ def filterpy_run(
     *,
     theta_first: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same of FilterPy; fixes are all that it takes."""
+    """Return means and covariances of FilterPy, which uses no measurements except fixes."""
     theirs = FilterPyCar(timeline, p, theta_first=theta_first)
     theirs.restart(initial.mean, initial.covariance)
     states = []
@@ -76,5 +76,5 @@ def filterpy_run(
 
 
 def moved(initial: InitialState, turn: float) -> InitialState:
-    """The same start with its heading moved by ``turn`` (rad)."""
+    """Return the initial state with its heading changed by ``turn`` (rad)."""
     return replace(initial, mean=initial.mean + turn * np.eye(5)[THETA])

@@ -1,5 +1,4 @@
-"""Test a wheel like a user: without other files, in an empty environment outside the checkout, with each installed
-Python.
+"""Test a wheel as a user would: in an empty environment outside the checkout, with each installed Python.
 
     python tests/installed.py dist
     python tests/installed.py dist --this-python
@@ -28,7 +27,7 @@ MUST_HOLD = (
 
 
 def contents_wrong(wheel: Path) -> list[str]:
-    """What a wheel lacks, or should not have."""
+    """Return the missing and the superfluous files of a wheel."""
     names = zipfile.ZipFile(wheel).namelist()
     lacking = [f"lacks {name}" for name in MUST_HOLD if name not in names]
     folders = {name.partition("/")[0] for name in names}
@@ -38,11 +37,11 @@ def contents_wrong(wheel: Path) -> list[str]:
 
 
 def tried(python: str, wheel: Path) -> str:
-    """Install and run with one Python; what it took."""
+    """Install the wheel and run its commands with one Python; return the result in one line."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
-        environment["NUMBA_CACHE_DIR"] = str(folder / "cache")  # a user's first run has none
+        environment["NUMBA_CACHE_DIR"] = str(folder / "cache")  # the first run of a user has no cache
 
         def run(*command: str | Path) -> tuple[str, float]:
             begun = time.perf_counter()
@@ -75,7 +74,7 @@ def tried(python: str, wheel: Path) -> str:
 
 
 def found(version: str) -> str | None:
-    """A Python of that version: on the path, or among those that pyenv keeps; a name may be a mere shim."""
+    """Find a Python of a version, on the path or in pyenv's folder; a command on the path may be a shim that fails."""
     kept = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
     named = [f"python{version}", *map(str, sorted(kept.glob(f"{version}.*/bin/python"), reverse=True))]
     for python in filter(shutil.which, named):
@@ -85,7 +84,7 @@ def found(version: str) -> str | None:
 
 
 def main() -> None:
-    """Say for each Python what came of it."""
+    """Print the result for each Python."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("dist", type=Path, help="folder with the wheel")
     parser.add_argument("--this-python", action="store_true", help="only the Python that runs this")

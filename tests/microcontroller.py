@@ -31,7 +31,7 @@ _EVENTS = {"imu": 0.0, "fix": 1.0, "odometer": 2.0}
 
 @dataclass(frozen=True)
 class Machine:
-    """A board of QEMU's, and the flags that compile for it."""
+    """A board that QEMU emulates, and the flags to compile for it."""
 
     name: str
     flags: tuple[str, ...]
@@ -43,10 +43,11 @@ M7 = Machine("mps2-an500", ("-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-mfloat-abi=ha
 
 @dataclass(frozen=True)
 class OnBoard:
-    """What a board wrote: (k,) s, (k, n), (k, n); and what it cost.
+    """Output of a board: times (k,) s, means (k, n), variances (k, n); and its cost.
 
-    ``predict`` (k,) has the instructions of each sample, ``update`` (k,) those of what was called since the one before,
-    ``fixes`` (k,) how many fixes that were, ``state`` (k,) the instructions of asking for it; ``stack`` is in bytes.
+    ``predict`` (k,) contains the instructions of each sample, ``update`` (k,) those of the calls since the previous
+    sample, ``fixes`` (k,) the number of fixes among them, ``state`` (k,) the instructions to read the state;
+    ``stack`` is in bytes.
     """
 
     time: np.ndarray
@@ -68,7 +69,7 @@ def build_for(
     optimize: str = "-O2",
     lanes: int = 1,
 ) -> Path:
-    """An exported filter with a program (``main``) for a board; the linker's map is beside it, ``program.map``."""
+    """Build an exported filter with a program (``main``) for a board; the linker's map is ``program.map``."""
     write(folder, parameters, lanes=lanes)
     common = (
         *machine.flags,
@@ -92,7 +93,7 @@ def build_for(
 
 
 def has(parameters: FilterParameters) -> list[str]:
-    """Flags that tell a program which of the library's functions take more than others."""
+    """Return the macros that select the additional arguments of the library's functions."""
     features = features_of(parameters)
     names = {"TILT": "tilted", "STD": "stated_std", "ODOMETER": "odometer"}
     return [f"-DHAS_{name}" for name, feature in names.items() if features[feature]]
@@ -105,7 +106,7 @@ def run(command: list[str | Path]) -> str:
 
 
 def emulate(machine: Machine, program: Path, *, timeout: float = 3600.0) -> int:
-    """Run a program on a board, in the program's folder; its exit code (99: it trapped)."""
+    """Run a program on a board, in the program's folder; return its exit code (99: trap)."""
     command = [EMULATOR, "-machine", machine.name, "-kernel", program, "-icount", "shift=0", "-nographic"]
     command += ["-monitor", "none", "-serial", "none", "-semihosting-config", "enable=on,target=native"]
     return subprocess.run(

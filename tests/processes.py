@@ -1,8 +1,8 @@
-"""Processes that start with all imports of a command, for tests that need a process but do not test its start.
+"""Fork processes that have all imports of a command, for tests that need a process but do not test its start.
 
-Imports and compiled filters take two or three seconds. Therefore, one template process loads them once per session, and
-each process of a test is a fork of it with its own arguments, environment, folder and outputs; it can be killed like
-any other process. cli/test_process.py tests the start itself, with new processes.
+Imports and compiled filters take 2 to 3 s. Therefore, one template process loads them once per session, and each
+process of a test is a fork of it with its own arguments, environment, folder and outputs. Such a process can be killed
+like any other. cli/test_process.py tests the start itself, with new processes.
 """
 
 import atexit
@@ -24,7 +24,7 @@ COMMAND = "from sigmaswarm.cli import main; main()"
 
 
 class Process:
-    """A process that runs; what it says is read by `communicate`, or by nobody: then it must not say much."""
+    """A running process. Unless `communicate` reads its output, the output must fit into the buffer of a pipe."""
 
     def __init__(self, program: str, arguments: Sequence[object], largest_file: int | None = None) -> None:
         pipes = [os.pipe(), os.pipe()]
@@ -42,7 +42,7 @@ class Process:
         self._code: int | None = None
 
     def poll(self) -> int | None:
-        """The exit code, as `subprocess` has it; None while it runs."""
+        """Return the exit code as `subprocess.Popen.poll` does; None while the process runs."""
         if self._code is None:
             self._code = _TEMPLATE.ask({"ended": self.pid})
         return self._code
@@ -51,17 +51,17 @@ class Process:
         os.kill(self.pid, how)
 
     def line(self) -> str:
-        """The next line that it said on standard output."""
+        """Return the next line of its standard output."""
         return self._in_words[0].readline()
 
     def communicate(self) -> tuple[str, str]:
-        """What it said on standard output and error, to its end."""
+        """Return its complete standard output and standard error."""
         with ThreadPoolExecutor(2) as pool:
             out, err = pool.map(lambda file: file.read(), self._in_words)
         return out, err
 
     def wait(self, seconds: float = 300.0) -> int:
-        """The exit code, once it has ended."""
+        """Wait until the process ends; return its exit code."""
         late = time.monotonic() + seconds
         while (code := self.poll()) is None:
             assert time.monotonic() < late, "it does not end"
@@ -74,14 +74,14 @@ class Process:
 def run(
     program: str, *arguments: object, largest_file: int | None = None
 ) -> subprocess.CompletedProcess[str]:
-    """Run a program to its end; files of more bytes than ``largest_file`` can't be written."""
+    """Run a program until it ends; it can't write files of more bytes than ``largest_file``."""
     process = Process(program, arguments, largest_file)
     out, err = process.communicate()
     return subprocess.CompletedProcess(program, process.wait(), out, err)
 
 
 class _Template:
-    """The process that others are forked from, started when it is first needed."""
+    """The process from which others are forked; started on first use."""
 
     channel: socket.socket | None = None
 
@@ -117,7 +117,7 @@ def _line(channel: socket.socket, begun: bytes) -> bytes:
 
 
 def _serve(channel: socket.socket) -> None:
-    """In the template: fork, and tell of who has ended."""
+    """In the template process: fork on request, and report exit codes."""
     from sigmaswarm import evaluate, tune
     from support import make_drive
 
@@ -125,7 +125,7 @@ def _serve(channel: socket.socket) -> None:
         import_module(module)
 
     drive = make_drive(duration=20.0)
-    evaluate(drive, tune(drive, particles=2, generations=1).parameters)  # compiled code is loaded
+    evaluate(drive, tune(drive, particles=2, generations=1).parameters)  # loads compiled code
     while True:
         data, files, _, _ = socket.recv_fds(channel, 1 << 20, 2)
         if not data:
@@ -145,7 +145,7 @@ def _serve(channel: socket.socket) -> None:
 
 
 def _become(order: dict[str, Any], files: list[int]) -> NoReturn:
-    """In the fork: what was asked for, as if it had been started with it."""
+    """In the fork: run the program with the given arguments, environment, folder and outputs."""
     for file, standard in zip(files, (1, 2), strict=True):
         os.dup2(file, standard)
         os.close(file)

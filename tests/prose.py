@@ -58,7 +58,7 @@ def pages() -> Iterator[Path]:
 
 
 def paragraphs(text: str, name: str, first: int = 1) -> Iterator[Text]:
-    """Yield headings, table rows, list items and paragraphs, each on one line, without code and links' targets."""
+    """Yield headings, table rows, list items and paragraphs, each on one line, without code and link targets."""
     start, lines, fenced = first, [], False
     for number, line in enumerate([*text.splitlines(), ""], first):
         fence = line.lstrip().startswith(("```", "~~~"))
@@ -72,17 +72,17 @@ def paragraphs(text: str, name: str, first: int = 1) -> Iterator[Text]:
             lines.append(line.strip())
         elif line.startswith(("#", "|", "![")) and not fenced:
             yield name, number, line
-        # Empty lines, code and formulas end a paragraph and are none.
+        # Empty lines, code and formulas only end a paragraph.
 
 
 def plain(text: str) -> str:
-    """Return a paragraph without code, links' targets and emphasis."""
+    """Return a paragraph without code, link targets and emphasis."""
     text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text)
     return CODE.sub("X", text).replace("**", "").replace("*", "")
 
 
 def faults(text: str) -> Iterator[str]:
-    """Yield what breaks a rule in a paragraph."""
+    """Yield the faults of a paragraph."""
     words = plain(text)
     if words.startswith("#") and HEADING.match(words.lstrip("# ")):
         yield "a heading is a noun phrase, or an imperative on a how-to"
@@ -96,7 +96,7 @@ def faults(text: str) -> Iterator[str]:
 
 
 def docstrings(cli: bool) -> Iterator[Text]:
-    """Yield the paragraphs of the docstrings of the command line, or of the rest of src; of attributes too."""
+    """Yield the paragraphs of docstrings (of attributes too) of the command line, or of the rest of src."""
     for path in sorted((ROOT / "src").rglob("*.py")):
         if ("cli" in path.parts) == cli:
             for node in ast.walk(ast.parse(path.read_text())):
@@ -105,7 +105,7 @@ def docstrings(cli: bool) -> Iterator[Text]:
 
 
 def described(docstring: str) -> str:
-    """Return a docstring with the descriptions of parameters as paragraphs; their names are code."""
+    """Return a docstring with the descriptions of parameters as paragraphs, without their names, which are code."""
     body, *sections = re.split(r"(?m)^(\w[\w ]+\n-{3,})$", inspect.cleandoc(docstring))
     for head, section in zip(sections[::2], sections[1::2], strict=True):
         if head.startswith(("Attributes", "Parameters", "Raises", "Returns", "Warns", "Yields")):
@@ -115,10 +115,10 @@ def described(docstring: str) -> str:
 
 
 def messages() -> Iterator[Text]:
-    """Yield the strings of src of three words or more that are no docstrings; an inserted value is X."""
+    """Yield the strings in src of three or more words that are not docstrings; an inserted value becomes X."""
     for path in sorted((ROOT / "src").rglob("*.py")):
         for line, text in strings(ast.parse(path.read_text())):
-            if len(text.split()) > 2 and not text.startswith(("#", "m meter")):  # units to read are no text
+            if len(text.split()) > 2 and not text.startswith(("#", "m meter")):  # units are not prose
                 yield str(path.relative_to(ROOT)), line, text
 
 
@@ -153,7 +153,7 @@ def main() -> None:
         for part in parts:
             part = [
                 text for text in part if len(re.findall(r"[a-z]{2,}", plain(text[2]))) > 3
-            ]  # no bare code
+            ]  # omits texts that are only code
             random.Random(options.seed).shuffle(part)
             left = options.sample / len(parts)
             while left > 0 and part:

@@ -1,4 +1,4 @@
-"""Learners that fit a line through points, within a second."""
+"""Learners that fit a line through points in less than a second."""
 
 from typing import ClassVar
 
@@ -30,7 +30,7 @@ class Quick:
 
 
 class QuickOutages(Quick):
-    """Its forecasts are random."""
+    """An outage learner with random forecasts."""
 
     def finish(self, settings, weights):
         rng, units = np.random.default_rng(self.seed), int(settings["units"])
@@ -42,7 +42,7 @@ class QuickOutages(Quick):
 
 
 class QuickNoises(Quick):
-    """Its factors are random."""
+    """A noise learner with random factors."""
 
     def finish(self, settings, weights):
         rng = np.random.default_rng(self.seed)

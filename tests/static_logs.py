@@ -11,20 +11,20 @@ from sigmaswarm.simulation.motion import Motion
 from sigmaswarm.simulation.sensors import IMU_GRADES, ImuGrade, Triad, measure_imu
 
 GRADES = [name for name in IMU_GRADES if name not in ("ideal", "carla")]
-"""The eight grades of real sensors."""
+"""Grades of real sensors."""
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 
 
 @dataclass(frozen=True)
 class Planted:
-    """White noise with that of the quantization (unit/sqrt(Hz)), and the walk of the bias (unit/sqrt(s))."""
+    """White noise including that of the quantization (unit/sqrt(Hz)), and random walk of the bias (unit/sqrt(s))."""
 
     white: float
     walk: float
 
 
 def static_log(grade: str | ImuGrade, seconds: float, interval: float = 0.01, seed: int = 0) -> Imu:
-    """What a sensor of a grade measures at rest."""
+    """Simulate the samples of a resting sensor."""
     count = round(seconds / interval)
     still = np.zeros((count, 3))
     gravity = still + np.array([0.0, 0.0, GRAVITY])
@@ -35,7 +35,7 @@ def static_log(grade: str | ImuGrade, seconds: float, interval: float = 0.01, se
 
 
 def planted(grade: str, axis: str, interval: float = 0.01) -> Planted:
-    """What a grade states for an axis."""
+    """Return the specified noise of an axis."""
     known = IMU_GRADES[grade]
     triad: Triad = known.accel if axis[0] == "a" else known.gyro
     rounding = triad.resolution**2 / 12 * interval

@@ -1,7 +1,7 @@
 """Compare filters in single steps, for tests/filters/test_parity.py and benchmarks/parity.py.
 
 Far from its optimum, a Kalman filter is chaotic, so whole runs do not agree to 1e-9, but single steps do. In each step
-of a drive, both filters start from the same state and, if they are adaptive, from the same memory.
+of a drive, both filters start from the same state and, if they are adaptive, from the same adaptation state.
 """
 
 import warnings
@@ -45,14 +45,14 @@ SIMULATED = "simulated"
 def steps_with_fixes(
     timeline: Timeline, n_steps: int | None = None
 ) -> Iterator[tuple[int, np.ndarray | None]]:
-    """Each step's number and the fix absorbed at its end."""
+    """Yield each step's number and the fix at its end, if there is one."""
     fixes = iter(timeline.fixes)
     for i in range(len(timeline.dt))[:n_steps]:
         yield i, next(fixes) if timeline.updates[i] else None
 
 
 def wheels_at(timeline: Timeline) -> np.ndarray:
-    """What the odometer says at each step's end, (k, 3); zeros where nothing."""
+    """Return the odometer's values at the end of each step, (k, 3); zeros without an odometer sample."""
     said = np.zeros((len(timeline.dt), 3))
     found = events.events_of(timeline, {"odometer"})
     said[found.flags & events.ODOMETER > 0] = found.wheels
@@ -60,7 +60,7 @@ def wheels_at(timeline: Timeline) -> np.ndarray:
 
 
 def some_steps(timeline: Timeline, sets: Sequence[FilterParameters], n: int) -> set[int]:
-    """Of each kind of step n, spread over the drive; and the longest one with all that follows for a second."""
+    """Choose n steps of each kind, spread over the drive, and the longest step with all updates of the next second."""
     flags = events.events_of(timeline, starts.measured_by(sets[0])).flags
     bits = (events.FIX, events.LATERAL, events.STANDSTILL, events.ODOMETER)
     kinds = [flags == events.IMU, *(flags & bit != 0 for bit in bits)]
@@ -76,10 +76,10 @@ def some_steps(timeline: Timeline, sets: Sequence[FilterParameters], n: int) -> 
 
 
 class CompiledCars:
-    """The compiled filter, one per parameter set; ``rows`` (s, N_ROWS) is all that they are and remember.
+    """The compiled filter, one per parameter set; ``rows`` (s, N_ROWS) is their complete state.
 
-    A filter that remembers nothing but its state takes its steps with the kernel that a tuning runs. That one can't be
-    started in the midst of a memory; so one that adapts itself takes them with the live filter's kernel.
+    A filter whose only state is its estimate runs the kernel of a tuning. That kernel can't be started with an
+    adaptation state, so adaptive filters run the kernel of the live filter.
     """
 
     def __init__(self, timeline: Timeline, initial: InitialState, sets: Sequence[FilterParameters]) -> None:
@@ -145,12 +145,12 @@ class CompiledCars:
 
     @property
     def noise(self) -> np.ndarray:
-        """Diagonals of Q and R, (s, n + 2)."""
+        """Return the diagonals of Q and R, (s, n + 2)."""
         return self.rows[:, [*range(layout.Q0, layout.Q0 + self.n), R.RX, R.RY]]
 
     @property
     def sums(self) -> np.ndarray:
-        """NIS, ln det S and squared residual of the last fix, and the recent size of the innovations, (4, s)."""
+        """Return NIS, ln det S and squared residual of the last fix, and the recent size of the innovations, (4, s)."""
         rows = self.rows.T
         log_determinant = rows[R.LOG_DET] + np.log(rows[R.DET])
         return np.array([rows[R.NIS], log_determinant, rows[R.SQ_FIX], rows[R.RECENT]])
@@ -162,18 +162,18 @@ def _take(step: int, rows: np.ndarray, *of: Any) -> None:
         take_step(step, rows[i], *of)
 
 
-# --- The oracle beside the compiled filter -----------------------------------------------------------------
+# --- The compiled filter and the oracle -------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class Stepwise:
     """Errors of single steps, each (steps, sets).
 
-    ``shrunk`` says by how much a step's fix divided a variance, at most; 1 where there was no fix. A covariance
-    kept in doubles can't come out of such a fix with more than eps x shrunk: that much is rounded off before.
-    ``turn`` is the standard deviation of the heading (rad) before anything is absorbed; inf where a lane has failed.
-    ``absorbed`` (steps,) says where there was a fix; ``sums``, ``noise`` (the adapted Q and R), ``weight`` and
-    ``recovered`` (the oracle's, of robust filters) have those only.
+    ``shrunk`` is the largest factor by which the fix of a step reduced a variance; 1 without a fix. The relative error
+    of a covariance in double precision is then at least about eps x shrunk. ``turn`` is the standard deviation of the
+    heading (rad) before the fix; inf if the column has failed. ``absorbed`` (steps,) is true for steps with a fix; only
+    those have ``sums``, ``noise`` (the adapted Q and R), ``weight`` and ``recovered`` (the oracle's, of robust
+    filters).
     """
 
     mean: np.ndarray
@@ -188,16 +188,16 @@ class Stepwise:
 
     @property
     def known(self) -> np.ndarray:
-        """Where the heading is known to within a radian; elsewhere an antenna may be anywhere around the IMU."""
+        """True where the heading's uncertainty is below 1 rad; otherwise the antenna's position is unknown."""
         return self.turn < 1.0
 
     def beyond(self, tolerance: float, margin: float) -> np.ndarray:
-        """The covariance's error over the larger of ``tolerance`` and what the fix must lose, x ``margin``."""
+        """Return the covariance's error divided by the larger of ``tolerance`` and ``margin`` x rounding error."""
         return self.covariance / np.maximum(tolerance, margin * EPS * self.shrunk)
 
 
 def shrinkage(prior: np.ndarray, posterior: np.ndarray) -> np.ndarray:
-    """The largest P_ii before over P_ii after, (...)."""
+    """Return the largest ratio of P_ii before and after the fix, (...)."""
     return np.max(diagonal(prior) / diagonal(posterior), axis=-1).astype(float)
 
 
@@ -213,7 +213,7 @@ def compiled_against_extended(
     *,
     until: int | None = None,
 ) -> Stepwise:
-    """The compiled filter runs over the drive; the oracle takes some of its steps (all by default) beside it."""
+    """Run the compiled filter over the drive; compare some of its steps (default: all) with the oracle."""
     compiled, oracle = CompiledCars(timeline, initial, sets), ExtendedCar(timeline, sets)
     flags = events.events_of(timeline, starts.measured_by(sets[0])).flags
     found: dict[str, list[np.ndarray]] = {field.name: [] for field in fields(Stepwise)}
@@ -225,7 +225,7 @@ def compiled_against_extended(
         since += timeline.q_scale[i]
         compiled.step(i, int(flags[i]), fix, since)
         if beside:
-            with np.errstate(all="ignore"):  # of lanes that have failed
+            with np.errstate(all="ignore"):  # of columns that have failed
                 oracle.step(i, int(flags[i]), fix, compiled.wheels[i])
                 for name, error in errors_of(compiled, oracle, fix is not None).items():
                     found[name].append(error)
@@ -234,7 +234,7 @@ def compiled_against_extended(
 
 
 def restart(oracle: ExtendedCar, compiled: CompiledCars, since: float) -> None:
-    """Put the oracle where the compiled filter is."""
+    """Set the oracle to the state of the compiled filter."""
     extended, n = np.longdouble, compiled.n
     mean, covariance = compiled.state
     oracle.mean, oracle.covariance = mean.astype(extended), covariance.astype(extended)
@@ -251,7 +251,7 @@ def restart(oracle: ExtendedCar, compiled: CompiledCars, since: float) -> None:
 
 
 def errors_of(compiled: CompiledCars, oracle: ExtendedCar, absorbed: bool) -> dict[str, np.ndarray]:
-    """The fields of `Stepwise` for one step, each (s,)."""
+    """Return the fields of `Stepwise` for one step, each (s,)."""
     mean, covariance = compiled.state
     errors: dict[str, Any] = {
         "mean": mean_error(mean, oracle.mean),
@@ -273,13 +273,13 @@ def errors_of(compiled: CompiledCars, oracle: ExtendedCar, absorbed: bool) -> di
             errors["noise"] = np.max(np.abs(compiled.noise - noise) / noise, axis=1).astype(float)
         if oracle.robust:
             errors |= {"weight": oracle.weight.astype(float), "recovered": oracle.lost}
-        # A residual is known to within the rounding of a position, whatever its size.
+        # The rounding error of a residual is that of a position, whatever the size of the residual.
         wrong = np.abs(compiled.sums[: len(true)] - true) / np.maximum(1, np.abs(true))
         errors["sums"] = np.max(wrong, axis=0).astype(float)
     return errors
 
 
-# --- FilterPy beside the textbook's filter -----------------------------------------------------------------
+# --- The textbook filter and FilterPy ----------------------------------------------------------------------
 
 
 def textbook_against_filterpy(
@@ -292,7 +292,7 @@ def textbook_against_filterpy(
     redraw: bool = True,
     until: int | None = None,
 ) -> Stepwise:
-    """FilterPy runs over the drive; the textbook's filter takes some of its steps (all by default) beside it."""
+    """Run FilterPy over the drive; compare some of its steps (default: all) with the textbook filter."""
     flags, per_set = events.events_of(timeline, starts.measured_by(sets[0])).flags, []
     for p in sets:
         theirs = FilterPyCar(timeline, p, theta_first=theta_first, redraw=redraw)
@@ -324,19 +324,19 @@ def textbook_against_filterpy(
 
 
 def with_gap(drive: Drive, start: float, length: float) -> Drive:
-    """The drive with nothing recorded, by either sensor, for ``length`` s after ``start``."""
+    """Remove all samples of both sensors for ``length`` s after ``start``."""
     imu, gps = (s.select(~((s.time > start) & (s.time < start + length))) for s in (drive.imu, drive.gps))
     return replace(drive, imu=imu, gps=gps, name=f"{drive.name} with a gap")
 
 
 def simulated() -> Drive:
-    """A minute on a curvy road, jittering clocks, and a gap of 1.6 s soon after the start."""
+    """Simulate one minute on a curvy road, with jittering clocks and a gap of 1.6 s soon after the start."""
     drive = make_drive(duration=60, jitter=0.3, seed=7)
     return with_gap(drive, initial_state(drive).time + 2.0, 1.6)
 
 
 def equipped(drive: Drive) -> Drive:
-    """The drive with an antenna away from the IMU; velocities, as the fixes tell them, and accuracies."""
+    """Return the drive with an antenna away from the IMU, and fixes with velocities and accuracies."""
     gps = drive.gps
     if gps.speed is None:
         vx, vy = np.gradient(gps.x, gps.time), np.gradient(gps.y, gps.time)
@@ -347,7 +347,7 @@ def equipped(drive: Drive) -> Drive:
 
 
 def wheeled(drive: Drive) -> Drive:
-    """The drive with an odometer of 83 Hz that counts pulses, slips now and then, and is 2% too high."""
+    """Return the drive with an 83 Hz odometer that counts pulses, sometimes slips, and reads 2% too high."""
     time = np.arange(drive.imu.time[0], drive.imu.time[-1], 0.012) + 0.0013
     seen = drive.gps if drive.truth is None else drive.truth
     speed = np.hypot(np.gradient(seen.x, seen.time), np.gradient(seen.y, seen.time))
@@ -358,7 +358,7 @@ def wheeled(drive: Drive) -> Drive:
 
 def real(name: str) -> Drive:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the reader's, about gaps
+        warnings.simplefilter("ignore")  # of the reader, about gaps
         return read_drive(DRIVES / name)
 
 
@@ -368,19 +368,19 @@ def on_time_line(drive: Drive) -> tuple[Timeline, InitialState]:
 
 
 def urban(first: float = 7.0, last: float = 22.0) -> Drive:
-    """A simulated town: an antenna away from the IMU, velocities, jitter, a gap soon after the start, a standstill."""
+    """Simulate a city drive: antenna away from the IMU, velocities, jitter, an early gap, a standstill."""
     grade = replace(GPS_GRADES["ublox-m8"], lever_arm=(0.4, -0.3, 1.2), latency=0.08)
     drive = clip(simulate("urban", run=1, duration=60, gps=grade, gps_rate=8, jitter=1e-3), first, last)
     return with_gap(drive, initial_state(drive).time + 1.0, 0.7)
 
 
 def colorado() -> Drive:
-    """A real car that comes to a halt, equipped."""
+    """Return a real drive with a stop, equipped."""
     return equipped(clip(real("colorado-1"), 186.0, 206.0))
 
 
 @cache
 def ready(name: str) -> tuple[Timeline, InitialState]:
-    """A drive of this module by its function's name, or a real one by its own."""
+    """Return a drive of this module by its function's name, or a real drive by its name."""
     made = {SIMULATED: simulated, "urban": urban, "colorado": colorado}
     return on_time_line(made[name]() if name in made else real(name))

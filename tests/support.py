@@ -1,4 +1,4 @@
-"""Helpers of the tests: the folder of the real drives, and an exact synthetic drive."""
+"""Helpers of the tests: selection of quick test cases, the folder of the real drives, an exact synthetic drive."""
 
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
@@ -19,28 +19,28 @@ from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
 
 
 def quickly(cases: Iterable[tuple[Any, ...]], here: Callable[..., bool]) -> list[Any]:
-    """Cases of a parametrized test: those for which ``here`` does not speak are left to `make test-long`."""
+    """Return cases of a parametrized test; those for which ``quick`` is false are marked `long`."""
     return [pytest.param(*case, marks=() if here(*case) else pytest.mark.long) for case in cases]
 
 
 def some(cases: Iterable[Any], each: int = 2) -> list[Any]:
-    """Cases of a parametrized test with one parameter, of which the quick tests run every second or ``each``-th."""
+    """Return cases of a test with one parameter; all except each n-th case are marked `long`."""
     return [
         pytest.param(case, marks=() if k % each == 0 else pytest.mark.long) for k, case in enumerate(cases)
     ]
 
 
 def several(cases: Iterable[tuple[Any, ...]], each: int = 2) -> list[Any]:
-    """Cases of a parametrized test with several parameters; the quick tests run every second or ``each``-th."""
+    """Return cases of a test with several parameters; all except each n-th case are marked `long`."""
     return [
         pytest.param(*case, marks=() if k % each == 0 else pytest.mark.long) for k, case in enumerate(cases)
     ]
 
 
 def diagonal(*values: Iterable[Any]) -> list[Any]:
-    """Cases of a parametrized test, all combinations of the values; the quick tests have each value, but few pairs.
+    """Return all combinations of the values as cases; those on the diagonals are quick, the others are marked `long`.
 
-    A value that is a tuple is several parameters.
+    The quick cases contain each value at least once. A value that is a tuple stands for several parameters.
     """
     lists = [list(of) for of in values]
     quick = {tuple(k % len(of) for of in lists) for k in range(max(map(len, lists)))}
@@ -53,7 +53,7 @@ def diagonal(*values: Iterable[Any]) -> list[Any]:
 
 
 def require(module: str, reason: str) -> None:
-    """Skip the tests of a file where a module is missing; unlike `pytest.importorskip` it is not imported."""
+    """Skip the tests of a file if a module is not installed; unlike `pytest.importorskip`, do not import it."""
     if find_spec(module) is None:
         pytest.skip(reason, allow_module_level=True)
 
@@ -67,14 +67,14 @@ GRAVITY = 9.80665
 
 @contextmanager
 def no_pictures() -> Generator[None]:
-    """Pictures are empty, and no chart is drawn, whichever module has imported the functions."""
+    """Draw no charts and write empty pictures, in all modules that have imported the drawing functions."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     from sigmaswarm.reports import figures
 
     def figure_of(*charts: Any, size: Any, columns: Any = None, legend: Any = "inside", **shared: Any) -> Any:
-        from matplotlib.figure import Figure  # here, since only the code replaces that of `figures`
+        from matplotlib.figure import Figure  # imported here, since only the code object is used in `figures`
 
         return Figure()
 
@@ -92,7 +92,7 @@ def no_pictures() -> Generator[None]:
 
 @contextmanager
 def limited_memory(gigabytes: float = 1.0) -> Generator[None]:
-    """No more than so much memory on top of what the process has: more is a MemoryError, where the system can."""
+    """Limit the memory that the process can allocate in addition; more is a MemoryError, if the system supports it."""
     resource = pytest.importorskip("resource")
     usual = resource.getrlimit(resource.RLIMIT_AS)
     with Path("/proc/self/statm").open() as file:
@@ -105,7 +105,7 @@ def limited_memory(gigabytes: float = 1.0) -> Generator[None]:
 
 
 def _motion(time: np.ndarray, phase_x: float, phase_y: float, turn: float):
-    """Position, velocity, acceleration, each (n, 2), of a weaving car: 3.9 to 14.3 m/s, up to 0.42 rad/s.
+    """Return position, velocity, acceleration, each (n, 2), of a weaving car: 3.9 to 14.3 m/s, up to 0.42 rad/s.
 
     A straight cruise plus one sine along and one across it, rotated by ``turn``: every derivative is exact.
     """
@@ -116,12 +116,12 @@ def _motion(time: np.ndarray, phase_x: float, phase_y: float, turn: float):
     velocity = np.stack([8.0 + sx * wx * np.cos(px), sy * wy * np.cos(py)], axis=1)
     acceleration = np.stack([-sx * wx**2 * np.sin(px), -sy * wy**2 * np.sin(py)], axis=1)
     c, s = np.cos(turn), np.sin(turn)
-    rotation = np.array([[c, s], [-s, c]])  # row vectors, so transposed
+    rotation = np.array([[c, s], [-s, c]])  # transposed, since vectors are rows
     return position @ rotation, velocity @ rotation, acceleration @ rotation
 
 
 def _heading_and_rate(velocity: np.ndarray, acceleration: np.ndarray):
-    """Course (n,) rad, unwrapped, and its exact rate (n,) rad/s."""
+    """Return the course (n,) rad, unwrapped, and its exact rate (n,) rad/s."""
     vx, vy = velocity.T
     ax, ay = acceleration.T
     return np.unwrap(np.arctan2(vy, vx)), (vx * ay - vy * ax) / (vx**2 + vy**2)
@@ -144,16 +144,16 @@ def make_drive(
     jitter: float = 0.0,
     truth: bool = True,
 ) -> Drive:
-    """A car on a curvy, flat road: the IMU is exact, the fixes carry white noise, the truth is at IMU times.
+    """Simulate a car on a curvy, flat road: exact IMU, fixes with white noise, truth at IMU times.
 
     Parameters
     ----------
     duration : s, from the first to the last IMU sample
     imu_rate, gps_rate : Hz; fixes fall between IMU samples
     gps_std : m per axis
-    seed : picks the road and the noise
-    jitter : how early or late IMU samples and fixes come at most, in IMU intervals (below 0.5)
-    truth : whether the drive knows its truth
+    seed : of the road and the noise
+    jitter : largest time shift of IMU samples and fixes, in IMU intervals (below 0.5)
+    truth : whether the drive contains truth
     """
     rng = np.random.default_rng(seed)
     road = (*rng.uniform(-np.pi, np.pi, 2), rng.uniform(-np.pi, np.pi))
@@ -185,7 +185,7 @@ def make_drive(
 
 
 def sparse(drive: Drive, n: int = 4) -> Drive:
-    """The drive with each n-th IMU sample: the same fixes and stops, in fewer steps of a textbook filter."""
+    """Return the drive with each n-th IMU sample, so that textbook filters need fewer steps."""
     return replace(drive, imu=drive.imu.select(np.arange(len(drive.imu)) % n == 0))
 
 
@@ -195,7 +195,7 @@ def hide_fixes(drive: Drive, windows: Any) -> Drive:
 
 
 def assert_same(a: Drive, b: Drive) -> None:
-    """Two drives have the same bits."""
+    """Check that two drives are equal bit for bit."""
     assert (a.name, a.frame, a.origin, a.metadata) == (b.name, b.frame, b.origin, b.metadata)
     for one, other in ((a.imu, b.imu), (a.gps, b.gps), (a.truth, b.truth)):
         assert type(one) is type(other)
@@ -206,7 +206,7 @@ def assert_same(a: Drive, b: Drive) -> None:
 
 
 def in_degrees(drive: Drive, altitude: bool = True) -> Drive:
-    """The same drive as a log in WGS-84."""
+    """Return the drive with fixes in WGS-84."""
     origin = (51.05, 13.74, 113.25)
     enu = np.stack([drive.gps.x, drive.gps.y, np.zeros(len(drive.gps))], axis=1)
     lat, lon, alt = enu_to_geodetic(enu, origin).T
@@ -216,7 +216,7 @@ def in_degrees(drive: Drive, altitude: bool = True) -> Drive:
 
 
 def drive_variants() -> dict[str, Drive]:
-    """Drives with all that a file may hold, and without."""
+    """Return drives with different sets of columns and metadata."""
     drive = make_drive(duration=10.0, jitter=0.4, seed=3)
     ones = np.ones(len(drive.gps))
     return {

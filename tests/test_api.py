@@ -1,4 +1,4 @@
-"""Names and shapes on which other programs rely."""
+"""Public names, signatures and shapes that other programs use."""
 
 import inspect
 import json
@@ -60,7 +60,7 @@ def test_one_call_for_each_job_of_the_command_line(tmp_path):
     with pytest.raises(sigmaswarm.InputError, match="can't be combined"):
         sigmaswarm.run(drive, tuning, smooth=True, bank=True)
     evaluation = sigmaswarm.evaluate(drive, tuning)
-    assert evaluation.drives[drive.name].record.seen_s  # the tuning states that it saw this drive
+    assert evaluation.drives[drive.name].record.seen_s  # the drive was used by the tuning
     for result in (evaluation, tuning):
         assert sigmaswarm.report(result, tmp_path / "page.html").startswith("<!doctype html>")
         assert sigmaswarm.plot(result).axes
@@ -91,7 +91,7 @@ def test_an_import_and_a_look_take_the_settings_of_the_command_line(tmp_path):
     with pytest.warns(sigmaswarm.SigmaswarmWarning, match=outside):
         sigmaswarm.import_log(tmp_path / "log.csv", gps_offset_s=12.0)
     notes: list[str] = []
-    sigmaswarm.import_log(tmp_path / "log.csv", say=notes.append, gps_offset_s=12.0)  # without warnings
+    sigmaswarm.import_log(tmp_path / "log.csv", say=notes.append, gps_offset_s=12.0)  # no warnings
     assert any("lie outside" in note for note in notes)
 
 
@@ -198,7 +198,7 @@ def test_truth_never_reaches_a_filter(tmp_path: Path):
         assert (a.mean.tobytes(), a.covariance.tobytes()) == (b.mean.tobytes(), b.covariance.tobytes())
 
 
-# --- Options of a tuning: said once ---------------------------------------------------------------------------------
+# --- Options of a tuning --------------------------------------------------------------------------------------------
 
 
 def test_type_checkers_know_the_options_of_the_model():

@@ -1,4 +1,4 @@
-"""Faults of a server, on demand: a clear message, the world restored, no loss of data."""
+"""Faults of a CARLA server: a clear message, the world restored, no loss of data."""
 
 import dataclasses
 import hashlib
@@ -19,16 +19,16 @@ from standin.world import DEFAULTS
 from support import quickly
 
 BRAKE = ("--maneuver", "brake", "--environment", "clear", "--timeout", 3, "--patience", 1)
-MID_DRIVE = 500  # ticks since the car was spawned
+MID_DRIVE = 500  # ticks after the car was spawned
 
 
 def digests(folder: Path) -> dict[str, str]:
-    """Of every file of a drive."""
+    """Return the digest of every file of a drive."""
     return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(folder.iterdir())}
 
 
 def check_one_line(said: str, *expected: str) -> None:
-    """The message is one line, with no traceback."""
+    """Check that the message is one line without a traceback."""
     line = said.strip().splitlines()[-1]
     assert line.startswith("sigmaswarm: ")
     assert "Traceback" not in said
@@ -37,7 +37,7 @@ def check_one_line(said: str, *expected: str) -> None:
 
 
 def check_world(log: dict) -> None:
-    """Settings, weather and actors are as they were before."""
+    """Check that settings, weather and actors are as before."""
     assert log["settings"][:6] == DEFAULTS[:6]
     assert log["weather"] == [10.0] + 13 * [0.0]
     assert log["actors"] == []
@@ -80,13 +80,13 @@ def test_refused_from_the_start(fault: dict, said: str, tmp_path: Path):
     check_one_line(done.stderr, said)
     check_world(server.log)
     assert not list((tmp_path / "d").glob("brake*"))
-    if "say_version" in fault:  # no call that could kill the client
+    if "say_version" in fault:  # with this fault, the client makes no call that could kill it
         assert set(server.log["calls"]) == {"version"}
 
 
 @pytest.fixture(scope="session")
 def complete(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with one complete drive."""
+    """Record a folder with one complete drive."""
     out = tmp_path_factory.mktemp("complete") / "drives"
     with stand_in(out.parent) as server:
         done = record(server.port, out, *BRAKE, "--runs", 1)
@@ -210,11 +210,11 @@ def test_after_a_recorder_was_killed_the_next_one_puts_the_server_in_order(compl
             assert "brake-clear-01" in process.stderr.readline()
             process.kill()
         done = record(server.port, out, *BRAKE, "--runs", 1, "--resume")
-        assert done.returncode == 0  # nothing was missing, and the server not asked
+        assert done.returncode == 0  # nothing is missing, so the server is not contacted
         done = record(server.port, out, *BRAKE, "--runs", 2, "--resume")
     assert done.returncode == 0, done.stderr
     assert "settings of a recording that was killed" in done.stderr
-    assert "recorded 1 drive to" in done.stdout  # it finishes what is missing, and touches nothing else
+    assert "recorded 1 drive to" in done.stdout  # only the missing drive is recorded
     assert digests(out / "brake-clear-00") == before
     assert len(sigmaswarm.read_drive(out / "brake-clear-01").imu) > 1000
     assert server.log["settings"][:6] == DEFAULTS[:6]
@@ -264,5 +264,5 @@ def test_maps(tmp_path: Path):
     assert (unknown.returncode, unfit.returncode) == (2, 2)
     check_one_line(unknown.stderr, "the server has no map 'Town99'; it has Grid, Village")
     check_one_line(unfit.stderr, "the map Carla/Maps/Village/Village has no straight stretch of .*Town06")
-    assert "drive 1" not in unfit.stderr  # it says so before the first drive
+    assert "drive 1" not in unfit.stderr  # the fault is reported before the first drive
     check_world(server.log)

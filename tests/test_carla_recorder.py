@@ -1,4 +1,4 @@
-"""The recorder with genuine, unmodified clients and the stand-in: all outputs of a recording."""
+"""The recorder with unmodified CARLA clients and the simulated server: all outputs of a recording."""
 
 import json
 import tomllib
@@ -19,12 +19,12 @@ NOISE = {"accel": 0.001, "gyro": 0.001, "gps": 0.56}
 
 
 def resolution(values: np.ndarray) -> np.ndarray:
-    """Half a unit in the last place of single floats: what the protocol rounds off."""
+    """Return half a unit in the last place of single floats, the rounding error of the protocol."""
     return np.spacing(np.abs(values).astype(np.float32)).astype(float) / 2
 
 
 def read(folder: Path) -> sigmaswarm.Drive:
-    """Read a drive that must not look wrong; outages may leave a gap in the fixes."""
+    """Read a drive without warnings, except about gaps of the fixes in outages."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         if folder.name.startswith("outages"):
@@ -33,14 +33,14 @@ def read(folder: Path) -> sigmaswarm.Drive:
 
 
 def simulated(log: dict, drive: sigmaswarm.Drive) -> np.ndarray:
-    """What the simulator did in the drive's frames: x, y, vx, vy, yaw, and force and rate in CARLA's axes."""
+    """Return the simulator's motion in the drive's frame: x, y, vx, vy, yaw; force and rate in CARLA's axes."""
     by_frame = {int(row[0]): row[1:] for row in log["truth"]}
     first = drive.metadata["carla"]["first_frame"]
     return np.array([by_frame[first + i] for i in range(len(drive.imu))])
 
 
 def check_truth(drive: sigmaswarm.Drive, was: np.ndarray) -> None:
-    """The truth is the simulator's to the last bit that the protocol carries."""
+    """Check that the truth equals the simulator's motion to the last bit of the protocol."""
     truth = drive.truth
     assert truth is not None
     np.testing.assert_array_equal(truth.time, np.round(np.arange(len(was)) * 0.01, 6))
@@ -53,7 +53,7 @@ def check_truth(drive: sigmaswarm.Drive, was: np.ndarray) -> None:
 
 
 def check_sensors(drive: sigmaswarm.Drive, was: np.ndarray) -> None:
-    """Sensors are the simulator's, in the package's axes, plus the noise that was asked for."""
+    """Check that sensor values are the simulator's, in the package's axes, plus the specified noise."""
     imu, gps = drive.imu, drive.gps
     fx, fy, fz, p, q, r = was[:, 5:].T
     force = np.array([imu.ax - fx, imu.ay + fy, imu.az - fz])
@@ -71,11 +71,11 @@ def check_sensors(drive: sigmaswarm.Drive, was: np.ndarray) -> None:
 
 
 def check_achieved(drive: sigmaswarm.Drive) -> None:
-    """The maneuver is the one that was wanted, by the truth alone."""
+    """Check with the truth alone that the maneuver is the requested one."""
     truth, about = drive.truth, drive.metadata
     assert truth is not None
     speed = np.hypot(truth.vx, truth.vy)
-    assert speed[:100].max() < 0.01  # a second of standstill
+    assert speed[:100].max() < 0.01  # 1 s of standstill
     assert np.hypot(truth.x - truth.x[0], truth.y - truth.y[0])[speed > 5.0].max() > 30.0
     yaw, told = np.unwrap(truth.theta), about["achieved"]
     name = about["scenario"]["maneuver"]
@@ -126,11 +126,11 @@ def test_from_the_server_to_a_tuned_filter(version: str, maneuvers: tuple[str, .
         assert drive.metadata["source"] == f"CARLA {version}"
         assert (drive.gps.std_x == NOISE["gps"]).all()
         assert drive.metadata["carla"]["velocity_against_positions_ms"] < 0.01
-    # The world is as it was.
+    # The world is restored.
     assert server.log["settings"][:6] == DEFAULTS[:6]
     assert server.log["weather"] == [10.0] + 13 * [0.0]
     assert server.log["actors"] == []
-    # Each sensor of each run had a seed of its own.
+    # Each sensor of each run has a different seed.
     seeds = [a["noise_seed"] for a in server.log["attributes"] if "noise_seed" in a]
     assert len(set(seeds)) == len(seeds) == 2 * len(maneuvers)
     journal = json.loads((out / "recording.json").read_text())
@@ -147,14 +147,14 @@ def test_from_the_server_to_a_tuned_filter(version: str, maneuvers: tuple[str, .
     scores = sigmaswarm.evaluate(drives[:1], tuning.parameters)
     assert np.isfinite(tuning.cost)
     (on_unseen,) = scores.drives.values()
-    # A few seconds of braking teach little, but more than the IMU alone knows.
+    # A few seconds of braking are little data, but the tuned filter must be better than the IMU alone.
     assert on_unseen.scores["tuned"].position_rmse < 0.5 * on_unseen.scores["imu_only"].position_rmse
 
 
 def test_without_noise_the_sensors_are_the_simulators(tmp_path: Path):
     quiet = ("--accel-noise", 0, "--gyro-noise", 0, "--gyro-bias", 0, "--gps-noise", 0)
-    # The first samples are missing, as they may be after listen(), and the next one comes late, so that old
-    # data lies about when the drive begins.
+    # The first samples are missing, as can happen after listen(), and the next one is late; the drive then begins later
+    # than the oldest data.
     with stand_in(tmp_path, deaf=2, late=["imu", 3, 0.3]) as server:
         done = record(
             server.port, tmp_path / "d", "--maneuver", "turns", "--environment", "rain", "--runs", 1, *quiet
@@ -173,7 +173,7 @@ def test_without_noise_the_sensors_are_the_simulators(tmp_path: Path):
     at = np.round(drive.gps.time * 100).astype(int)
     np.testing.assert_allclose(drive.gps.x, was[at, 0], atol=1e-5)
     np.testing.assert_allclose(drive.gps.y, was[at, 1], atol=1e-5)
-    # The columns are those that `simulate` writes.
+    # The columns are those of `simulate`.
     sigmaswarm.write_drive(sigmaswarm.simulate("turns", "rain", gps="carla"), tmp_path / "s")
     for file, left_out in (("imu.csv", []), ("gps.csv", ["std_x", "std_y"]), ("truth.csv", [])):
         columns = pl.read_csv(tmp_path / "s" / file).columns

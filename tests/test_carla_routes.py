@@ -1,4 +1,4 @@
-"""Routes that the recorder finds on a genuine `carla.Map`, checked with the geometry of the town."""
+"""Routes of the recorder on a real `carla.Map`, checked with the geometry of the town."""
 
 import json
 import math
@@ -15,7 +15,7 @@ from standin.town import REACH, WIDTH, write_town
 COLUMNS, ROWS, TAIL = (0.0, 130.0, 260.0), (0.0, 120.0), 1100.0
 VERSIONS = ("0.9.14", "0.9.15", "0.9.16")
 
-# In a process of its own: the client may abort at exit. It works without a server.
+# Executed in a separate process, since the client may abort at exit. No server is needed.
 ASK = """
 import json, os, random, sys
 sys.path.insert(0, sys.argv[1])
@@ -40,7 +40,7 @@ os._exit(0)
 
 
 def ask(version: str, town: str, plans: list, fixes: list | None = None) -> tuple[list, list]:
-    """Plans and places from the genuine client."""
+    """Return plans and places from the real client."""
     done = subprocess.run(
         [python_with(version), "-c", ASK, str(recorder())],
         input=json.dumps({"town": town, "plans": plans, "fixes": fixes or []}),
@@ -56,7 +56,7 @@ def ask(version: str, town: str, plans: list, fixes: list | None = None) -> tupl
 
 
 def off_lane(x: float, y: float) -> float:
-    """m from the middle of the nearest lane of a street; 0 within a crossing."""
+    """Return the distance from the middle of the nearest lane, m; 0 within a crossing."""
     column = min(COLUMNS, key=lambda c: abs(x - c))
     row = min(ROWS, key=lambda r: abs(y - r))
     if abs(x - column) < REACH + 0.5 and abs(y - row) < REACH + 0.5:
@@ -65,7 +65,7 @@ def off_lane(x: float, y: float) -> float:
 
 
 def check_drivable(plan: dict) -> None:
-    """The path follows lanes, on the right-hand side, without jumps, and is long enough for its legs."""
+    """Check that the path follows lanes on the right-hand side without jumps, and is long enough for its legs."""
     x, y, heading = (np.array(plan[key]) for key in ("x", "y", "heading"))
     steps = np.hypot(np.diff(x), np.diff(y))
     assert np.all((steps > 0.4) & (steps < 0.51))
@@ -74,7 +74,7 @@ def check_drivable(plan: dict) -> None:
     assert max(off_lane(*place) for place in zip(x, y, strict=True)) < 0.01
     assert plan["length"] + 25.0 < 0.5 * (len(x) - 1)
     assert 0 < plan["start"] < plan["length"]
-    for i in range(0, len(x), 50):  # right of the street's middle
+    for i in range(0, len(x), 50):  # right of the middle of the street
         column, row = min(COLUMNS, key=lambda c: abs(x[i] - c)), min(ROWS, key=lambda r: abs(y[i] - r))
         if abs(math.sin(heading[i])) < 0.01 and abs(x[i] - column) > REACH + 0.5:
             assert (y[i] - row) * math.cos(heading[i]) < 0
@@ -97,13 +97,13 @@ def test_every_maneuver_finds_its_way(version: str):
             (start, end, first), (_, _, second) = plan["turns"][:2]
             assert abs(math.degrees(first)) == pytest.approx(90, abs=2)
             assert second == pytest.approx(-first, abs=0.05)
-            # The turn is where the crossing is: the town's arcs, 11.75 m to the left, 8.25 m to the right.
+            # The turn is at the crossing: the town's arcs have radii of 11.75 m (left) and 8.25 m (right).
             radius = REACH + math.copysign(WIDTH / 2, first)
             assert end - start == pytest.approx(radius * math.pi / 2, abs=3.0)
             assert start > 55.0
         else:
             assert np.ptp(heading) < math.radians(3)
-    assert len(begins) > len(names) * 2  # not always the same route
+    assert len(begins) > len(names) * 2  # routes differ
     assert all(3.0 <= long <= 4.8 for plan in plans for _, long in plan["outages"])
 
 

@@ -1,4 +1,4 @@
-"""The cache of machine code: used where it is safe, and without effect on the results."""
+"""The cache of machine code: it is used only where it is safe, and does not change results."""
 
 import json
 import os
@@ -49,13 +49,13 @@ SIMULATE = ["simulate", "--out", "out", "--maneuver", "cruise", "--environment",
 RIGHT = [4.0, 6, 6.0]
 SOURCES = Path(sigmaswarm.__file__).parents[1]
 WRITABLE, EXCHANGEABLE = ("777", "770", "720", "702"), ("p-777", "p-1777")
-"""Modes of a cache, and of the folder that it is in."""
+"""Modes of a cache, and of its parent folder."""
 Looked = dict[str, tuple[Path, dict[str, object]]]
 needs_modes = pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners and modes here")
 
 
 def run(folder: Path, cache: Path) -> dict[str, object]:
-    """What a process says that finds its cache where the environment says."""
+    """Run the program in a process with the given cache; return its report."""
     (told,) = _process(folder, NUMBA_CACHE_DIR=str(cache))
     return told
 
@@ -63,9 +63,9 @@ def run(folder: Path, cache: Path) -> dict[str, object]:
 def _process(
     folder: Path, *prefix: str, sources: Path = SOURCES, caches: Iterable[Path] = (), **environment: str
 ) -> list[dict[str, object]]:
-    """What one process says of each cache in turn: its results, cache hits, warnings; of all, what it logs."""
+    """Return one process's report on each cache: results, cache hits, warnings; and the log of the process."""
     program = folder / "program.py"
-    if not program.exists():  # its time is part of the cache's key
+    if not program.exists():  # its modification time is part of the cache's key
         program.write_text(PROGRAM)
     kept = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA_", "XDG_"))}
     done = subprocess.run(
@@ -81,7 +81,7 @@ def _process(
 
 @pytest.fixture(scope="module")
 def first(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, object]]:
-    """A folder with a program and a full cache of it, and what the process said."""
+    """Return a folder with a program and a full cache of it, and the program's report."""
     folder = tmp_path_factory.mktemp("sound")
     return folder, run(folder, folder / "cache")
 
@@ -97,7 +97,7 @@ def files(cache: Path) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def looked(sound: Path, tmp_path_factory: pytest.TempPathFactory) -> Looked:
-    """Copies of the cache with some modes and owners, an empty place, and what one process said of each."""
+    """Return copies of the cache with different modes and owners, an empty folder, and the report on each."""
     folder = tmp_path_factory.mktemp("looked")
     caches = {
         name: Path(shutil.copytree(sound / "cache", folder / name))
@@ -107,7 +107,7 @@ def looked(sound: Path, tmp_path_factory: pytest.TempPathFactory) -> Looked:
         (caches[name] / "sigmaswarm").chmod(int(name, 8))
     for name in EXCHANGEABLE:
         caches[name].chmod(int(name[2:], 8))
-    if os.getuid() == 0:  # only root can give a folder away
+    if os.getuid() == 0:  # only root can change the owner of a folder
         os.chown(caches["owner"] / "sigmaswarm", 65534, 65534)
     caches["new"] = folder / "made" / "cache"
     usual = os.umask(0)
@@ -183,7 +183,7 @@ CASES = [(how, suffix) for how in SPOILED for suffix in (".nbi", ".nbc")]
 def spoiled(
     sound: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> dict[tuple[str, str], list[dict[str, object]]]:
-    """Messages about each spoiled cache, from two successive runs."""
+    """Return the reports on each spoiled cache from two successive runs."""
     folder = tmp_path_factory.mktemp("spoiled")
     caches = [shutil.copytree(sound / "cache", folder / str(i)) for i in range(len(CASES))]
     for (how, suffix), cache in zip(CASES, caches, strict=True):
@@ -202,13 +202,13 @@ def test_a_spoiled_file_is_compiled_anew(
 ):
     told, again = spoiled[how, suffix]
     assert told["said"] == []
-    spared = COMPILED - 1 if how.startswith("bit") and suffix == ".nbi" else 0  # the index's other entries
+    spared = COMPILED - 1 if how.startswith("bit") and suffix == ".nbi" else 0  # other entries are intact
     assert told["hits"] <= spared
-    assert again["hits"] == COMPILED  # and is sound again
+    assert again["hits"] == COMPILED  # the cache has been repaired
 
 
 def _without_rights() -> list[str]:
-    """A command in front of another one that leaves it no rights beyond those of files' modes."""
+    """Return a command prefix that removes all privileges except the permissions of file modes."""
     if os.getuid() != 0:
         return []
     if not shutil.which("setpriv"):
@@ -237,7 +237,7 @@ def test_a_read_only_install_without_a_writable_home(tmp_path: Path, variable: s
     environment, done = {"HOME": str(home), variable: str(home)}, None
     try:
         (told,) = _process(tmp_path, *_without_rights(), sources=install, **environment)
-        if command:  # all of it is compiled
+        if command:  # everything is compiled
             program = "from sigmaswarm.cli import main; main()"
             done = subprocess.run(
                 [*_without_rights(), sys.executable, "-B", "-c", program, *SIMULATE],
@@ -258,6 +258,6 @@ def test_a_read_only_install_without_a_writable_home(tmp_path: Path, variable: s
 
 
 def test_no_function_has_numba_s_own_cache():
-    """Numba stores its cache beside the sources: other users may write there, and a read-only install would fail."""
+    """Numba stores its cache next to the sources; these may be writable for others, or read-only."""
     sources = Path(sigmaswarm.__file__).parent.rglob("*.py")
     assert [str(file) for file in sources if "cache=True" in file.read_text()] == []

@@ -1,4 +1,4 @@
-"""Files that earlier versions wrote are read, and give the numbers that those versions computed from them.
+"""Files of earlier versions are read, and give the numbers that those versions computed from them.
 
 `corpus/README.md` describes the archives and how they were made.
 """
@@ -27,8 +27,8 @@ from support import quickly
 
 CORPUS = Path(__file__).parent / "corpus"
 VERSION = "0.3.0"
-WORLD_TOLERANCE = 1e-8  # m: another library may compute positions from latitude and longitude
-# Starts differ in their last bits. The corpus was made with AVX-512; so do sums over vectors of another width.
+WORLD_TOLERANCE = 1e-8  # m: another version of the library may convert latitude and longitude differently
+# Initial states differ in their last bits, since sums depend on the vector width; the corpus was made with AVX-512.
 TOLERANCE = 1e-12 if llvm.get_host_cpu_features().get("avx512f") else 1e-9
 
 
@@ -70,7 +70,7 @@ same_libraries = pytest.mark.skipif(
 
 @pytest.fixture(autouse=True)
 def level_starts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Later versions start tilted12 with evidence about tilts; all else is as before."""
+    """Start tilted12 without evidence about tilts, as version 0.3.0 did."""
     monkeypatch.setattr(starts, "add_tilt_evidence", lambda *_: None)
 
 
@@ -84,14 +84,14 @@ def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def corpus(unpacked: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The unpacked archive, as the current folder; tests do not write into it."""
+    """Use the unpacked archive as the current folder; tests do not write into it."""
     monkeypatch.chdir(unpacked)
     return unpacked
 
 
 @pytest.fixture
 def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    """Run a command that succeeds in this process; return what it prints."""
+    """Return a function that runs a command in this process, checks success and returns its output."""
 
     def run(*words: object) -> str:
         monkeypatch.setattr(sys, "argv", ["sigmaswarm", *map(str, words)])
@@ -107,7 +107,7 @@ def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
 
 
 def assert_equal(found: Any, expected: Any, tolerance: float = TOLERANCE, where: str = "") -> None:
-    """Compare numbers in nested dicts and lists; keys that are new are allowed."""
+    """Compare numbers in nested dicts and lists; new keys are allowed."""
     if isinstance(expected, dict):
         for key, value in expected.items():
             assert key in found, f"{where}.{key} is gone"
@@ -126,7 +126,7 @@ def assert_equal(found: Any, expected: Any, tolerance: float = TOLERANCE, where:
 
 
 def assert_same_numbers(new: Path, old: Path, *, changed: tuple[str, ...] = ()) -> None:
-    """Compare the columns of two CSV files, except those with an end in ``changed``; new columns are allowed."""
+    """Compare the columns of two CSV files, except those with an ending in ``changed``; new columns are allowed."""
     after, before = (list(csv.DictReader(path.read_text().splitlines())) for path in (new, old))
     assert len(after) == len(before)
     for row, was in zip(after, before, strict=True):
@@ -166,7 +166,7 @@ def test_drives_are_read_and_diagnosed_as_before(corpus: Path, folder: str):
     ]
     assert (
         sorted(finding.code for finding in sigmaswarm.diagnose(drive).findings) == codes
-    )  # no gyro, no axes
+    )  # without a gyro, no axes are detected
 
 
 @pytest.mark.parametrize("recipe", ["csv", "mounted"])
@@ -265,7 +265,7 @@ def test_interrupted_tunings_end_in_the_same_filter(
     without = tmp_path / "without-checkpoint"
     shutil.copytree(out, without)
     for checkpoint in without.glob("checkpoint-*.npz"):
-        checkpoint.unlink()  # the trial begins again, as in version 0.3.0: its first generation is uniform
+        checkpoint.unlink()  # the trial starts again, as in version 0.3.0, whose first generation is uniform
     tuning = sigmaswarm.tune(drives, out=out, resume=True, **options)
     assert sigmaswarm.tune(drives, out=without, resume=True, **options).parameters == tuning.parameters
     whole = sigmaswarm.FilterParameters.load(f"uninterrupted/{optimizer}")
@@ -320,7 +320,7 @@ def test_comparisons_are_gone_on_with(
         ],
         *("--workers", "1", "--out", out, "--resume"),
     )
-    intervals = ("_low", "_high")  # too narrow in 0.3.0
+    intervals = ("_low", "_high")  # intervals were too narrow in 0.3.0
     assert_same_numbers(out / "comparison.csv", Path("comparison/comparison.csv"), changed=intervals)
 
 
@@ -342,7 +342,7 @@ def test_studies_are_gone_on_with(corpus: Path, tmp_path: Path, command: Callabl
 )
 def test_networks_score_as_before(corpus: Path, command: Callable[..., str], network: str):
     found = json.loads(command("evaluate", f"learned/{network}", "drives/town-2", "--json", "--trust-log"))
-    # the baseline, "untuned", was another one in 0.3.0
+    # the baseline, "untuned", was different in 0.3.0
     expected = {method: of for method, of in EXPECTED["learned"][network].items() if method != "untuned"}
     assert_equal(found["mean"], expected, where=network)
 

@@ -1,6 +1,6 @@
 """The commands in the documents are valid, and the targets of links exist.
 
-The Python blocks are executed.
+A pytest plugin executes the Python blocks.
 """
 
 import json
@@ -33,7 +33,7 @@ def test_shown_commands_parse(line):
 
 
 def links():
-    """Every link of a page to a file or a place in one: page, target as it stands there."""
+    """Yield the links of a page to files and anchors: page, target as written."""
     for page in [
         *PAGES,
         *(ROOT / f"{name}.md" for name in ("CONTRIBUTING", "CHANGELOG", "SECURITY")),
@@ -45,7 +45,7 @@ def links():
 
 
 def prose(page: Path) -> str:
-    """What of a page is not code; of a notebook its text cells."""
+    """Return the text of a page without code; the text cells of a notebook."""
     text = page.read_text()
     if page.suffix == ".ipynb":
         cells = json.loads(text)["cells"]
@@ -54,7 +54,7 @@ def prose(page: Path) -> str:
 
 
 def anchors(page: Path) -> set[str]:
-    """The places that a page's headings make, as web views of a repository name them."""
+    """Return the anchors of a page's headings, as repository hosts generate them."""
     names: set[str] = set()
     for heading in re.findall(r"^#+ (.+)$", prose(page), re.MULTILINE):
         shown = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", heading).lower()
@@ -81,7 +81,7 @@ def test_every_page_is_in_the_readme_and_leads_on():
 
 
 def contents(page: Path):
-    """The pages that a page of the site puts into its table of contents."""
+    """Return the pages in the table of contents of a page of the site."""
     for block in re.findall(r"```{toctree}\n(.*?)```", page.read_text(), re.DOTALL):
         for line in block.splitlines():
             name = re.sub(r".*<(.*)>", r"\1", line.strip())
@@ -101,7 +101,7 @@ def test_the_site_s_contents_hold_every_page_once():
 
 
 def held():
-    """The tests that docs/promises.md names."""
+    """Return the tests that docs/promises.md names."""
     text = (ROOT / "docs" / "promises.md").read_text()
     return sorted(set(re.findall(r"`(tests/[\w/]+\.py(?:::\w+)?)`", text)))
 

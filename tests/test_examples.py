@@ -23,13 +23,13 @@ def code(path: Path) -> list[dict[str, Any]]:
 
 
 def texts(cell: dict[str, Any]) -> str:
-    """What a cell prints or shows as text."""
+    """Return the output of a cell as text."""
     shown = [output.get("text") or output["data"].get("text/markdown", "") for output in cell["outputs"]]
     return "".join("".join(text) for text in shown)
 
 
 def lines(cell: dict[str, Any]) -> list[str]:
-    """The Python of a cell, without commands of IPython."""
+    """Return the Python code of a cell, without commands of IPython."""
     return [line for line in "".join(cell["source"]).splitlines() if not line.startswith(("%", "!"))]
 
 
@@ -40,7 +40,7 @@ CHANGES = {
     "drives": ("simulate_many(", f"simulate_many(maneuvers=({MANEUVERS}), "),
     "twice": ("paper=True", "paper=True, trials=1"),
 }
-"""What makes the paper's notebook quick, by the cell."""
+"""Replacements that shorten the paper's notebook, by cell."""
 
 
 @pytest.fixture(
@@ -49,7 +49,7 @@ CHANGES = {
 def paper(
     tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest
 ) -> dict[str, dict[str, Any]]:
-    """The cells of the paper's notebook, by their ids, executed in a fresh kernel."""
+    """Execute the paper's notebook in a fresh kernel; return its cells by id."""
     copy = Path(shutil.copy(EXAMPLES / "paper.ipynb", tmp_path_factory.mktemp("examples")))
     if request.param == "tiny":
         notebook = json.loads(copy.read_text())
@@ -63,7 +63,7 @@ def paper(
         [sys.executable, EXAMPLES / "execute.py", copy], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-    assert [p.name for p in copy.parent.iterdir()] == ["paper.ipynb"]  # nothing is left behind
+    assert [p.name for p in copy.parent.iterdir()] == ["paper.ipynb"]  # no other file is written
     return {cell["id"]: cell for cell in code(copy)}
 
 
@@ -88,7 +88,7 @@ def test_the_paper_s_figures_stand_beside_ours(paper: dict[str, dict[str, Any]])
 
 @pytest.mark.parametrize("name", ["paper", "dataframes"])
 def test_a_notebook_uses_names_that_exist(name: str):
-    """The quick test of what `make test-long` executes: public names, and options of functions that list them."""
+    """Check that public names exist, and that listed options exist; `make test-long` executes the notebook."""
     tree = ast.parse("\n".join(line for cell in code(EXAMPLES / f"{name}.ipynb") for line in lines(cell)))
     names = {alias.asname or alias.name for n in ast.walk(tree) if isinstance(n, ast.Import) for alias in n.names
              if alias.name == "sigmaswarm"}  # fmt: skip
@@ -122,7 +122,7 @@ def test_what_is_checked_in_was_executed_in_order_and_is_small():
 
 @pytest.mark.long
 def test_two_frames_become_a_tuned_filter_and_nothing_is_written(tmp_path: Path):
-    """The notebook on data frames, executed: figures are drawn, the tuned filter is in C, no file is left."""
+    """Execute the notebook on data frames: figures are drawn, the tuned filter is printed in C, no file is written."""
     copy, text = tmp_path / "dataframes.ipynb", (EXAMPLES / "dataframes.ipynb").read_text()
     assert "duration=120" in text
     copy.write_text(text.replace("duration=120", "duration=60, imu_rate=50.0"))

@@ -29,7 +29,7 @@ HIDDEN = ".x.csv.sigmaswarm-0123456789ab"
 
 @pytest.fixture(autouse=True)
 def unswept():
-    """Each test is a process of its own to the sweeper."""
+    """Make the sweeper treat each test as a new process."""
     files._sweep.cache_clear()
 
 
@@ -81,7 +81,7 @@ def test_a_block_that_fails_leaves_what_was_there(tmp_path: Path, error: type[Ba
 
 def test_a_planted_link_is_replaced_and_not_followed(tmp_path: Path):
     (tmp_path / "secret").write_text("kept")
-    for name in ("x.csv", ".x.csv.part"):  # what an earlier version wrote through
+    for name in ("x.csv", ".x.csv.part"):  # an earlier version followed such links
         (tmp_path / name).symlink_to(tmp_path / "secret")
     write_atomically(tmp_path / "x.csv", "new")
     assert (tmp_path / "secret").read_text() == "kept"
@@ -109,7 +109,7 @@ def test_something_else_in_the_way_is_named(tmp_path: Path):
 
 
 def limited(script: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run a script in a folder, in a process that may write 1000 bytes to a file: a disk that is full."""
+    """Run a script in a process that can write at most 1000 bytes to a file, which simulates a full disk."""
     return subprocess.run(
         [sys.executable, "-c", "from pathlib import Path\nfrom sigmaswarm.files import *\n" + script],
         cwd=folder,
@@ -223,7 +223,7 @@ def test_what_somebody_else_left_stays(tmp_path: Path):
 
 
 def test_a_folder_taken_away_to_be_replaced_comes_back(tmp_path: Path):
-    """Killed in between the two renames: the old one is not lost."""
+    """The process is killed between the two renames; the old folder is restored."""
     script = """
 import os, signal
 rename = Path.rename
@@ -273,7 +273,7 @@ def test_a_run_removes_lock_files_of_killed_ones_in_folders_that_it_does_not_wri
 
 
 def test_a_result_replaces_its_own_files_alone(tmp_path: Path):
-    """The files of an earlier result are replaced or removed; anything else in the folder is not touched."""
+    """The files of an earlier result are replaced or removed; other files in the folder are not changed."""
     out = tmp_path / "out"
 
     def write(kind: str, **texts: str) -> None:
@@ -300,7 +300,7 @@ def test_a_result_replaces_its_own_files_alone(tmp_path: Path):
     (out / RESULT_FILE).unlink()
     with pytest.raises(InputError, match="is not empty and contains no export"):
         earlier_result(out, "export")
-    assert earlier_result(out, "tuning", "mine") is None  # of a version without lists of files
+    assert earlier_result(out, "tuning", "mine") is None  # written by a version without lists of files
     with pytest.raises(InputError, match="a: is not part of an earlier export; move it"):
         write("export", a="3")
     write("export", b="3")  # next to files of the user

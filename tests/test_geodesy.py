@@ -15,7 +15,7 @@ nearby = st.floats(-0.2, 0.2)  # deg, about 20 km
 
 
 def by_hand(lat: float, lon: float, alt: float, origin: tuple[float, float, float]) -> np.ndarray:
-    """The textbook's way through earth-fixed coordinates (NIMA TR8350.2)."""
+    """Convert with the textbook's formulas through earth-fixed coordinates (NIMA TR8350.2)."""
 
     def ecef(lat: float, lon: float, alt: float) -> np.ndarray:
         lat, lon = np.radians([lat, lon])

@@ -11,7 +11,7 @@ LINT = "from importlinter.cli import lint_imports_command; lint_imports_command(
 
 
 def test_imports_point_one_way():
-    """In a process of its own: import-linter sets up logging anew, which closes what others log to."""
+    """Run in a separate process, since import-linter reconfigures logging."""
     pytest.importorskip("importlinter", reason="import-linter is not installed (dependency group check)")
     asked = [sys.executable, "-c", LINT, "--config", str(ROOT / "pyproject.toml"), "--no-cache"]
     done = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=False)

@@ -1,4 +1,4 @@
-"""Output in notebooks: valid HTML, also for screen readers and any name of a drive; conversion to pandas."""
+"""Output in notebooks: valid HTML, accessible to screen readers, any drive name; conversion to pandas."""
 
 import sys
 from dataclasses import replace
@@ -17,7 +17,7 @@ SET = ss.FilterParameters(0.1, 2.0, 0.0, [1.0] * 5, [1.0] * 2)
 
 
 class Page(HTMLParser):
-    """Reads HTML strictly: every tag is closed in its turn; keeps tags with attributes, and the texts."""
+    """A strict HTML parser: each tag must be closed in order. Keeps tags with attributes, and the texts."""
 
     def __init__(self, html: str) -> None:
         super().__init__()

@@ -15,7 +15,7 @@ REFERENCE = ROOT / "docs" / "reference"
 
 
 def script(name: str):
-    """One of the site's own scripts, which are in no package."""
+    """Import a script of the docs, which is not part of a package."""
     spec = importlib.util.spec_from_file_location(f"docs_{name}", ROOT / "docs" / f"{name}.py")
     assert spec and spec.loader
     module = importlib.util.module_from_spec(spec)
@@ -48,11 +48,11 @@ COMMANDS = [name for name in app if not name.startswith("-")]
 def test_every_option_is_in_the_command_s_page(name: str):
     page = commands()[name]
     assert page.startswith(f"# sigmaswarm {name}\n")
-    assert f"```console\nsigmaswarm {name} " in page  # an example that can be copied
+    assert f"```console\nsigmaswarm {name} " in page  # an example to copy
     found = app[name].assemble_argument_collection()
     arguments = [
         a for a in found if a.parameter.show is not False and a.name != "*"
-    ]  # *: a record of options
+    ]  # * is a record of options
     assert arguments
     for argument in arguments:
         entry = re.search(rf"^\* `[^`\n]*{re.escape(argument.name)}\b[^\n]*`: *(\S.*)$", page, re.MULTILINE)
@@ -65,7 +65,7 @@ def test_every_command_is_in_the_overview():
 
 
 def steps():
-    """What the road of one parameter set names, and the file that it says holds it."""
+    """Return the names on the page about the way of one parameter set, and the file that the page states for each."""
     text = (ROOT / "docs" / "explanation" / "road.md").read_text()
     for name, file in re.findall(r"\[`([\w.]+)`\]\(\.\./\.\./(src/[\w/]+\.py)\)", text):
         if not name.endswith(".py"):

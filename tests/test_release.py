@@ -1,4 +1,4 @@
-"""Contents of a release: one version, the entry by module, completion, and files for other programs."""
+"""Contents of a release: one version, `python -m sigmaswarm`, completion, and files for other programs."""
 
 import re
 import subprocess
@@ -23,7 +23,7 @@ def test_the_version_is_said_once():
     source = (ROOT / PROJECT["tool"]["hatch"]["version"]["path"]).read_text()
     assert re.findall(r'^__version__ = "(.*)"$', source, re.MULTILINE) == [sigmaswarm.__version__]
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text())
-    assert cited["version"] == sigmaswarm.__version__  # people cite what they read there
+    assert cited["version"] == sigmaswarm.__version__  # the version that papers cite
     assert re.search(
         rf"^## {re.escape(sigmaswarm.__version__)}\b", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE
     )
@@ -45,7 +45,7 @@ def test_completion_is_printed_and_knows_every_command(shell: str, capsys, tmp_p
     script = capsys.readouterr().out
     assert [name for name in app if not name.startswith("-") and name not in script] == []
     assert "objective" in script
-    assert list(tmp_path.iterdir()) == []  # nothing is written where nobody asked for it
+    assert list(tmp_path.iterdir()) == []  # no file is written
     if shell == "bash":
         subprocess.run(["bash", "-n"], input=script, text=True, check=True)
 

@@ -17,7 +17,7 @@ from sigmaswarm.filters.run import run_filter
 from sigmaswarm.filters.smoothing import smooth
 
 COLLECT = [sys.executable, "-m", "pytest", "--collect-only", "-qq"]
-"""Writes the bytecode of all test files, whose asserts pytest rewrites."""
+"""Collects the tests, so that pytest writes the bytecode of all test files, whose asserts it rewrites."""
 
 
 def run(p: FilterParameters) -> None:
@@ -59,12 +59,12 @@ FILTERS = [
     (parameters("planar5", **LASTING), (run, alone)),
     (parameters("robot-localization"), (run,)),
 ]
-"""What the quick tests run; the longest first."""
+"""Filters and passes of the quick tests, the longest first."""
 
 
 def main() -> None:
     with ProcessPoolExecutor() as pool:
-        first = pool.submit(lagged, parameters("planar5"))  # with all that live filters share
+        first = pool.submit(lagged, parameters("planar5"))  # functions of all live filters
         jobs = [pool.submit(drive, "turns"), pool.submit(subprocess.call, COLLECT, stdout=subprocess.DEVNULL)]
         first.result()
         jobs += [pool.submit(way, p) for p, ways in FILTERS for way in ways]
