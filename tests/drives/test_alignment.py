@@ -1,4 +1,4 @@
-"""The start of a filter: early, causal, without truth, and with a consistent covariance."""
+"""The initial state of a filter: early, causal, without truth, and with a consistent covariance."""
 
 from dataclasses import replace
 
@@ -54,9 +54,9 @@ def standing_then_going(
     jump: float = 0.0,
     seed: int = 0,
 ) -> Drive:
-    """A car that stands for ``wait`` s, then speeds up to 10 m/s in a wide left turn.
+    """Simulate a car that stands for ``wait`` s, then accelerates to 10 m/s in a wide left turn.
 
-    ``jump`` (m) moves all fixes to the east from t = 10 s on, as a reflection of the signal may.
+    ``jump`` (m) moves all fixes after t = 10 s to the east, like a multipath error.
     """
     rng = np.random.default_rng(seed)
     time = np.arange(round(duration * 100) + 1) / 100
@@ -74,7 +74,7 @@ def standing_then_going(
     return Drive("standing", imu, Gps(time=fix_time, x=fix.real, y=fix.imag), truth)
 
 
-# --- How good the start is ---------------------------------------------------------------------------------
+# --- Accuracy of the start ---------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -87,12 +87,12 @@ def starts() -> list[tuple[np.ndarray, InitialState]]:
 
 @pytest.fixture(scope="module")
 def slipping(starts) -> list[tuple[np.ndarray, InitialState]]:
-    """The same with the slip of 1 degree that the covariance allows for, and that this road lacks."""
+    """The same with a slip of 1 degree, which the covariance takes into account and this road does not contain."""
     slip = np.radians(1.0) * np.random.default_rng(7).standard_normal(N_SEEDS)
     return [(error - [0, 0, 0, 0, s], state) for (error, state), s in zip(starts, slip, strict=True)]
 
 
-def test_the_heading_is_within_what_the_design_promises(starts):
+def test_the_heading_error_is_within_the_design_limits(starts):
     heading = np.degrees([abs(error[4]) for error, _ in starts])
     assert np.median(heading) < 1.4
     assert np.quantile(heading, 0.9) < 3.0
@@ -103,7 +103,7 @@ def test_the_errors_are_consistent_with_the_stated_covariance(slipping):
     nees = np.array([error @ np.linalg.solve(state.covariance, error) for error, state in slipping])
     low, high = stats.chi2.ppf([1e-3, 1 - 1e-3], 5 * N_SEEDS) / N_SEEDS
     assert low < nees.mean() < high
-    # not only the mean: as many lie in the tail as should
+    # the tail too, not only the mean
     beyond = int((nees > stats.chi2.ppf(0.95, 5)).sum())
     assert stats.binom.cdf(beyond, N_SEEDS, 0.05) < 0.999
     assert stats.binom.sf(beyond - 1, N_SEEDS, 0.05) > 0.001
@@ -137,7 +137,7 @@ def test_the_covariance_is_symmetric_and_positive_definite(seed: int):
 @given(
     turn=st.floats(-3.1, 3.1), east=st.floats(-1e4, 1e4), north=st.floats(-1e4, 1e4), seed=st.integers(0, 50)
 )
-def test_turning_and_moving_the_map_turns_and_moves_the_start(
+def test_rotating_and_translating_the_map_rotates_and_translates_the_start(
     turn: float, east: float, north: float, seed: int
 ):
     drive = make_drive(duration=9.0, seed=seed, truth=False)
@@ -164,11 +164,11 @@ def test_velocity_points_along_the_heading():
     assert np.arctan2(state.mean[3], state.mean[2]) == pytest.approx(state.mean[4], abs=1e-12)
 
 
-# --- When it is --------------------------------------------------------------------------------------------
+# --- Time of the start -------------------------------------------------------------------------------------
 
 
-def first_fix_with_enough_behind(drive: Drive) -> tuple[float, float]:
-    """By a loop over exact fixes and the truth's path: the start, and by how many metres it was a close call."""
+def first_fix_after_enough_travel(drive: Drive) -> tuple[float, float]:
+    """Return the start by a loop over exact fixes and the true path, and the distance (m) of the closest decision."""
     truth, fixes = drive.truth, drive.gps.time
     path = np.append(0, np.cumsum(np.hypot(np.diff(truth.x), np.diff(truth.y))))
     margin = np.inf
@@ -183,18 +183,18 @@ def first_fix_with_enough_behind(drive: Drive) -> tuple[float, float]:
     raise AssertionError("never travels far enough")
 
 
-def test_the_start_is_the_first_fix_with_4_s_and_20_m_behind_it():
+def test_the_start_is_the_first_fix_after_4_s_and_20_m():
     drives = [make_drive(duration=12.0, seed=seed, gps_std=1e-3) for seed in range(30)]
     drives += [standing_then_going(wait, duration=14.0, gps_std=1e-3) for wait in np.arange(0, 6, 0.35)]
     compared, later = 0, 0
     for drive in drives:
-        expected, margin = first_fix_with_enough_behind(drive)
+        expected, margin = first_fix_after_enough_travel(drive)
         if margin > 0.1:
             compared += 1
             later += expected > 4.5
             assert initial_state(drive).time == expected
     assert compared > 35
-    assert later > 10  # some needed more than 4 s for their 20 m
+    assert later > 10  # some starts needed more than 4 s for 20 m
 
 
 def test_the_start_is_a_fix_inside_the_imus_time():
@@ -245,7 +245,7 @@ def test_a_car_that_never_moves_can_not_be_aligned(gps_std: float):
     ],
     ids=["few fixes", "scattered", "standing", "short"],
 )
-def test_what_is_missing_for_a_start_is_what_is_told(drive: Drive, missing: str):
+def test_the_message_states_what_is_missing_for_a_start(drive: Drive, missing: str):
     with pytest.raises(AlignmentError, match=rf"^standing: .*{missing}") as caught:
         initial_state(drive)
     found = next(finding for finding in diagnose(drive).findings if finding.code == "no-start")
@@ -253,8 +253,8 @@ def test_what_is_missing_for_a_start_is_what_is_told(drive: Drive, missing: str)
     assert str(caught.value) == f"standing: {found.what}; {remedy}"
 
 
-def test_of_four_fixes_far_apart_their_rate_is_told():
-    """The car travels 20 m between any two of them."""
+def test_the_message_on_four_distant_fixes_states_their_rate():
+    """The car travels more than 20 m between any two fixes."""
     drive = standing_then_going(2.0, duration=31.0, gps_rate=0.1)
     assert len(drive.gps.time) == ALIGNMENT_FIXES
     with pytest.raises(AlignmentError, match=r"the fixes come every 10 s, .*record fixes at 1 Hz"):
@@ -263,7 +263,7 @@ def test_of_four_fixes_far_apart_their_rate_is_told():
 
 @pytest.mark.parametrize(("speed", "earliest", "latest"), [(3.0, 7.5, 16.0), (4.0, 4.0, 6.5)])
 def test_a_start_takes_20_m_within_6_s_or_a_longer_window(speed: float, earliest: float, latest: float):
-    """At 3 m/s 20 m take 7 s: the start then takes the window of a slow vehicle, 7.5 to 15 s."""
+    """At 3 m/s, 20 m take 7 s, so the start uses the window for slow vehicles, 7.5 to 15 s."""
     time = np.arange(6001) / 100
     x, flat = speed * time, np.zeros_like(time)
     fixes = slice(1, None, 25)
@@ -291,7 +291,7 @@ def test_a_jump_of_the_fixes_at_standstill_is_no_travel(jump: float, gps_rate: f
             initial_state(drive)
 
 
-# --- What it may look at -----------------------------------------------------------------------------------
+# --- Data that the start may use ---------------------------------------------------------------------------
 
 
 def same(a: InitialState, b: InitialState) -> bool:
@@ -302,7 +302,7 @@ def same(a: InitialState, b: InitialState) -> bool:
     )
 
 
-def garbled_after(table, time: float, rng: np.random.Generator):
+def with_later_samples_changed(table, time: float, rng: np.random.Generator):
     later = table.time > time
     columns = {k: v for k, v in vars(table).items() if v is not None and k != "time"}
     return replace(
@@ -311,7 +311,7 @@ def garbled_after(table, time: float, rng: np.random.Generator):
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_what_comes_later_changes_no_bit(seed: int):
+def test_later_samples_do_not_change_the_start(seed: int):
     drive = (
         standing_then_going(6.0, duration=25.0, seed=seed)
         if seed % 3 == 0
@@ -320,10 +320,12 @@ def test_what_comes_later_changes_no_bit(seed: int):
     state = initial_state(drive)
     rng = np.random.default_rng(seed)
     changed = replace(
-        drive, imu=garbled_after(drive.imu, state.time, rng), gps=garbled_after(drive.gps, state.time, rng)
+        drive,
+        imu=with_later_samples_changed(drive.imu, state.time, rng),
+        gps=with_later_samples_changed(drive.gps, state.time, rng),
     )
     assert same(initial_state(changed), state)
-    # one sample has to follow, or there is nothing left to run a filter on
+    # one later sample is necessary to run a filter
     after = drive.imu.time[drive.imu.time > state.time][0]
     removed = replace(
         drive,
@@ -333,7 +335,7 @@ def test_what_comes_later_changes_no_bit(seed: int):
     assert same(initial_state(removed), state)
 
 
-def test_what_came_before_does_matter():
+def test_earlier_samples_change_the_start():
     drive = make_drive(duration=15.0, seed=1)
     state = initial_state(drive)
     i = int(np.flatnonzero(drive.gps.time == state.time)[0])
@@ -343,7 +345,7 @@ def test_what_came_before_does_matter():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_truth_is_never_looked_at(seed: int):
+def test_the_start_does_not_use_truth(seed: int):
     drive = make_drive(duration=15.0, seed=seed)
     state = initial_state(drive)
     wrong = replace(drive.truth, x=drive.truth.x + 1e3, theta=-drive.truth.theta)
@@ -374,7 +376,7 @@ def test_starts_on_real_drives(name: str, earliest: float, latest: float, headin
     assert abs(error[4]) < 4 * np.sqrt(state.covariance[4, 4])
 
 
-def test_the_start_is_the_imus_place_not_the_antennas():
+def test_the_start_is_the_position_of_the_imu_not_of_the_antenna():
     drive = make_drive(duration=30, gps_std=1e-3, seed=1)
     truth = drive.truth
     assert truth is not None
@@ -390,7 +392,7 @@ def test_the_start_is_the_imus_place_not_the_antennas():
     assert np.hypot(*(start.mean[:2] - place)) < 0.1
 
 
-def test_the_first_alignment_is_the_start_and_all_are_as_good():
+def test_the_first_alignment_is_the_start_and_all_are_accurate():
     drive = make_drive(duration=40.0, seed=2)
     alignments = Alignments(drive)
     found = [alignments.at(k) for k in range(len(alignments.time))]
@@ -408,7 +410,7 @@ def test_the_first_alignment_is_the_start_and_all_are_as_good():
     assert np.quantile(np.hypot(errors[:, 0], errors[:, 1]), 0.95) < 3.0
 
 
-def test_an_alignment_is_of_the_fixes_up_to_it_alone():
+def test_an_alignment_uses_only_the_fixes_up_to_it():
     drive = make_drive(duration=30.0, seed=2)
     whole, k = Alignments(drive), 80
     seen = replace(drive, gps=drive.gps.select(drive.gps.time <= whole.time[k]))
@@ -424,7 +426,7 @@ def test_an_alignment_is_of_the_fixes_up_to_it_alone():
     np.testing.assert_array_equal(a.covariance, b.covariance)
 
 
-def test_the_rough_course_is_near_the_alignment_and_there_where_it_is():
+def test_the_rough_course_is_near_the_alignment():
     drive = make_drive(duration=40.0, seed=5, gps_std=0.3)
     alignments = Alignments(drive)
     known = [(k, one) for k in range(len(alignments.time)) if (one := alignments.at(k))]
@@ -434,7 +436,7 @@ def test_the_rough_course_is_near_the_alignment_and_there_where_it_is():
     assert np.isnan(alignments.course[:10]).all()
 
 
-def test_a_fix_that_is_no_number_takes_no_part():
+def test_a_nan_fix_is_ignored():
     drive = make_drive(duration=30.0, seed=2)
     x = drive.gps.x.copy()
     x[60] = np.nan

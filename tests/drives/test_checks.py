@@ -22,7 +22,7 @@ def imu_with(drive: Drive, **columns: np.ndarray | None) -> Drive:
 
 
 def without(drive: Drive, table: str, start: float, end: float) -> Drive:
-    """The drive without a table's rows in [start, end)."""
+    """Return the drive without the rows of a table in [start, end)."""
     rows = getattr(drive, table)
     return replace(drive, **{table: rows.select((rows.time < start) | (rows.time >= end))})
 
@@ -32,7 +32,7 @@ def warnings_of(drive: Drive) -> list[str]:
 
 
 def only(drive: Drive) -> str:
-    """The drive's one warning."""
+    """Return the only warning of the drive."""
     (message,) = warnings_of(drive)
     assert len(message.splitlines()) == 1
     return message
@@ -49,7 +49,7 @@ def test_a_sound_drive_raises_no_warning(seed: int, gps_std: float):
 
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
 @pytest.mark.parametrize("bias", [0.0, 0.05])
-def test_a_straight_cruise_says_nothing_about_units(noise: float, bias: float):
+def test_a_straight_cruise_gives_no_warning_about_units(noise: float, bias: float):
     t = np.arange(6000) * 0.01
     white = np.random.default_rng(0).standard_normal
     drive = make_drive()
@@ -70,7 +70,7 @@ def test_degrees_per_second(seed: int):
     assert "deg/s; multiply gx, gy, gz by pi/180" in message
 
 
-def test_degrees_per_second_where_the_fixes_cannot_tell():
+def test_degrees_per_second_without_information_in_the_fixes():
     drive = make_drive(gps_std=0.0)
     slow = replace(drive.gps, x=drive.gps.x / 20, y=drive.gps.y / 20)
     drive = replace(drive, gps=slow, truth=None)
@@ -118,7 +118,7 @@ def test_exchanged_axes(level: str, sign: int, has_az: bool):
         (32.2, "+9.8 is expected"),
     ],
 )
-def test_gravity_amiss(az: float, said: str):
+def test_wrong_gravity(az: float, said: str):
     drive = make_drive()
     message = only(imu_with(drive, az=np.full(len(drive.imu), az)))
     assert f"imu.csv: column az has a median of {az:.2f}" in message
@@ -144,7 +144,7 @@ def test_gaps_in_each_file():
     assert "truth.csv: there is a gap of 3.01 s" in only(without(drive, "truth", 10.0, 13.0))
 
 
-def test_a_drive_s_gaps_are_told_in_one_sentence():
+def test_gaps_of_a_drive_are_reported_in_one_sentence():
     paused = without(
         without(without(make_drive(), "imu", 10.0, 13.0), "gps", 10.0, 13.0), "truth", 10.0, 13.0
     )
@@ -152,11 +152,11 @@ def test_a_drive_s_gaps_are_told_in_one_sentence():
     for file in ("imu", "gps", "truth"):
         assert message.count(f"{file}.csv: there is a gap") == 1
     assert message.endswith("if the car maneuvered during the gap, split the drive")
-    assert "gps.csv" not in only(paused)  # the logger paused: the gap of the IMU is reported
+    assert "gps.csv" not in only(paused)  # the logger paused: only the gap of the IMU is reported
 
 
 @pytest.mark.parametrize(("table", "length"), [("imu", 0.085), ("gps", 1.7), ("truth", 1.9)])
-def test_small_holes_are_no_gaps(table: str, length: float):
+def test_short_gaps_are_not_reported(table: str, length: float):
     assert warnings_of(without(make_drive(), table, 30.0, 30.0 + length)) == []
 
 
@@ -188,12 +188,12 @@ def test_long_parts_of_the_imu_without_fixes_are_named(begin: float, end: float,
     )
 
 
-def test_short_ends_without_the_other_sensor_are_no_fault():
+def test_short_ends_with_one_sensor_are_not_reported():
     drive = make_drive()
     for table in ("imu", "gps"):
         assert warnings_of(without(without(drive, table, -1.0, 9.5), table, 51.0, 99.0)) == []
     long = make_drive(duration=240.0)
-    assert warnings_of(without(long, "gps", -1.0, 23.5)) == []  # a receiver's cold start
+    assert warnings_of(without(long, "gps", -1.0, 23.5)) == []  # a cold start of the receiver
 
 
 def test_the_reader_passes_the_warnings_on_with_the_path(tmp_path):
@@ -231,7 +231,7 @@ def test_the_log_as_recorded_shows_its_faults():
 
 @needs_shared
 @pytest.mark.parametrize("name", ["kitti-09-30-0018", "kitti-09-26-0022", "kitti-09-26-0101"])
-def test_real_gaps_are_all_that_is_said_of_sound_drives(name: str):
+def test_sound_drives_have_warnings_only_about_real_gaps(name: str):
     with pytest.warns(SigmaswarmWarning) as caught:
         drive = read_drive(DRIVES / name)
     (message,) = [str(w.message) for w in caught]
@@ -262,14 +262,14 @@ def with_times(drive: Drive, change) -> Drive:
 @pytest.mark.parametrize(("unit", "factor"), UNITS)
 @pytest.mark.parametrize("rates", [{}, {"imu_rate": 10.0, "gps_rate": 1.0}, {"imu_rate": 1000.0}])
 def test_times_in_another_unit_in_both_files(unit: str, factor: float, rates: dict[str, float]):
-    """In nanoseconds, a grid over the log's length took 80 s and 5 GB."""
+    """With times in ns, a grid over the length of the log took 80 s and 5 GB."""
     message = only(with_times(make_drive(**rates), lambda t: factor * t))
     assert message.startswith("imu.csv, gps.csv: ")
     assert f"as if t were in {unit} in both files" in message
 
 
 @pytest.mark.parametrize("rates", [{"imu_rate": 2.0, "gps_rate": 1.0}, {"imu_rate": 10.0, "gps_rate": 0.05}])
-def test_slow_sensors_are_no_matter_of_units(rates: dict[str, float]):
+def test_slow_sensors_give_no_warning_about_units(rates: dict[str, float]):
     drive = make_drive(duration=400.0, **rates)
     assert not any(r.code == "time-unit" for r in remarks_of(drive.imu, drive.gps, drive.truth))
 
@@ -289,8 +289,8 @@ def test_a_clock_that_is_set_during_the_log():
     assert all("jumps by 1.7e+09 s after t = 29." in m for m in messages)
 
 
-def test_windows_without_fixes_are_left_out_and_the_others_stay():
-    """Against the definition: a knot each 5 s from the first common time on."""
+def test_windows_without_fixes_are_omitted():
+    """Compared with the definition: one knot every 5 s from the first common time on."""
     drive = without(make_drive(jitter=0.4), "gps", 21.0, 38.0)
     velocity, integral, turn = checks._seen_by_fixes(drive.imu, drive.gps, drive.imu.gz)
     knots = np.arange(drive.gps.time[0], drive.imu.time[-1], 5.0)

@@ -30,7 +30,7 @@ def dated(times: np.ndarray, unit: str = "ns") -> np.ndarray:
 
 
 @pytest.mark.parametrize("frame", [dict, pd.DataFrame, pl.DataFrame])
-def test_every_kind_of_frame_gives_the_numbers_it_holds(drive: Drive, frame: type) -> None:
+def test_every_type_of_frame_gives_the_same_numbers(drive: Drive, frame: type) -> None:
     made = Drive.from_frames(**{name: frame(table) for name, table in tables(drive).items()})
     for name, table in tables(drive).items():
         for column, values in table.items():
@@ -67,7 +67,7 @@ def test_dates_of_polars(drive: Drive, unit: str) -> None:
     np.testing.assert_allclose(made.imu.time, drive.imu.time - drive.imu.time[0], atol=2e-9)
 
 
-def test_degrees_are_placed_as_a_file_places_them(drive: Drive, tmp_path) -> None:
+def test_degrees_give_the_same_positions_as_in_a_file(drive: Drive, tmp_path) -> None:
     given = tables(drive)
     lat, lon = 48 + drive.gps.y / 111_000, 16 + drive.gps.x / 74_000
     gps = {"t": drive.gps.time, "lat": lat, "lon": lon}
@@ -78,7 +78,7 @@ def test_degrees_are_placed_as_a_file_places_them(drive: Drive, tmp_path) -> Non
     assert made.origin == read.origin == (lat[0], lon[0], 0.0)
 
 
-def test_names_of_ones_own(drive: Drive) -> None:
+def test_custom_column_names(drive: Drive) -> None:
     given = tables(drive)
     imu = pd.DataFrame(given["imu"]).rename(columns={"ax": "acc_x", "t": "stamp"})
     made = Drive.from_frames(imu, pl.DataFrame(given["gps"]), columns={"acc_x": "ax", "stamp": "t"})

@@ -19,7 +19,7 @@ def test_an_interval_of_more_than_five_is_a_gap_if_it_is_long_enough(rate: float
             assert gaps.max() == pytest.approx(length, rel=1e-9)
 
 
-def test_an_imu_of_irregular_times_has_none_and_a_slower_one_is_got_used_to():
+def test_irregular_times_are_no_gaps_and_a_lower_rate_is_adopted():
     rng = np.random.default_rng(0)
     assert not gaps_before(np.cumsum(rng.uniform(0.005, 0.045, 2000))).any()
     slower = np.concatenate([np.arange(200) * 0.01, 2.0 + np.arange(100) * 0.2])
@@ -28,7 +28,7 @@ def test_an_imu_of_irregular_times_has_none_and_a_slower_one_is_got_used_to():
 
 @pytest.mark.parametrize("pieces", [1, 2, 7])
 def test_the_growth_is_that_of_one_unseen_motion(pieces: int):
-    # The whole gap adds (sigma T)^2 to heading and velocity, however fixes split it.
+    # The whole gap adds (sigma T)^2 to heading and velocity, independent of the fixes in the gap.
     gap, parts = 1.6, np.random.default_rng(pieces).dirichlet(np.ones(pieces)) * 1.6
     total = sum((gap_covariance(8, dt, gap) for dt in parts), np.zeros((8, 8)))
     assert total[4, 4] == pytest.approx((GAP_TURN_STD * gap) ** 2)

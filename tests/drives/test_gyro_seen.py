@@ -1,4 +1,4 @@
-"""Evidence of a start about the gyro's bias: its consistency, and its combination with a filter's prior."""
+"""Evidence at the start about the gyro's bias: its consistency, and its combination with a filter's prior."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ from support import make_drive
 OFF = np.radians([11.0, -7.0, 16.0])
 PER_SECOND = (1e-3, 1e-3, 0.05, 0.05, 1e-5, 1e-7, 1e-7, 1e-10, 1e-5, 1e-5, 1e-10, 1e-10)
 GOOD_GYRO = 1e-4
-"""rad/s: what a filter expects that was tuned on an IMU with hardly any bias."""
+"""rad/s: the expected bias of a filter that was tuned on an IMU with almost no bias."""
 
 
 def biased(drive: Drive, off: np.ndarray) -> Drive:
@@ -58,11 +58,11 @@ def test_its_errors_agree_with_its_covariance(off: np.ndarray):
         assert start.gyro is not None
         wrong.append((start.gyro.bias - off) / np.sqrt(start.gyro.variance))
     rms = np.sqrt(np.mean(np.square(wrong), axis=0))
-    assert np.all(rms[:UP] < 0.1)  # this road does not lean
-    assert 0.2 < rms[UP] < 1.1, rms  # what a turn may hide is allowed for, and this road is white
+    assert np.all(rms[:UP] < 0.1)  # no tilt on this road
+    assert 0.2 < rms[UP] < 1.1, rms  # the margin for hidden turns is not used on this road of white noise
 
 
-def test_a_gyro_that_is_far_off_does_not_turn_the_start():
+def test_a_large_gyro_bias_does_not_rotate_the_start():
     errors, before = [], []
     for seed in range(40):
         drive = biased(make_drive(duration=12.0, seed=seed), OFF)
@@ -72,13 +72,11 @@ def test_a_gyro_that_is_far_off_does_not_turn_the_start():
         before.append(heading_error(drive, start, mean[4]))
         assert np.linalg.eigvalsh(covariance).min() > 0
         np.testing.assert_allclose(mean[[10, 11]], OFF[:2], atol=np.radians(2.0))
-    assert (
-        np.degrees(np.median(before)) < 6.0
-    )  # half of what the bias turns in the time that the fit spans is 40
+    assert np.degrees(np.median(before)) < 6.0  # half of the rotation by the bias in the fitted time is 40
     assert np.sqrt(np.mean(np.square(errors))) < 2.0
 
 
-def test_a_filter_that_expects_a_good_gyro_starts_as_if_nothing_were_seen():
+def test_a_filter_tuned_for_a_good_gyro_ignores_the_evidence():
     start = initial_state(make_drive(duration=12.0, seed=3))
     for model in ("planar5", "planar8", "tilted12"):
         mean, covariance = started(model, start, 1e-9)
@@ -87,13 +85,13 @@ def test_a_filter_that_expects_a_good_gyro_starts_as_if_nothing_were_seen():
         np.testing.assert_allclose(covariance, plain[1], rtol=1e-3, atol=1e-6)
 
 
-def test_both_count_as_two_measurements():
+def test_prior_and_evidence_are_combined_like_two_measurements():
     turns, variance, taken = np.array([0.3, -0.2, 4.0, -3.0, -1.6]), np.array([0.02, 0.03, 0.04]) ** 2, 0.05
     seen = GyroBiasEvidence(np.array([0.01, -0.02, 0.06]), variance, taken, turns)
     start = InitialState(np.array([1.0, 2.0, 3.0, 4.0, 0.5]), np.diag([1.0, 1.0, 0.2, 0.2, 1e-3]), 9.0, seen)
     std = 0.03
     mean, covariance = started("planar8", start, std)
-    # (x ... theta, bias) of the alignment alone, and then the measurement that the bias is 0, std of it.
+    # The (x ... theta, bias) of the alignment alone, then the measurement that the bias is 0 with deviation std.
     joint, P = np.append(start.mean + (0.06 - taken) * turns, 0.06), np.zeros((6, 6))
     P[:5, :5] = start.covariance + variance[UP] * np.outer(turns, turns)
     P[:5, 5] = P[5, :5] = variance[UP] * turns
@@ -101,11 +99,13 @@ def test_both_count_as_two_measurements():
     gain = P[:, 5] / (P[5, 5] + std**2)
     joint, P = joint - gain * joint[5], P - np.outer(gain, P[5])
     places = [0, 1, 2, 3, 4, 7]
-    np.testing.assert_allclose(mean[places], joint, atol=2e-3)  # that it is another gyro is not ruled out
+    np.testing.assert_allclose(
+        mean[places], joint, atol=2e-3
+    )  # a small difference: a different gyro is not ruled out
     np.testing.assert_allclose(covariance[np.ix_(places, places)], P, rtol=0.03, atol=1e-4)
 
 
-def test_what_contradicts_widens_what_is_expected_without_a_step():
+def test_contradicting_evidence_widens_the_prior_continuously():
     variance = np.full(3, 0.01**2)
 
     def bias_at(seen: float) -> float:
@@ -117,14 +117,14 @@ def test_what_contradicts_widens_what_is_expected_without_a_step():
         )
         return float(started("planar8", start, 1e-4)[0][7])
 
-    assert bias_at(0.03) < 1e-3  # three sigmas: an accident
-    assert bias_at(0.06) == pytest.approx(0.06, rel=0.05)  # six: another gyro
+    assert bias_at(0.03) < 1e-3  # three sigmas: by chance
+    assert bias_at(0.06) == pytest.approx(0.06, rel=0.05)  # six sigmas: a different gyro
     steps = np.diff([bias_at(seen) for seen in np.arange(0.0, 0.3, 1e-4)])
     assert np.all(steps > 0)
     assert steps.max() < 1e-3
 
 
-def test_one_axis_that_is_off_makes_all_less_sure():
+def test_a_bias_of_one_axis_increases_the_uncertainty_of_all():
     variance = np.full(3, 0.01**2)
     start = InitialState(
         np.zeros(5), np.eye(5), 0.0, GyroBiasEvidence(np.array([0.3, 0.0, 0.03]), variance, 0.0, np.zeros(5))
@@ -132,16 +132,16 @@ def test_one_axis_that_is_off_makes_all_less_sure():
     mean, covariance = started("tilted12", start, 1e-4)
     assert mean[7] == pytest.approx(0.03, rel=0.01)
     np.testing.assert_allclose(np.diag(covariance)[[7, 10, 11]], 0.01**2, rtol=0.01)
-    assert started("planar8", start, 1e-4)[0][7] < 1e-4  # which does not read that axis
+    assert started("planar8", start, 1e-4)[0][7] < 1e-4  # planar8 does not read that axis
 
 
-def test_fixes_that_jump_show_no_bias():
+def test_jumps_of_the_fixes_are_not_taken_for_a_bias():
     drive = make_drive(duration=12.0, seed=1, gps_std=0.05)
     truth = drive.truth
     assert truth is not None
     aside = np.where(
         drive.gps.time > 3.0, 6.0 * (drive.gps.time - 3.0) ** 2, 0.0
-    )  # a way that bends ever more
+    )  # a path with growing curvature
     drive = replace(drive, gps=replace(drive.gps, x=drive.gps.x + aside))
     start = initial_state(drive)
     assert start.gyro is not None
@@ -149,7 +149,7 @@ def test_fixes_that_jump_show_no_bias():
     assert np.all(np.abs(start.gyro.bias) < 0.5)
 
 
-def test_lanes_have_their_own():
+def test_columns_have_separate_evidence():
     start = initial_state(biased(make_drive(duration=12.0, seed=2), OFF))
     sets = tuple(tuned("tilted12", std) for std in (1e-4, 1e-2, 0.1))
     rows = KernelArray(sets).start([start], [0.01])[0]
@@ -162,7 +162,7 @@ def test_lanes_have_their_own():
 
 
 @pytest.mark.parametrize("model", ["planar8", "tilted12"])
-def test_a_filter_of_a_good_gyro_is_not_lost_with_one_that_is_off(model: str):
+def test_a_filter_tuned_for_a_good_gyro_does_not_diverge_with_a_biased_gyro(model: str):
     drive = biased(make_drive(duration=60.0, seed=4), OFF)
     run = run_filter(drive, tuned(model))
     truth = drive.truth
@@ -172,7 +172,7 @@ def test_a_filter_of_a_good_gyro_is_not_lost_with_one_that_is_off(model: str):
         run.mean[:, 0] - np.interp(run.time, truth.time, truth.x),
         run.mean[:, 1] - np.interp(run.time, truth.time, truth.y),
     )
-    assert np.sqrt(np.mean(off**2)) < np.sqrt(2.0)  # the fixes' own
+    assert np.sqrt(np.mean(off**2)) < np.sqrt(2.0)  # the error of the fixes
     without = run_filter(drive, tuned(model), initial=replace(run.initial, gyro=None), recover=False)
     worse = np.hypot(
         without.mean[:, 0] - np.interp(run.time, truth.time, truth.x),

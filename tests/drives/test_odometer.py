@@ -1,4 +1,4 @@
-"""odometer.csv as a table of a drive: read, checked, written, clipped, and part of the fingerprint."""
+"""The table odometer.csv of a drive: reading, checks, writing, clipping, and its part of the fingerprint."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -62,7 +62,7 @@ def test_fingerprint_depends_on_every_column_of_every_table(name: str):
         ("t,speed\n", "contains no rows"),
     ],
 )
-def test_what_cannot_be_used_is_one_line(tmp_path: Path, text: str, said: str):
+def test_an_invalid_table_gives_one_line(tmp_path: Path, text: str, said: str):
     folder = write_drive(DRIVE, tmp_path / "drive")
     (folder / "odometer.csv").write_text(text)
     with pytest.raises(DriveError) as refused:

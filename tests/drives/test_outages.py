@@ -43,8 +43,8 @@ def test_both_ends_of_a_window_are_hidden():
     st.lists(st.floats(-10, 10), max_size=20),
     st.lists(st.tuples(st.integers(-9, 9), st.integers(0, 5)), max_size=8),
 )
-def test_a_fix_is_hidden_if_any_window_has_it(time: list[float], windows: list[tuple[int, int]]):
-    """In whatever order the windows are, and where they overlap or are a moment only."""
+def test_a_fix_is_hidden_if_any_window_contains_it(time: list[float], windows: list[tuple[int, int]]):
+    """Independent of the order of the windows; windows may overlap or have zero length."""
     spans = [(float(start), float(start + length)) for start, length in windows]
     time = [*time, *(end for span in spans for end in span), float("nan")]
     found = hidden_fixes(time, np.array(spans).reshape(-1, 2))
@@ -62,7 +62,9 @@ def test_hiding_fixes_changes_nothing_else():
 
 
 @given(**placements)
-def test_windows_keep_every_distance(length, first_after: float, apart: float, count: int | None, **where):
+def test_windows_have_the_required_distances(
+    length, first_after: float, apart: float, count: int | None, **where
+):
     windows = draw(length=length, first_after=first_after, apart=apart, count=count, **where)
     start, end = where["start"], where["start"] + where["duration"]
     shortest, longest = length if isinstance(length, tuple) else (length, length)
@@ -75,20 +77,20 @@ def test_windows_keep_every_distance(length, first_after: float, apart: float, c
         assert np.all(windows[:, 1] - windows[:, 0] >= shortest - EPS)
         assert np.all(windows[:, 1] - windows[:, 0] <= longest + EPS)
     elif count != 0:
-        assert where["duration"] - first_after < longest + EPS  # nothing only where not one fits
+        assert where["duration"] - first_after < longest + EPS  # no window only if none fits
 
 
 @given(st.integers(1, 20), st.floats(0, 500), st.integers(0, 99))
-def test_as_many_as_asked_for_where_they_fit(count: int, slack: float, seed: int):
+def test_the_requested_number_of_windows_if_they_fit(count: int, slack: float, seed: int):
     needed = 10 + 5 * count + 5 * (count - 1)
     assert len(draw(0.0, needed + slack + EPS, seed, length=5.0, count=count)) == count
     assert len(draw(0.0, needed - EPS, seed, length=5.0, count=count)) == count - 1
 
 
-def test_rounding_never_takes_a_window_past_the_end():
+def test_rounding_never_moves_a_window_past_the_end():
     rng = np.random.default_rng(0)
     for start, length in zip(rng.uniform(0, 30, 500), rng.uniform(0.5, 8, 500), strict=True):
-        end = start + 10 + length  # room for one window without any slack, give or take rounding
+        end = start + 10 + length  # room for one window without slack, up to rounding
         assert np.all(random_windows(start, end, rng, length=length, first_after=10.0, count=1)[:, 1] <= end)
 
 
@@ -104,7 +106,7 @@ def test_the_same_seed_gives_the_same_windows():
 
 
 def test_every_admissible_placement_is_equally_likely():
-    """With one window its place is uniform; with two, the slack before the first is Beta(1, 2)."""
+    """The position of one window is uniform; with two windows, the slack before the first is Beta(1, 2)."""
     rng = np.random.default_rng(0)
     one = [random_windows(0, 65.0, rng, length=5.0, first_after=10.0, count=1)[0, 0] for _ in range(2000)]
     assert stats.kstest(one, stats.uniform(10, 50).cdf).pvalue > 1e-3
@@ -121,7 +123,7 @@ def test_lengths_are_uniform_in_their_range():
 
 
 def irregular_clock(duration: float, seed: int) -> np.ndarray:
-    """IMU times with jitter and now and then a gap of seconds."""
+    """Return IMU times with jitter and a few gaps of seconds."""
     rng = np.random.default_rng(seed)
     interval = 0.05 * rng.uniform(0.2, 1.8, int(duration / 0.05)) + 3 * (
         rng.random(int(duration / 0.05)) < 0.002
@@ -130,7 +132,9 @@ def irregular_clock(duration: float, seed: int) -> np.ndarray:
 
 
 @given(st.integers(0, 2**32), st.floats(0, 10), st.integers(1, 20), lengths)
-def test_snapped_windows_end_on_samples_and_keep_every_distance(seed: int, apart: float, count: int, length):
+def test_snapped_windows_end_on_samples_and_have_the_required_distances(
+    seed: int, apart: float, count: int, length
+):
     clock = irregular_clock(100.0, seed)
     rng = np.random.default_rng(seed)
     windows = random_windows(
@@ -141,14 +145,14 @@ def test_snapped_windows_end_on_samples_and_keep_every_distance(seed: int, apart
     assert np.all(snapped[1:, 0] - snapped[:-1, 1] >= apart - EPS)
     np.testing.assert_allclose(snapped, naively_snapped(windows, clock, apart), atol=EPS)
     if len(snapped):
-        assert snapped[0, 0] >= windows[0, 0] - EPS  # later only, so the first keeps its distance
+        assert snapped[0, 0] >= windows[0, 0] - EPS  # only later, so the first window keeps its distance
         assert (
             len(snapped) == len(windows) or clock[-1] - snapped[-1, 1] < apart + np.ptp(windows, axis=1).max()
         )
 
 
 def naively_snapped(windows: np.ndarray, clock: np.ndarray, apart: float) -> np.ndarray:
-    """Every sample tried in turn, the last one as the way out."""
+    """Try every sample in order; use the last sample if none fits."""
     snapped: list[list[float]] = []
     for start, end in windows:
         length = end - start
@@ -158,14 +162,14 @@ def naively_snapped(windows: np.ndarray, clock: np.ndarray, apart: float) -> np.
     return np.array(snapped).reshape(-1, 2)
 
 
-def test_a_window_past_the_last_sample_moves_earlier_or_is_left_out():
+def test_a_window_past_the_last_sample_moves_earlier_or_is_omitted():
     clock = np.arange(101) * 0.1
     np.testing.assert_allclose(snap_ends([[8.0, 11.0]], clock), [[7.0, 10.0]])
     np.testing.assert_allclose(
         snap_ends([[1.0, 2.0], [8.0, 11.0]], clock, apart=5.0), [[1.0, 2.0], [7.0, 10.0]]
     )
     np.testing.assert_allclose(snap_ends([[1.0, 3.0], [8.0, 11.0]], clock, apart=5.0), [[1.0, 3.0]])
-    late = [[1.0, 3.0], [8.0, 11.0], [9.5, 9.6]]  # the last has room once the second is left out
+    late = [[1.0, 3.0], [8.0, 11.0], [9.5, 9.6]]  # the last window fits after the second is omitted
     np.testing.assert_allclose(snap_ends(late, clock, apart=5.0), [[1.0, 3.0], [9.5, 9.6]])
     assert snap_ends(np.empty((0, 2)), clock).shape == (0, 2)
 

@@ -50,14 +50,14 @@ def decimated(drive: Drive, imu: int, gps: int) -> Drive:
 
 
 def in_other_units(drive: Drive) -> Drive:
-    """g and deg/s clockwise, as a file has them that was written with 6 decimals."""
+    """Return the drive in g and deg/s clockwise, with 6 decimals like in a file."""
     imu = drive.imu
     other = {"ax": imu.ax / 9.80665, "ay": -imu.ay / 9.80665, "gz": -np.degrees(imu.gz)}
     return replace(drive, imu=replace(imu, **{name: np.round(v, 6) for name, v in other.items()}))
 
 
 def in_the_other_frame(drive: Drive) -> Drive:
-    """Degrees for metres, and the other way round."""
+    """Convert meters to degrees or degrees to meters."""
     gps = drive.gps
     if gps.lat is not None:
         return replace(drive, gps=replace(gps, lat=None, lon=None), frame="enu")
@@ -68,7 +68,7 @@ def in_the_other_frame(drive: Drive) -> Drive:
 
 
 def interpolated(drive: Drive) -> Drive:
-    """The IMU at other times."""
+    """Interpolate the IMU at other times."""
     imu = drive.imu
     t = np.arange(imu.time[0], imu.time[-1], 0.025)
     return replace(
@@ -77,7 +77,7 @@ def interpolated(drive: Drive) -> Drive:
 
 
 def with_new_fixes(drive: Drive) -> Drive:
-    """As of another receiver."""
+    """Return the drive with the fixes of a different receiver."""
     gps, rng = drive.gps, np.random.default_rng(0)
     x, y = (column + rng.standard_normal(len(gps)) for column in (gps.x, gps.y))
     return replace(drive, gps=replace(gps, x=x, y=y, lat=None, lon=None), origin=None)
@@ -124,12 +124,15 @@ def test_every_copy_of_a_real_drive_is_recognized_with_its_length(name: str):
 def test_no_two_different_real_drives_overlap():
     marks = [landmarks(read(f.name)) for f in sorted(DRIVES.iterdir()) if (f / "imu.csv").exists()]
     found = {(a.name, b.name) for a in marks for b in marks if a is not b and overlap_of(a, [b])}
-    assert found == {("dresden", "dresden-as-recorded"), ("dresden-as-recorded", "dresden")}  # the same drive
+    assert found == {
+        ("dresden", "dresden-as-recorded"),
+        ("dresden-as-recorded", "dresden"),
+    }  # these are the same drive
 
 
 @pytest.mark.long
 def test_simulated_drives_of_one_seed_are_different_drives():
-    """Runs of a maneuver follow one road at nearly one speed; environments share it to the last bit."""
+    """Runs of a maneuver have one road and nearly one speed; in different environments, both are equal bit for bit."""
     drives = [
         simulate(maneuver, environment=environment, run=run, gps="white-1m", imu_rate=50.0)
         for maneuver in MANEUVERS
@@ -146,7 +149,7 @@ def test_simulated_drives_of_one_seed_are_different_drives():
 
 
 def test_one_road_driven_twice_is_not_one_drive():
-    """Receivers that round to a metre give many equal places; of one drive all are equal."""
+    """Receivers that round to 1 m give many equal positions; for copies of one drive, all positions are equal."""
     rng, time = np.random.default_rng(1), np.arange(0.0, 200.0)
     drives = [make_drive(duration=200.0, gps_rate=1.0, name=name) for name in ("there", "again")]
     drives = [
@@ -169,10 +172,10 @@ def test_parts_that_overlap_each_other_count_once():
 
 
 @pytest.mark.parametrize(("resolution", "alone"), [(0.0625, False), (0.001, True)])
-def test_of_a_coarse_gyro_s_hour_few_pairs_are_compared(
+def test_few_pairs_are_compared_for_an_hour_of_a_coarse_gyro(
     resolution: float, alone: bool, monkeypatch: pytest.MonkeyPatch
 ):
-    """In deg/s: by 0.0625 it tells 46 million pairs, which are left out; the fixes recognize the drive."""
+    """A coarse gyro (0.0625 deg/s) gives 46 million pairs, which are skipped; the fixes recognize the drive."""
     pairs: list[int] = []
 
     def counted(*arguments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -193,8 +196,8 @@ def test_of_a_coarse_gyro_s_hour_few_pairs_are_compared(
     assert max(pairs) <= 2_000_000
 
 
-def test_of_whole_drives_alone_only_a_match_says_something():
-    """A fingerprint is of all numbers: of a part it knows nothing, and so can't call it new."""
+def test_between_whole_drives_only_a_match_is_conclusive():
+    """A fingerprint contains all numbers, so it cannot prove that a part of a drive is new."""
     drive, stranger = simulate("urban", duration=60.0), simulate("urban", duration=30.0, run=1)
     marks, part = landmarks(drive), landmarks(clip(drive, 0.0, 40.0, "part"))
     whole = whole_drive("drive", marks.sha256, 60.0)
@@ -207,7 +210,7 @@ def test_of_whole_drives_alone_only_a_match_says_something():
     assert known_overlap(landmarks(stranger), [marks]) == Overlap()
 
 
-def test_landmarks_are_kept_in_a_file(tmp_path: Path):
+def test_landmarks_are_stored_in_a_file(tmp_path: Path):
     drives = [simulate("urban", duration=30.0, run=run) for run in range(2)]
     marks = [landmarks(drive) for drive in drives]
     save_landmarks(marks, tmp_path / "a.npz")
@@ -229,7 +232,7 @@ def assert_same(one: Landmarks, other: Landmarks) -> None:
 
 
 @pytest.mark.parametrize("spread", [6, 100, 10**9])
-def test_places_that_are_near_are_all_found(spread: int):
+def test_all_nearby_places_are_found(spread: int):
     rng = np.random.default_rng(5)
     a, b = (rng.integers(-spread, spread, (n, 2)).astype(float) for n in (80, 70))
     b[:30] = a[:30] + rng.integers(-4, 5, (30, 2))
@@ -240,6 +243,6 @@ def test_places_that_are_near_are_all_found(spread: int):
     assert (len(found), {*found}) == (len(expected), expected)
 
 
-def test_what_is_no_place_is_near_nothing_else():
+def test_places_with_extreme_coordinates_are_not_near():
     far = np.array([[9e18, 0.0], [-9e18, 0.0]])
     assert [len(of) for of in overlap._equal(far[:1], far[1:], overlap.POSITION_TOLERANCE)] == [0, 0]

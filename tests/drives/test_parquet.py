@@ -76,7 +76,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_what_is_wrong_is_said_as_for_csv(folder: Path, name: str):
+def test_faults_are_reported_as_for_csv(folder: Path, name: str):
     edit, said = BROKEN[name]
     edit(folder)
     with pytest.raises(DriveError) as caught:
@@ -86,13 +86,13 @@ def test_what_is_wrong_is_said_as_for_csv(folder: Path, name: str):
     assert "\n" not in str(caught.value)
 
 
-def test_whole_numbers_and_other_columns_are_taken_as_in_csv(folder: Path):
+def test_integers_and_other_columns_are_handled_as_in_csv(folder: Path):
     edited("imu.parquet", lambda f: f.with_columns(ax=pl.lit(1, dtype=pl.Int32), extra=pl.lit("x")))(folder)
     with pytest.warns(match=r"imu\.parquet: ignoring 'extra'"):
         assert (read_drive(folder).imu.ax == 1.0).all()
 
 
-def test_folders_of_drives_may_hold_either(tmp_path: Path, folder: Path):
+def test_folders_of_drives_can_contain_either_format(tmp_path: Path, folder: Path):
     write_drive(make_drive(duration=20.0), tmp_path / "csv")
     assert [path.name for path in drive_folders(tmp_path)] == ["csv", "good"]
 
@@ -110,7 +110,7 @@ def test_a_url_is_read_as_a_folder_is(tmp_path: Path, folder: Path):
         read_drive(f"{url}/good")
 
 
-def test_what_may_be_a_secret_is_not_said():
+def test_messages_do_not_contain_possible_secrets():
     assert without_secrets("sftp://bob:pass@host/a/b") == "sftp://***@host/a/b"
     assert without_secrets("https://host/a?signature=1") == "https://host/a"
     assert without_secrets("s3://bucket/a") == "s3://bucket/a"
@@ -128,7 +128,7 @@ def test_convert_does_not_write_into_a_drive(tmp_path: Path, folder: Path):
     assert [f.name for f in (tmp_path / "out").iterdir()] == [read_drive(folder).name]
 
 
-def test_what_a_url_refuses_is_one_line():
+def test_a_refused_url_gives_one_line():
     fsspec = pytest.importorskip("fsspec")
 
     class Closed(fsspec.AbstractFileSystem):

@@ -1,4 +1,4 @@
-"""A prepared drive: aligned once, each timeline built once, IMU columns shared."""
+"""A prepared drive: aligned once, each timeline is built once, IMU columns are shared."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ DRIVE = make_drive(duration=20.0, seed=1)
 HIDDEN = np.arange(len(DRIVE.gps)) % 3 == 1
 
 
-def test_start_and_time_line_are_those_of_the_drive():
+def test_start_and_timeline_equal_those_of_the_drive():
     ready = prepare_drive(DRIVE)
     start = initial_state(DRIVE)
     np.testing.assert_array_equal(ready.initial.mean, start.mean)
@@ -23,7 +23,7 @@ def test_start_and_time_line_are_those_of_the_drive():
         np.testing.assert_array_equal(getattr(line, name), getattr(own, name))
 
 
-def test_everything_is_made_once(monkeypatch: pytest.MonkeyPatch):
+def test_alignment_and_timelines_are_computed_once(monkeypatch: pytest.MonkeyPatch):
     calls: list[str] = []
     for name in ("initial_state", "build_timeline"):
         own = getattr(module, name)
@@ -31,15 +31,17 @@ def test_everything_is_made_once(monkeypatch: pytest.MonkeyPatch):
             module, name, lambda *a, own=own, name=name, **k: calls.append(name) or own(*a, **k)
         )
     ready = prepare_drive(DRIVE)
-    assert not calls, "a drive is aligned when its start is asked for"
+    assert not calls, "the alignment must wait until the start is needed"
     for _ in range(2):
         assert ready.timeline() is ready.timeline(np.zeros(len(HIDDEN), dtype=bool))
         assert ready.timeline(HIDDEN) is ready.timeline(HIDDEN.copy())
         assert ready.timeline(HIDDEN, removed=True) is ready.timeline(HIDDEN, removed=True)
-    assert calls == ["initial_state", *2 * ["build_timeline"]], "of all fixes, and of those that are left"
+    assert calls == ["initial_state", *2 * ["build_timeline"]], (
+        "expected one timeline of all fixes and one of the remaining fixes"
+    )
 
 
-def test_fixes_that_are_hidden_leave_the_steps_and_those_removed_do_not():
+def test_hidden_fixes_do_not_change_the_steps_and_removed_fixes_do():
     ready = prepare_drive(DRIVE)
     whole, hidden, removed = ready.timeline(), ready.timeline(HIDDEN), ready.timeline(HIDDEN, removed=True)
     for name in ("steps", "driving", "end", "sampled", "sample", "fixes"):
@@ -55,7 +57,7 @@ def test_fixes_that_are_hidden_leave_the_steps_and_those_removed_do_not():
     assert len(removed.dt) < len(whole.dt)
 
 
-def test_a_prepared_drive_stays_itself_unless_another_start_is_asked_for():
+def test_preparing_again_returns_the_same_object_unless_the_start_differs():
     ready = prepare_drive(DRIVE)
     assert prepare_drive(ready) is ready
     assert prepare_drive(ready, ready.initial) is ready

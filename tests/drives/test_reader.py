@@ -1,4 +1,4 @@
-"""Reading: sound folders give the record; for others, one sentence states the place and the remedy."""
+"""Reading: valid folders give the record; for others, one sentence states the place and the remedy."""
 
 import math
 import shutil
@@ -31,7 +31,7 @@ def save(file: Path, table: list[list[str]]) -> None:
 
 
 def cell(file: str, row: int, column: str, value: str) -> Edit:
-    """Put a value into the file's line ``row``, as an editor counts lines."""
+    """Put a value into line ``row`` of the file, counted as in an editor."""
 
     def edit(folder: Path) -> None:
         table = rows(folder / file)
@@ -80,7 +80,7 @@ def shift_gps(seconds: float) -> Edit:
 
 
 def as_wgs84(lat: str, lon: str) -> Edit:
-    """Name the positions lat, lon with small valid values, and put the given ones into line 5."""
+    """Rename the positions to lat, lon with small valid values, and put the given values into line 5."""
 
     def edit(folder: Path) -> None:
         _, *body = rows(folder / "gps.csv")
@@ -92,7 +92,7 @@ def as_wgs84(lat: str, lon: str) -> Edit:
     return edit
 
 
-# id: (what is done to a good drive, what the one line must say: file, row, column, value, fault, remedy)
+# id: (change of a good drive, parts of the message: file, row, column, value, fault, remedy)
 BAD: dict[str, tuple[Edit, list[str]]] = {
     "no-such-folder": (shutil.rmtree, ["good", "does not exist", "name a folder"]),
     "path-is-a-file": (
@@ -283,7 +283,7 @@ def test_blank_lines_count_as_lines_but_not_as_rows(folder: Path):
 
 
 @pytest.mark.parametrize("cell", ['"', '",1.0,2.0'])
-def test_a_lone_quote_where_a_number_should_be_is_one_clear_line(
+def test_a_single_quote_instead_of_a_number_gives_one_clear_line(
     folder: Path, cell: str, capfd: pytest.CaptureFixture[str]
 ):
     with (folder / "gps.csv").open("a") as file:
@@ -293,7 +293,7 @@ def test_a_lone_quote_where_a_number_should_be_is_one_clear_line(
     assert capfd.readouterr().err == ""
 
 
-def test_spaces_quotes_line_ends_and_a_byte_order_mark_do_no_harm(folder: Path):
+def test_spaces_quotes_line_ends_and_a_byte_order_mark_are_accepted(folder: Path):
     before = read_drive(folder)
     body = (folder / "imu.csv").read_text().replace(",", ", ").replace("ax", '"ax"').replace(' "ax"', '"ax"')
     (folder / "imu.csv").write_bytes(b"\xef\xbb\xbf" + body.replace("\n", "\r\n").encode())
@@ -313,8 +313,8 @@ def test_unknown_columns_are_ignored_with_a_warning(folder: Path):
 def test_keys_of_drive_toml(folder: Path):
     (folder / "drive.toml").write_text('licence = "MIT"\norigin = [50, 13, 120.5]\n[lever_arm]\nx = 0.5\n')
     drive = read_drive(folder)
-    assert drive.name == "good"  # the folder's
-    assert drive.frame == "enu"  # as the columns say
+    assert drive.name == "good"  # the name of the folder
+    assert drive.frame == "enu"  # from the names of the columns
     assert drive.origin == (50.0, 13.0, 120.5)
     assert drive.metadata == {"licence": "MIT", "lever_arm": {"x": 0.5}}
 
@@ -330,7 +330,7 @@ def wgs84_folder(folder: Path, toml: str, alt: str | None) -> Path:
     return folder
 
 
-# 1e-5 deg of latitude, seen level with the ellipsoid at 51 deg north: M = a (1 - e2) / (1 - e2 sin2)^1.5
+# 1e-5 deg of latitude in the tangent plane at 51 deg north: M = a (1 - e2) / (1 - e2 sin2)^1.5
 _A, _E2 = 6378137.0, 0.00669437999014
 NORTH_STEP = math.radians(1e-5) * _A * (1 - _E2) / (1 - _E2 * math.sin(math.radians(51)) ** 2) ** 1.5
 
@@ -343,12 +343,12 @@ NORTH_STEP = math.radians(1e-5) * _A * (1 - _E2) / (1 - _E2 * math.sin(math.radi
         ("origin = [51.0, 13.8, 2000.0]", None, (51.0, 13.8, 2000.0)),
     ],
 )
-def test_wgs84_fixes_are_placed_about_the_origin(
+def test_wgs84_fixes_are_relative_to_the_origin(
     folder: Path, toml: str, alt: str | None, origin: tuple[float]
 ):
     drive = read_drive(wgs84_folder(folder, toml, alt))
     assert (drive.frame, drive.origin) == ("wgs84", origin)
-    # without altitudes the fixes are level with the origin, hence as much farther apart as it is high
+    # Without altitudes, fixes are placed at the altitude of the origin, so their distances are larger.
     height = 1 + origin[2] / 6.38e6
     np.testing.assert_allclose(drive.gps.y, np.arange(len(drive.gps)) * NORTH_STEP * height, rtol=3e-6)
     np.testing.assert_allclose(drive.gps.x, 0.0, atol=1e-6)
@@ -375,9 +375,9 @@ def test_real_drive_in_degrees():
     drive = read_drive(DRIVES / "dresden")
     assert drive.origin == (51.039553, 13.792498, 111.52)
     assert drive.gps.speed is not None
-    steps = np.hypot(np.diff(drive.gps.x[::10]), np.diff(drive.gps.y[::10]))  # at 10 Hz noise would add up
+    steps = np.hypot(np.diff(drive.gps.x[::10]), np.diff(drive.gps.y[::10]))  # at 10 Hz, noise would add up
     travelled = np.sum(drive.gps.speed[1:] * np.diff(drive.gps.time))
-    assert steps.sum() == pytest.approx(travelled, rel=0.05)  # the receiver's own speed is the oracle
+    assert steps.sum() == pytest.approx(travelled, rel=0.05)  # compared with the speed of the receiver
 
 
 def test_keys_without_effect_are_reported(tmp_path: Path):

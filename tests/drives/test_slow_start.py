@@ -26,7 +26,7 @@ from support import quickly
 
 
 def robot(speed: float, noise: float = 1.0, seed: int = 0, bias: float = 0.0, length: float = 240.0) -> Drive:
-    """A robot that winds about at some m/s, from t = 5 s on; its accelerometer leans, fixes of noise m come at 1 Hz."""
+    """Simulate a robot on a winding path from t = 5 s on; tilted accelerometer, fixes at 1 Hz with ``noise`` m."""
     rng, t = np.random.default_rng(seed), np.arange(0, length, 0.02)
     v = speed * np.clip((t - 5) / 3, 0, 1) * (1 + 0.1 * np.sin(t / 9))
     w = 0.08 * np.sin(t / 17 + seed) * (t > 5)
@@ -41,7 +41,7 @@ def robot(speed: float, noise: float = 1.0, seed: int = 0, bias: float = 0.0, le
 
 
 def heading_error(drive: Drive) -> tuple[float, float]:
-    """Of a start, and its standard deviation, rad."""
+    """Return the heading error of a start and its standard deviation, rad."""
     start = initial_state(drive)
     assert drive.truth
     true = float(np.interp(start.time, drive.truth.time, drive.truth.theta))
@@ -75,7 +75,7 @@ def test_a_slow_start_includes_stated_errors_that_last(stated: str) -> None:
 
 
 @pytest.mark.parametrize("speed", [0.3, 0.4])
-def test_a_slow_robot_that_drives_to_and_fro_in_a_small_area_starts(speed: float) -> None:
+def test_a_slow_robot_in_a_small_area_starts(speed: float) -> None:
     """Its fixes are never 10 m apart, but their noise is 2 cm."""
     rng, t = np.random.default_rng(1), np.arange(0, 200, 0.02)
     v = speed * np.clip((t - 5) / 4, 0, 1)
@@ -91,7 +91,7 @@ def test_a_slow_robot_that_drives_to_and_fro_in_a_small_area_starts(speed: float
 
 
 def test_a_biased_gyro_does_not_bend_a_long_window() -> None:
-    error, std = heading_error(robot(0.3, 0.02, 1, bias=0.02))  # 69 deg in the minute that it takes
+    error, std = heading_error(robot(0.3, 0.02, 1, bias=0.02))  # rotates the heading by 69 deg in 60 s
     assert error < np.radians(10.0) and std < np.radians(5.0)
 
 
@@ -101,7 +101,7 @@ def test_the_record_of_a_drive_states_that_it_is_slow():
 
 
 @pytest.mark.parametrize("noise", [0.1, 1.0, 2.0])
-def test_a_parked_receiver_is_no_slow_vehicle(noise: float) -> None:
+def test_a_parked_receiver_is_not_a_slow_vehicle(noise: float) -> None:
     with pytest.raises(AlignmentError, match=r"never travels 20 m .* heading_deg = 90"):
         initial_state(robot(0.0, noise))
 
@@ -129,7 +129,7 @@ def test_a_stated_heading_starts_at_the_first_fix(stated: float, lever: float) -
     assert fingerprint(drive) != fingerprint(replace(drive, metadata={}))
 
 
-def test_a_stated_heading_holds_for_the_beginning_only() -> None:
+def test_a_stated_heading_applies_only_to_the_beginning() -> None:
     drive = replace(robot(0.5), metadata={"heading_deg": 30.0})
     assert clip(drive, end=100.0).heading is not None
     assert clip(drive, start=100.0).heading is None

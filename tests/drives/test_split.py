@@ -1,4 +1,4 @@
-"""Splitting: no row is lost or in both parts, and the order is unchanged."""
+"""Splitting: no row is lost or is in both parts, and the order is unchanged."""
 
 from dataclasses import fields, replace
 
@@ -29,7 +29,7 @@ def test_whole_drives_go_to_one_part_each_in_order(count: int, fraction: float, 
     assert abs(len(train) - fraction * count) < 1 or 1 in (len(train), len(test))
 
 
-def test_seven_of_ten_by_default_and_the_generator_decides_which():
+def test_seven_of_ten_drives_by_default_drawn_by_the_generator():
     draws = [split_drives(MANY[:10], rng=np.random.default_rng(seed)) for seed in (1, 1, 2, 3)]
     assert [(len(train), len(test)) for train, test in draws] == [(7, 3)] * 4
     names = [tuple(d.name for d in test) for _, test in draws]
@@ -37,7 +37,7 @@ def test_seven_of_ten_by_default_and_the_generator_decides_which():
     assert len(set(names)) > 1
 
 
-def test_each_drive_is_drawn_as_often_as_the_others():
+def test_each_drive_is_drawn_with_equal_probability():
     rng = np.random.default_rng(0)
     drawn = [d.name for _ in range(2000) for d in split_drives(MANY[:10], rng=rng)[0]]
     counts = np.unique(drawn, return_counts=True)[1]
@@ -71,7 +71,7 @@ def test_seventy_percent_of_the_time_by_default():
 
 
 @pytest.mark.filterwarnings("ignore:.*can't be used as a drive")
-def test_at_a_moment_of_the_drive_s_own_clock():
+def test_split_at_a_time_of_the_drive_s_clock():
     train, test = split_time(replace(DRIVE, imu=replace(DRIVE.imu, time=DRIVE.imu.time + 100.0)), at=103.0)
     assert train.imu.time[-1] < 103.0 <= test.imu.time[0]
     assert train.imu.time[-1] > 102.98
@@ -86,7 +86,7 @@ def test_fixes_outside_the_imu_are_in_neither_part():
     assert 2.0 <= train.gps.time[0] < train.gps.time[-1] < test.gps.time[0] < test.gps.time[-1] < 15.0
 
 
-def test_clips_that_meet_share_nothing():
+def test_adjacent_clips_share_no_rows():
     t = DRIVE.imu.time[1000]
     before, after = clip(DRIVE, end=t), clip(DRIVE, start=t)
     assert len(before.imu) == 1000
@@ -96,27 +96,27 @@ def test_clips_that_meet_share_nothing():
     assert len(clip(DRIVE, 5.0, 6.0).gps) == 5
 
 
-def test_truth_without_rows_is_none():
+def test_truth_without_rows_becomes_none():
     assert clip(DRIVE, 5.0, 6.0).truth is not None
     assert clip(replace(DRIVE, truth=DRIVE.truth.select(DRIVE.truth.time < 4.0)), 5.0, 6.0).truth is None
     assert clip(make_drive(duration=5.0, truth=False), 1.0, 2.0).truth is None
 
 
 @pytest.mark.parametrize("fraction", [0.0, 1.0, -0.5, float("nan")])
-def test_a_fraction_leaves_something_to_both(fraction: float):
+def test_each_part_of_a_fraction_has_rows(fraction: float):
     with pytest.raises(InputError, match=r"train_fraction = .* between 0 and 1"):
         split_time(DRIVE, fraction)
     with pytest.raises(InputError, match=r"train_fraction = .* between 0 and 1"):
         split_drives(MANY, fraction, rng=np.random.default_rng(0))
 
 
-def test_one_drive_can_not_be_split_whole():
+def test_one_drive_can_not_be_split_into_whole_drives():
     with pytest.raises(InputError, match="needs at least 2 drives, not 1; pass more drives"):
         split_drives(MANY[:1], rng=np.random.default_rng(0))
 
 
 @pytest.mark.parametrize(("start", "end"), [(50.0, 60.0), (5.0, 5.0), (6.0, 5.0), (5.0, 5.001)])
-def test_a_clip_with_nothing_in_it(start: float, end: float):
+def test_an_empty_clip(start: float, end: float):
     with pytest.raises(
         DriveError, match=r"synthetic: .* fewer than two IMU samples; choose times within t = 0 to 20 s"
     ):
@@ -124,7 +124,7 @@ def test_a_clip_with_nothing_in_it(start: float, end: float):
 
 
 @pytest.mark.filterwarnings("ignore:.*can't be used as a drive")
-def test_the_part_between_two_times_is_left_out():
+def test_the_part_between_two_times_is_omitted():
     before, after = split_time(DRIVE, at=[3.0, 7.0])
     assert (before.name, after.name) == ("synthetic-before", "synthetic-after")
     assert before.imu.time[-1] < 3.0
@@ -136,7 +136,7 @@ def test_the_part_between_two_times_is_left_out():
         split_time(DRIVE, at=(3.0, 4.0, 7.0))
 
 
-def test_the_parts_of_a_log_whose_imu_was_moved_are_repaired_alone():
+def test_the_parts_of_a_log_with_a_moved_imu_are_repaired_separately():
     drive = simulate("urban", duration=80.0, imu_rate=50.0, imu="icm-20602", gps="white-1m", run=4)
     tilted, late = rotate_imu(drive.imu, rotation_of(0, 40, 0)), drive.imu.time > 40
     names = ("ax", "ay", "az", "gx", "gy", "gz")

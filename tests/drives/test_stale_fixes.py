@@ -16,14 +16,14 @@ from support import DRIVES, make_drive, needs_shared
 
 
 def repeated(gps: Gps, rows: slice) -> Gps:
-    """The fixes with some of them frozen at the one before."""
+    """Return the fixes, some of them repeated from the previous fix."""
     x, y = gps.x.copy(), gps.y.copy()
     x[rows], y[rows] = x[rows.start - 1], y[rows.start - 1]
     return replace(gps, x=x, y=y)
 
 
 def straight(speed, rate: float = 5.0, duration: float = 20.0) -> Gps:
-    """A car that drives east with ``speed(t)``, m/s, and a receiver without noise."""
+    """Simulate a car that drives east with ``speed(t)``, m/s, and a receiver without noise."""
     t = np.arange(0.0, duration, 1 / rate)
     fine = np.linspace(0.0, duration, 20001)
     way = np.concatenate([[0.0], np.cumsum(np.diff(fine) * speed(fine[1:]))])
@@ -43,7 +43,7 @@ def test_repeats_of_a_driving_car_are_stale_and_no_evidence(rate: float, speed: 
 
 @pytest.mark.parametrize("rate", [1.0, 2.0, 5.0, 10.0])
 @pytest.mark.parametrize("braking", [1.0, 2.0, 3.5])
-def test_a_receiver_that_holds_its_fix_at_a_red_light_is_believed(rate: float, braking: float):
+def test_repeated_fixes_at_a_red_light_are_static_hold(rate: float, braking: float):
     gps = straight(lambda t: np.clip(12.0 - braking * (t - 5.0), 0.0, 12.0), rate)
     stopped = int(np.ceil((5.0 + 12.0 / braking) * rate)) + 1
     kinds = classify_fixes(repeated(gps, slice(stopped, len(gps))))
@@ -51,8 +51,8 @@ def test_a_receiver_that_holds_its_fix_at_a_red_light_is_believed(rate: float, b
     assert (kinds[stopped:] == HELD).all()
 
 
-def test_no_car_brakes_as_hard_as_a_fix_may_jump():
-    # As on kingston-1: 14.8 m, then 8.4 m in a second, then nothing; the car drove on at 13 m/s.
+def test_repeats_after_an_impossible_braking_are_stale():
+    # As on kingston-1: steps of 14.8 m and 8.4 m in 1 s each, then repeats, while the car continued at 13 m/s.
     x = np.cumsum([13.0, 13.5, 14.8, 8.35, 0.0, 0.0, 31.0, 14.0])
     kinds = classify_fixes(Gps(np.arange(8.0), x, np.zeros(8)))
     assert kinds.tolist() == [NEW] * 4 + [STALE_MOVING] * 2 + [NEW] * 2
@@ -63,11 +63,11 @@ def test_between_crawling_and_driving_a_repeat_is_stale_but_may_be_evidence():
     assert (classify_fixes(repeated(gps, slice(40, 44)))[40:44] == STALE).all()
 
 
-def test_a_run_is_judged_at_its_beginning_however_long_it_is():
+def test_a_series_of_repeats_is_classified_at_its_beginning():
     gps = straight(lambda t: 10.0 + 0 * t, duration=120.0)
     assert (classify_fixes(repeated(gps, slice(100, 590)))[100:590] == STALE_MOVING).all()
     still = straight(lambda t: 0.0 * t, duration=60.0)
-    assert (classify_fixes(still)[1:] == HELD).all()  # a log that begins with repeats begins at rest
+    assert (classify_fixes(still)[1:] == HELD).all()  # a log that begins with repeats begins at standstill
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.06], ids=["one clock", "two clocks"])
@@ -82,14 +82,14 @@ def test_two_receivers_are_each_compared_with_themselves(shift: float):
     assert frozen.tolist() == [101, 103, 105]
 
 
-def test_one_position_at_one_time_is_no_repeat():
+def test_one_position_at_one_time_is_not_a_repeat():
     gps = straight(lambda t: 10.0 + 0 * t)
     twice = Gps(np.repeat(gps.time, 2), np.repeat(gps.x, 2), np.repeat(gps.y, 2))
     assert not classify_fixes(twice).any()
 
 
-def test_positions_held_in_between_are_stale_each_time():
-    # A log at 10 Hz of a receiver at 1 Hz: nine of ten say nothing.
+def test_repeats_between_new_positions_are_stale():
+    # A log at 10 Hz of a receiver at 1 Hz: nine of ten fixes are repeats.
     gps = straight(lambda t: 6.0 + 0 * t, rate=10.0)
     held = replace(gps, x=gps.x[np.arange(len(gps)) // 10 * 10])
     moving = held.time >= 2.0
@@ -97,7 +97,7 @@ def test_positions_held_in_between_are_stale_each_time():
 
 
 def plainly(gps: Gps) -> list[bool]:
-    """Whether each fix repeats another one of the last 3 s (or the last one) that lies earlier."""
+    """Return whether each fix repeats an earlier fix of the last 3 s (or the last fix)."""
     found: list[bool] = []
     for k, t in enumerate(gps.time):
         before = [j for j in range(k) if gps.time[j] < t]
@@ -110,7 +110,7 @@ def plainly(gps: Gps) -> list[bool]:
     st.lists(st.tuples(st.integers(0, 12), st.integers(0, 2), st.integers(0, 1)), min_size=1, max_size=30),
     st.integers(0, 29),
 )
-def test_repeats_are_found_and_nothing_later_is_looked_at(rows: list[tuple[int, int, int]], cut: int):
+def test_repeats_are_found_causally(rows: list[tuple[int, int, int]], cut: int):
     steps, x, y = np.array(rows, dtype=float).T
     gps = Gps(np.cumsum(steps * 0.4), 7.0 * x, 7.0 * y)
     kinds = classify_fixes(gps)
@@ -132,13 +132,13 @@ def test_the_alignment_does_not_use_stale_fixes():
     assert initial_state(stuck, as_recorded=True).mean.tobytes() != moved.mean.tobytes()
 
 
-def test_fixes_that_are_hidden_were_judged_with_all_others():
+def test_hidden_fixes_are_classified_with_all_others():
     drive = make_drive(duration=30.0, seed=4)
     stuck = replace(drive, gps=repeated(drive.gps, slice(100, 110)))
     ready = PreparedDrive(stuck)
     hidden = np.isin(np.arange(len(drive.gps)), range(95, 105))
     assert ready.stale.sum() == 10
-    assert (ready.timeline(hidden, removed=True).kinds >= STALE).sum() == 5  # though what they repeat is gone
+    assert (ready.timeline(hidden, removed=True).kinds >= STALE).sum() == 5  # their originals are removed
     assert not PreparedDrive(stuck, as_recorded=True).stale.any()
 
 

@@ -1,4 +1,4 @@
-"""Standstills: the detector compared with a simple one over all samples, and with the truth of real drives."""
+"""Standstills: the detector compared with a simple implementation, and with the truth of real drives."""
 
 import math
 import warnings
@@ -16,7 +16,7 @@ from support import DRIVES, needs_shared, quickly
 
 
 class Plain:
-    """What the detector is said to do, gone over from the start for each sample."""
+    """A detector after the documentation, computed from the first sample on for each sample."""
 
     def __init__(self, drive: Drive) -> None:
         imu = drive.imu
@@ -45,7 +45,7 @@ class Plain:
         return bool(calm)
 
     def means(self, k: int) -> np.ndarray:
-        """Of ax, ay over the second, then over the quarter."""
+        """Return the means of ax, ay over 1 s and over 0.25 s."""
         firsts = (np.searchsorted(self.block, self.block[k] - n, side="left") for n in (20, 5))
         return np.concatenate([self.values[:2, first : k + 1].mean(axis=1) for first in firsts])
 
@@ -75,7 +75,7 @@ class Plain:
 
 
 def shaken(drive: Drive, seed: int) -> Drive:
-    """Samples off their times, and two gaps, one of them within a stop."""
+    """Return a drive with jittered sample times and two gaps, one of them within a stop."""
     imu, rng = drive.imu, np.random.default_rng(seed)
     time = imu.time + drive.nominal_interval * rng.uniform(-0.3, 0.3, len(imu))
     gone = ((time > 12.0) & (time < 13.3)) | ((time > 50.9) & (time < 51.15))
@@ -90,19 +90,19 @@ def urban(rate: float) -> Drive:
 @pytest.mark.parametrize(
     "rate", quickly([(10.0,), (50.0,), (100.0,), (200.0,), (1000.0,)], lambda rate: rate == 10)
 )
-def test_it_decides_as_said_at_any_rate(rate: float, jitter: bool):
+def test_the_detector_follows_its_documentation_at_any_rate(rate: float, jitter: bool):
     drive = shaken(urban(rate), int(rate)) if jitter else urban(rate)
     plain = Plain(drive)
     expected = np.array([plain.stands(k) for k in range(len(drive.imu))])
     found = detect_standstills(drive, classify_fixes(drive.gps))
     assert 0.02 < expected.mean() < 0.6
-    # A threshold may be hit within rounding.
+    # Rounding may decide at a threshold.
     assert np.count_nonzero(found != expected) <= 1e-4 * len(found)
 
 
 @pytest.mark.parametrize("offset", [0.0, 9.81, 1e4])
-def test_the_means_lose_no_digits(offset: float):
-    # Two passes over the samples beside the blocks, for hours after the start of a clock.
+def test_the_means_are_accurate(offset: float):
+    # Compared with a two-pass computation, also hours after the start of the clock.
     rng = np.random.default_rng(3)
     time = 1.7e9 + np.cumsum(rng.uniform(0.0005, 0.0015, 20_000))
     ax = offset + 0.01 * rng.standard_normal(len(time))
@@ -117,14 +117,14 @@ def test_the_means_lose_no_digits(offset: float):
             assert memory[MEANS, 2] == pytest.approx(quarter.mean(), abs=scale)
 
 
-def test_times_that_no_clock_shows_are_not_calm():
+def test_extreme_times_are_not_calm():
     memory = new_memory()
     for t in (1e308, -1e308, 1e16, math.inf, math.nan):
         assert not is_calm(memory, t, 0.0, 0.0, 0.0)
 
 
 def stop(ramp: float, slope: float = 0.3) -> Drive:
-    """A car that stands for 15 s, then accelerates by a ramp, m/s3, up to 1 m/s2; its IMU and fixes have noise.
+    """Simulate a car that stands for 15 s, then accelerates with a jerk of ``ramp`` m/s3 to 1 m/s2, with sensor noise.
 
     ``slope``: part of gravity in ax, m/s2.
     """
@@ -141,7 +141,7 @@ def stop(ramp: float, slope: float = 0.3) -> Drive:
 
 
 @pytest.mark.parametrize("ramp", [0.2, 0.4, 1.0, 10.0])
-def test_a_departure_is_seen_before_the_car_is_fast(ramp: float):
+def test_a_departure_is_detected_before_the_car_is_fast(ramp: float):
     drive = stop(ramp)
     stands, time = detect_standstills(drive, classify_fixes(drive.gps)), drive.imu.time
     assert stands[(time > 5.0) & (time < 15.0)].mean() > 0.95
@@ -157,7 +157,7 @@ def test_a_stop_on_a_steep_slope_counts_a_second_later():
     assert steep - flat == pytest.approx(1.0, abs=0.02)
 
 
-def test_behind_an_outage_a_steady_departure_is_no_standstill():
+def test_a_steady_departure_after_an_outage_is_not_a_standstill():
     cases = ((4, "white-1m", 95.19), (7, "white-1m", 31.18), (501, "ublox-m8", 16.5))
     for seed, receiver, begin in cases:
         drive, end = simulate("urban", seed=seed, gps=receiver, duration=120.0), begin + 5.0
@@ -178,9 +178,9 @@ def test_stale_fixes_of_a_driving_car_are_no_evidence():
 
 @needs_shared
 @pytest.mark.parametrize("name", ["kitti-09-30-0034", "kitti-09-30-0018", "colorado-1", "kingston-1"])
-def test_nothing_that_is_told_to_stand_drives(name: str):
+def test_detected_standstills_are_true_standstills(name: str):
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the reader's, about gaps
+        warnings.simplefilter("ignore")  # of the reader, about gaps
         drive = read_drive(DRIVES / name)
     stands = detect_standstills(drive, classify_fixes(drive.gps))
     assert drive.truth is not None

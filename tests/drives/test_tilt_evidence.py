@@ -1,4 +1,4 @@
-"""Evidence of a start about roll, pitch and accelerometer biases, and its use by filters."""
+"""Evidence at the start about roll, pitch and accelerometer biases, and its use by filters."""
 
 from dataclasses import replace
 from functools import cache
@@ -37,7 +37,7 @@ def attitude(drive: Drive, slope: np.ndarray, rolling: float) -> Rotation:
 def inclined(
     seed: int, slope: tuple[float, float] = (0.0, 0.0), rolling: float = 0.0, duration: float = 12.0
 ) -> Drive:
-    """A drive over a plane that is not level, by a car whose body rolls: the IMU has the force and rates of this."""
+    """Simulate a drive over an inclined plane by a car with a rolling body; the IMU measures its force and rates."""
     drive = make_drive(duration=duration, seed=seed)
     body, imu = attitude(drive, np.array(slope), rolling), drive.imu
     flat = Rotation.from_rotvec(np.outer(np.unwrap(drive.truth.theta), [0.0, 0.0, 1.0]))  # pyright: ignore
@@ -56,7 +56,7 @@ def started(start: InitialState, accel: float = 1e-4, gyro: float = 1e-4) -> tup
 
 
 def tilts(drive: Drive, time: float, slope: tuple[float, float], rolling: float) -> np.ndarray:
-    """Roll and pitch, rad."""
+    """Return roll and pitch, rad."""
     k = int(np.searchsorted(drive.imu.time, time))
     _, pitch, roll = attitude(drive, np.array(slope), rolling)[k].as_euler("ZYX")
     return np.array([roll, pitch])
@@ -65,7 +65,7 @@ def tilts(drive: Drive, time: float, slope: tuple[float, float], rolling: float)
 @pytest.mark.parametrize(
     ("slope", "rolling"), [(tuple(SLOPE), 0.0), ((0.0, 0.0), ROLLING), (tuple(SLOPE), ROLLING)]
 )
-def test_tilts_are_as_sure_as_they_are_good(slope: tuple[float, float], rolling: float):
+def test_errors_of_tilts_agree_with_their_covariance(slope: tuple[float, float], rolling: float):
     off, sigmas, before = [], [], []
     for seed in range(SEEDS):
         drive = inclined(seed, slope, rolling)
@@ -80,12 +80,12 @@ def test_tilts_are_as_sure_as_they_are_good(slope: tuple[float, float], rolling:
         sigmas.append(off[-1] / np.sqrt(variance))
     rms, level = (np.sqrt(np.mean(np.square(each), axis=0)) for each in (off, before))
     assert rms[0] < 0.01  # rad; without the evidence 0.03 to 0.05
-    assert rms[1] < max(0.9 * level[1], 0.02)  # fixes with 1 m of noise show the slope less
+    assert rms[1] < max(0.9 * level[1], 0.02)  # fixes with 1 m of noise determine the slope less accurately
     assert np.all(np.sqrt(np.mean(np.square(sigmas), axis=0)) < 1.3)
 
 
-def test_a_bias_is_told_from_a_tilt_by_their_priors():
-    """A level road and accelerometer biases: the less a filter expects a tilt, the more it finds of the bias."""
+def test_priors_separate_a_bias_from_a_tilt():
+    """On a level road with accelerometer biases: the smaller the expected tilt, the larger the estimated bias."""
     drive = make_drive(duration=12.0, seed=3, gps_std=0.0)
     imu = replace(drive.imu, ax=drive.imu.ax + 0.3, ay=drive.imu.ay - 0.2)
     start = initial_state(replace(drive, imu=imu))
@@ -97,7 +97,7 @@ def test_a_bias_is_told_from_a_tilt_by_their_priors():
     assert np.linalg.eigvalsh(covariance).min() > 0
 
 
-def test_a_gyro_bias_about_up_is_no_lateral_force():
+def test_a_bias_of_the_yaw_rate_is_not_a_lateral_force():
     drive = make_drive(duration=12.0, seed=5, gps_std=0.1)
     imu = drive.imu
     off = initial_state(replace(drive, imu=replace(imu, gz=imu.gz + 0.4)))
@@ -108,7 +108,7 @@ def test_a_gyro_bias_about_up_is_no_lateral_force():
 
 
 def test_the_update_is_that_of_a_joint_gaussian():
-    """All unknowns in one vector: the start given the force, the force's own change, and the other states."""
+    """One vector of all unknowns: the start for a given force, the change of the force, and the other states."""
     rng = np.random.default_rng(0)
     change = rng.normal(size=5)
     force, variance, turn, drift, speed, assumed = (
@@ -132,7 +132,7 @@ def test_the_update_is_that_of_a_joint_gaussian():
     tilt = np.radians(3.0)
     prior[range(5, 13), range(5, 13)] = np.square([0.3, 0.3, 0.02, tilt, tilt, 0.02, 0.02, FORWARD_STD])
     forward, left = np.zeros(13), np.zeros(13)
-    lean = np.zeros(13, np.complex128)  # of the mean tilt, roll + i pitch
+    lean = np.zeros(13, np.complex128)  # mean tilt, roll + i pitch
     lean[8:10] = turn * np.exp(-0.7j) * np.array([1.0, 1j])
     lean[10:12] = drift * np.array([1.0, 1j])
     forward[[5, 12]] = left[6] = 1.0
@@ -151,7 +151,7 @@ def test_the_update_is_that_of_a_joint_gaussian():
     np.testing.assert_allclose(covariance, to_states @ P @ to_states.T, rtol=0, atol=1e-12)
 
 
-def test_a_stream_shows_what_the_drive_shows():
+def test_a_stream_gives_the_same_evidence_as_the_drive():
     drive = inclined(1, tuple(SLOPE), ROLLING)
     start, imu = initial_state(drive), drive.imu
     assert start.tilt is not None
@@ -220,8 +220,8 @@ def test_a_diverged_filter_is_reset_with_the_tilts(live: bool):
     assert abs(mean[8] - truth[0]) < 0.012
 
 
-def test_the_mean_tilt_depends_on_the_end_as_its_integral_does():
-    """A fine grid in place of the fixes."""
+def test_coefficients_of_the_mean_tilt_equal_integrals():
+    """Uses a fine grid instead of the fixes."""
     drive = inclined(10)
     start, truth = initial_state(drive), drive.truth
     assert start.tilt is not None

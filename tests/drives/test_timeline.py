@@ -11,12 +11,12 @@ from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.drives.stale_fixes import STALE
 from support import make_drive, timeline_of
 
-TICK = 1 / 64  # s: sums and differences of ticks are exact
+TICK = 1 / 64  # s; sums and differences of ticks are exact
 
 
 @dataclass
 class Naive:
-    """The steps as the issue's words have them."""
+    """A literal implementation of the specified steps."""
 
     dt: list[float] = field(default_factory=list)
     sample: list[int] = field(default_factory=list)
@@ -66,7 +66,7 @@ def drive_of(imu_ticks: list[int], gps_ticks: list[int]) -> Drive:
 @st.composite
 def drives_and_starts(draw) -> tuple[Drive, float]:
     imu = draw(st.lists(st.integers(-100, 300), min_size=2, max_size=40, unique=True))
-    gps = draw(st.lists(st.integers(-150, 350), min_size=1, max_size=40))  # of two receivers, perhaps
+    gps = draw(st.lists(st.integers(-150, 350), min_size=1, max_size=40))  # maybe of two receivers
     start = draw(st.integers(min(imu), max(imu) - 1)) * TICK
     return drive_of(imu, gps), start
 
@@ -95,11 +95,11 @@ def test_the_steps_are_those_of_a_plain_loop(case: tuple[Drive, float]):
 
 
 @given(drives_and_starts())
-def test_what_holds_for_every_time_line(case: tuple[Drive, float]):
+def test_invariants_of_every_timeline(case: tuple[Drive, float]):
     drive, start = case
     line = timeline_of(drive, start)
     end = drive.imu.time[-1]
-    again = np.flatnonzero(line.dt == 0)  # only where two fixes have one time
+    again = np.flatnonzero(line.dt == 0)  # only for two fixes at one time
     assert np.all(line.dt >= 0)
     assert np.all(line.updates[again] & line.updates[again - 1])
     assert line.dt.sum() == end - start
@@ -107,8 +107,10 @@ def test_what_holds_for_every_time_line(case: tuple[Drive, float]):
     assert line.imu_time.tolist() == [t for t in drive.imu.time if t > start]
     assert line.sampled.sum() == len(line.imu_time)
     assert line.fix_time.tolist() == [t for t in drive.gps.time if start < t <= end]
-    # the time that each sample drives is the time since the one before, however it is split
-    driven = {k: line.dt[np.ceil(line.ax) == k].sum() for k in np.ceil(line.ax)}  # a half: the mean of two
+    # The steps that use a sample add up to the time since the sample before it, for every split.
+    driven = {
+        k: line.dt[np.ceil(line.ax) == k].sum() for k in np.ceil(line.ax)
+    }  # a half: mean of two samples
     times = drive.imu.time
     assert driven == {
         k: times[k] - max(times[k - 1] if k else start, start) for k in range(len(times)) if times[k] > start
@@ -118,13 +120,13 @@ def test_what_holds_for_every_time_line(case: tuple[Drive, float]):
 def test_a_fix_between_two_samples_splits_the_step():
     line = timeline_of(drive_of([0, 8, 16], [11]), 0.0)
     assert (line.dt / TICK).tolist() == [8, 3, 5]
-    assert line.ax.tolist() == [1, 2, 2]  # both parts are driven by the sample at their end
+    assert line.ax.tolist() == [1, 2, 2]  # both parts use the sample at the end of the interval
     assert line.updates.tolist() == [False, True, False]
     assert line.sampled.tolist() == [True, False, True]
-    assert line.q_scale.tolist() == [1, 3 / 8, 5 / 8]  # together the whole step's Q
+    assert line.q_scale.tolist() == [1, 3 / 8, 5 / 8]  # the sum is the Q of the whole step
 
 
-def test_a_fix_at_a_sample_s_time_splits_nothing():
+def test_a_fix_at_the_time_of_a_sample_splits_no_step():
     line = timeline_of(drive_of([0, 8, 16], [8]), 0.0)
     assert (line.dt / TICK).tolist() == [8, 8]
     assert line.updates.tolist() == [True, False]
@@ -138,7 +140,7 @@ def test_several_fixes_in_one_interval():
     assert line.fixes[:, 0].tolist() == [0.25, 1.25, 2.25]
 
 
-def test_two_fixes_of_one_time():
+def test_two_fixes_at_one_time():
     line = timeline_of(drive_of([0, 8, 16], [3, 3, 8, 8, 11]), 0.0)
     line = line.hiding(np.array([0, 1, 1, 0, 0], dtype=bool))
     assert (line.dt / TICK).tolist() == [3, 0, 5, 0, 3, 5]
@@ -150,7 +152,7 @@ def test_two_fixes_of_one_time():
 
 def test_fixes_up_to_the_start_and_after_the_last_sample_are_dropped():
     drive = drive_of([0, 8, 16], [-3, 2, 3, 16, 17])
-    line = timeline_of(drive, 3 * TICK)  # the fix at the start was absorbed by the initial state
+    line = timeline_of(drive, 3 * TICK)  # the initial state already contains the fix at the start
     assert (line.fix_time / TICK).tolist() == [16]
     assert (line.dt / TICK).tolist() == [5, 8]
 
@@ -187,7 +189,7 @@ def test_stale_fixes_are_left_out():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_jittery_drive_is_merged_like_the_loop_does(seed: int):
+def test_a_drive_with_jitter_is_merged_like_in_the_loop(seed: int):
     drive = make_drive(duration=8.0, jitter=0.4, gps_rate=7.0, seed=seed)
     line, naive = timeline_of(drive, 1.234), walk(drive, 1.234)
     np.testing.assert_array_equal(line.dt, naive.dt)

@@ -1,4 +1,4 @@
-"""Drives of different vehicles are recognized, and those of one vehicle are not reported."""
+"""Drives of different vehicles are reported, and those of one vehicle are not."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ def found(*drives) -> list[str]:
             ["the mountings of the IMU in a and b differ by 15 deg"],
         ),
         ({}, {KEY: [0, 0, 179]}, {KEY: [2, 0, -176]}, []),
-        ({}, {KEY: [0, 0, 90]}, {}, []),  # the second drive states nothing
+        ({}, {KEY: [0, 0, 90]}, {}, []),  # the second drive states no mounting
     ],
 )
 def test_clear_differences_are_described(rates: dict, first: dict, second: dict, said: list[str]):

@@ -49,7 +49,7 @@ def test_round_trip_keeps_any_finite_float_and_any_name(
     tmp_path_factory: pytest.TempPathFactory, a: float, b: float, start: float, name: str
 ):
     time = np.nextafter(start, np.inf)
-    times = [time := np.nextafter(time, np.inf) for _ in range(100)]  # as close as floats get
+    times = [time := np.nextafter(time, np.inf) for _ in range(100)]  # adjacent floats
     n = np.full(100, a)
     n[50] = b
     drive = Drive(
@@ -57,7 +57,7 @@ def test_round_trip_keeps_any_finite_float_and_any_name(
     )
     folder = write_drive(drive, tmp_path_factory.mktemp("any") / "d")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(checks, "remarks_of", lambda *_: [])  # nothing about such values is plausible
+        patch.setattr(checks, "remarks_of", lambda *_: [])  # such values are not plausible
         assert_same(read_drive(folder), drive)
 
 
@@ -66,15 +66,15 @@ def test_the_same_drive_gives_the_same_bytes(tmp_path: Path):
     assert {p.name: p.read_bytes() for p in one.iterdir()} == {p.name: p.read_bytes() for p in two.iterdir()}
 
 
-def test_a_copy_that_is_renamed_is_known_by_its_new_name(tmp_path: Path):
+def test_a_renamed_copy_has_its_new_name(tmp_path: Path):
     folder = write_drive(make_drive(duration=10.0, name="monday"), tmp_path / "monday")
     assert read_drive(folder).name == "monday"
     assert read_drive(folder.rename(tmp_path / "friday")).name == "friday"
     other = write_drive(make_drive(duration=10.0, name="monday"), tmp_path / "other")
-    assert read_drive(other).name == "monday"  # a name of its own stays
+    assert read_drive(other).name == "monday"  # an explicit name is kept
 
 
-def test_refuses_to_overwrite_unless_told(tmp_path: Path):
+def test_does_not_overwrite_without_permission(tmp_path: Path):
     first, second = (
         make_drive(duration=10.0, name="first"),
         make_drive(duration=10.0, name="second", truth=False),
@@ -85,11 +85,11 @@ def test_refuses_to_overwrite_unless_told(tmp_path: Path):
         write_drive(second, folder)
     assert_same(read_drive(folder), first)
     write_drive(second, folder, overwrite=True)
-    assert_same(read_drive(folder), second)  # and no truth.csv of the first is left
+    assert_same(read_drive(folder), second)  # truth.csv of the first drive is removed
     assert [p.name for p in folder.parent.iterdir()] == ["d"]
 
 
-def test_never_replaces_what_is_not_a_drive(tmp_path: Path):
+def test_never_replaces_a_folder_that_is_not_a_drive(tmp_path: Path):
     drive = make_drive(duration=10.0)
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(
@@ -102,14 +102,14 @@ def test_never_replaces_what_is_not_a_drive(tmp_path: Path):
     assert_same(read_drive(write_drive(drive, tmp_path / "empty")), drive)
 
 
-def test_works_where_one_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_writes_into_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     write_drive(make_drive(duration=10.0), ".")
     assert (tmp_path / "here" / "imu.csv").exists()
 
 
-def test_a_failure_while_writing_leaves_the_old_drive_and_no_litter(
+def test_a_failed_write_keeps_the_old_drive_and_leaves_no_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     old = make_drive(duration=10.0, name="old")
@@ -135,7 +135,7 @@ def test_a_failure_while_writing_leaves_the_old_drive_and_no_litter(
         ({"frame": "wgs84"}, r"needs gps.lat, gps.lon and origin; set them"),
     ],
 )
-def test_refuses_what_the_files_cannot_hold(tmp_path: Path, change: dict, message: str):
+def test_refuses_values_that_the_files_cannot_contain(tmp_path: Path, change: dict, message: str):
     with pytest.raises(DriveError, match=message):
         write_drive(replace(make_drive(duration=10.0), **change), tmp_path / "d")
     assert not (tmp_path / "d").exists()
@@ -156,7 +156,7 @@ def test_reader_and_writer_agree_on_the_files():
     } == writer.FILES
 
 
-def test_reading_back_leaves_the_warnings_filters_of_other_threads_alone(tmp_path: Path, monkeypatch):
+def test_reading_does_not_change_the_warning_filters_of_other_threads(tmp_path: Path, monkeypatch):
     def touched(*_, **__):
         raise AssertionError("the filters of warnings belong to all threads")
 
