@@ -1,4 +1,4 @@
-"""Faults to plant in sound drives, one at a time, and the code with which the doctor should report each."""
+"""Faults to plant in sound drives, one at a time, and the codes with which the doctor should report them."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -38,7 +38,7 @@ def reversed_force(drive: Drive) -> Drive:
 
 
 def right_and_down(drive: Drive) -> Drive:
-    """Body axes forward, right, down, as in aviation."""
+    """Rotate the body axes to forward, right, down, as in aviation."""
     imu = drive.imu
     drive = _imu(drive, ay=-imu.ay, gz=-imu.gz, az=None if imu.az is None else -imu.az)
     return _imu(drive, gy=None if imu.gy is None else -imu.gy)
@@ -52,7 +52,7 @@ def fixes_late(seconds: float) -> Callable[[Drive], Drive]:
 
 
 def pitched(drive: Drive) -> Drive:
-    """Nose of the sensor up by 10 deg; without az and gx, with gravity's nominal size and no roll rate."""
+    """Pitch the sensor up by 10 deg; without az and gx, gravity has its nominal size and there is no roll rate."""
     imu, (c, s) = drive.imu, (np.cos(np.radians(10)), np.sin(np.radians(10)))
     az = imu.az if imu.az is not None else G
     gx = imu.gx if imu.gx is not None else 0.0
@@ -65,7 +65,7 @@ def pitched(drive: Drive) -> Drive:
 
 
 def turned(drive: Drive) -> Drive:
-    """The sensor mounted 15 deg to the left."""
+    """Rotate the sensor by 15 deg to the left."""
     imu, (c, s) = drive.imu, (np.cos(np.radians(15)), np.sin(np.radians(15)))
     drive = _imu(drive, ax=c * imu.ax + s * imu.ay, ay=c * imu.ay - s * imu.ax)
     if imu.gx is None or imu.gy is None:
@@ -94,7 +94,7 @@ def up_too_large(drive: Drive) -> Drive:
 
 
 def stated(factor: float) -> Callable[[Drive], Drive]:
-    """The receiver states that many times its deviation; 1 m where it stated none."""
+    """Multiply the stated deviations of the fixes (1 m if there are none)."""
 
     def plant(drive: Drive) -> Drive:
         gps = drive.gps
@@ -105,7 +105,7 @@ def stated(factor: float) -> Callable[[Drive], Drive]:
 
 
 def outlying(drive: Drive) -> Drive:
-    """One fix in fifty off by 20 to 60 m."""
+    """Move one fix in 50 by 20 to 60 m."""
     rng, gps = np.random.default_rng(1), drive.gps
     rows = rng.choice(np.arange(5, len(gps) - 5), max(len(gps) // 50, 2), replace=False)
     off = np.zeros(len(gps), dtype=np.complex128)
@@ -114,14 +114,14 @@ def outlying(drive: Drive) -> Drive:
 
 
 def with_gaps(drive: Drive) -> Drive:
-    """Two seconds of IMU and eight of fixes are missing."""
+    """Remove 2 s of the IMU and 8 s of the fixes."""
     imu, gps, middle = drive.imu, drive.gps, float(np.mean(drive.imu.time[[0, -1]]))
     imu = imu.select((imu.time < middle) | (imu.time > middle + 2))
     return replace(drive, imu=imu, gps=gps.select((gps.time < middle - 10) | (gps.time > middle - 2)))
 
 
 def held(drive: Drive) -> Drive:
-    """Every second fix only repeats the one before."""
+    """Make every second fix repeat the fix before it."""
     gps, rows = drive.gps, np.arange(len(drive.gps)) // 2 * 2
     return replace(drive, gps=replace(gps, x=gps.x[rows], y=gps.y[rows]))
 
@@ -138,7 +138,7 @@ FAULTS: dict[str, tuple[Callable[[Drive], Drive], set[str]]] = {
     "outliers": (outlying, {"gps-outliers"}),
     "gaps": (with_gaps, {"imu-gap", "gps-gap"}),
 }
-"""The ten kinds, and what must be named."""
+"""Ten kinds of faults, and the codes to report."""
 
 MORE: dict[str, tuple[Callable[[Drive], Drive], set[str]]] = {
     "stated / 10": (stated(0.1), {"gps-noise"}),
@@ -148,7 +148,7 @@ MORE: dict[str, tuple[Callable[[Drive], Drive], set[str]]] = {
     "right and down": (right_and_down, {"accelerometer-sign", "gyro-sign"}),
     "fixes held": (held, {"gps-repeats"}),
 }
-"""Others of the same sort."""
+"""Variants of these faults."""
 
 THIRD_AXES: dict[str, tuple[Callable[[Drive], Drive], set[str]]] = {
     "gx reversed": (rolls_reversed, {"gyro-tilt"}),
@@ -160,7 +160,7 @@ THIRD_AXES: dict[str, tuple[Callable[[Drive], Drive], set[str]]] = {
     "deg/s": (degrees_per_second, {"gyro-unit"}),
     "g": (in_g, {"accelerometer-unit"}),
 }
-"""Faults of az, gx and gy, for drives that have them: planar filters do not feel them."""
+"""Faults of az, gx and gy, for drives with these columns; planar filters do not use them."""
 
 THIRD = {"gyro-tilt", "gravity-size", "accelerometer-up", "unseen-tilt"}
 """Codes of faults of az, gx and gy."""
@@ -170,6 +170,6 @@ ROTATIONS = {"gravity", "15 deg", "right and down"}
 
 
 def codes_of(fault: str, drive: Drive) -> set[str]:
-    """The codes that must be named; a rotation of six axes is one finding."""
+    """Return the codes to report; with six axes, a rotation is one finding."""
     six = drive.imu.az is not None and drive.imu.gx is not None
     return {"mounting"} if six and fault in ROTATIONS else (FAULTS | MORE | THIRD_AXES)[fault][1]

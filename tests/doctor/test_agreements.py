@@ -1,4 +1,4 @@
-"""Plots for people: the IMU agrees with the fixes on a sound drive, and shows each planted fault."""
+"""Plots for inspection: the IMU agrees with the fixes on a sound drive, and the plots show each planted fault."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ DRIVE = make_drive(duration=60.0, gps_rate=5.0, seed=3, name="monday")
 
 
 def off(drive: Drive, key: str) -> float:
-    """RMS of the difference between what was measured and what it should follow, of its first pair."""
+    """Return the RMS difference between measured and expected values of the first pair."""
     (found,) = [a for a in agreements(drive) if a.key == key]
     return _off(found)
 
@@ -39,31 +39,31 @@ def with_imu(**columns: np.ndarray) -> Drive:
         ("gravity", 2.0, {"ax": DRIVE.imu.ax + 9.8}),
     ],
 )
-def test_a_fault_is_seen(key: str, most: float, spoiled: dict[str, np.ndarray]):
+def test_a_fault_increases_the_difference(key: str, most: float, spoiled: dict[str, np.ndarray]):
     assert off(DRIVE, key) < most
     assert off(with_imu(**spoiled), key) > 2 * most
 
 
-def test_pieces_of_the_course_are_placed_on_the_gyro():
-    """After a stop the course may have lost whole turns: the pieces agree, and the drift of the gyro is taken off."""
+def test_pieces_of_the_course_are_shifted_to_the_gyro():
+    """A stop hides whole turns of the course: the pieces are shifted to the gyro's angle, and its drift is removed."""
     assert off(with_imu(gz=DRIVE.imu.gz + 0.01), "turning") == pytest.approx(off(DRIVE, "turning"), abs=0.2)
 
 
 @pytest.mark.parametrize(("sign", "shown"), [(1.0, False), (-1.0, True)])
-def test_a_wrong_sign_is_seen_in_circles(sign: float, shown: bool):
-    """A constant turn of the wrong sign is not a bias."""
+def test_a_wrong_sign_is_visible_in_circles(sign: float, shown: bool):
+    """A constant rate of the wrong sign is not taken for a bias."""
     time, at, rate = np.arange(0.0, 60.0, 0.02), np.arange(0.0, 60.0), 0.3
     imu = Imu(time, 0 * time, 0 * time + 3 * rate, 0 * time + sign * rate)
     drive = Drive("circles", imu, Gps(at, 10 * np.sin(rate * at), 10 * (1 - np.cos(rate * at))))
     assert (off(drive, "turning") > 90.0) == shown
 
 
-def test_a_short_drive_has_what_it_can_show():
+def test_a_short_drive_has_the_plots_that_it_supports():
     short = sigmaswarm.clip(DRIVE, 0.0, 1.2)
     assert [a.key for a in agreements(short)] == ["gravity", "timing"]
 
 
-def test_every_finding_has_its_plot():
+def test_every_finding_has_a_plot():
     assert shown_by("gyro-sign") == shown_by("clock-offset") == "turning"
     assert shown_by("mounting-changed") == "gravity"
     assert shown_by("gps-outliers") == ""

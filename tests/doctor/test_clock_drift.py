@@ -1,4 +1,4 @@
-"""A sensor's clock that runs fast or slow: found with its rate, and repaired."""
+"""A sensor's clock that runs fast or slow: its rate error is found and repaired."""
 
 from dataclasses import replace
 from functools import cache
@@ -50,13 +50,13 @@ def test_a_correct_clock_has_no_drift(run: int):
 
 
 def test_few_turns_and_noise_of_five_meters_are_no_drift():
-    """With windows as units, their residuals alone give a drift of 6.9 standard deviations."""
+    """The residuals of the windows alone give a drift of 6.9 standard deviations."""
     drive = simulate("urban", run=0, duration=300.0, imu_rate=50.0, gps="gnss-ins-sim")
     assert clock_drift(gather(drive)) is None
 
 
 def test_turns_at_falling_speeds_are_no_drift():
-    """The course leads the heading by a time that depends on the speed; alone, this is a drift of 10 deviations."""
+    """The delay between heading and course depends on the speed; this alone looks like a drift of 10 deviations."""
     drive = simulate("urban", run=153, duration=120.0, imu="icm-20602", gps="white-1m", vibration=0.0)
     assert clock_drift(gather(drive)) is None
 

@@ -1,4 +1,4 @@
-"""Clocks that are seconds apart are found before axes are read; a log that begins in reverse is recognized."""
+"""Clock offsets of seconds are found before axes are checked; a log that begins in reverse is recognized."""
 
 from dataclasses import replace
 from functools import cache
@@ -26,7 +26,7 @@ def drive(duration: float = 100.0) -> Drive:
     "offset",
     quickly([(s,) for s in (-37.0, -18.0, -6.0, 4.0, 18.0, 33.0)], lambda s: s == 4.0),
 )
-def test_an_offset_of_seconds_is_found_and_mended(offset: float):
+def test_an_offset_of_seconds_is_found_and_repaired(offset: float):
     late = replace(drive(), gps=replace(drive().gps, time=drive().gps.time + offset))
     found = sigmaswarm.diagnose(late)
     assert [f.code for f in found.findings if f.severity == "serious"] == ["clock-offset"]
@@ -49,7 +49,7 @@ def test_an_offset_of_seconds_is_found_and_mended(offset: float):
         lambda offset, columns, factor: offset in (7.0, 18.0),
     ),
 )
-def test_an_offset_and_a_wrong_scale_or_axis_are_both_mended(
+def test_an_offset_and_a_wrong_scale_or_axis_are_both_repaired(
     offset: float, columns: dict[str, str], factor: float
 ):
     imu = drive().imu
@@ -66,7 +66,7 @@ def test_an_offset_and_a_wrong_scale_or_axis_are_both_mended(
 
 @pytest.mark.long
 @pytest.mark.parametrize("offset", [60.0, -90.0, 120.0])
-def test_beyond_the_search_no_axis_is_blamed(offset: float):
+def test_an_offset_beyond_the_search_is_not_reported_as_a_wrong_axis(offset: float):
     sound = drive(150.0)
     late = replace(sound, gps=replace(sound.gps, time=sound.gps.time + offset))
     found = sigmaswarm.diagnose(late)
@@ -74,7 +74,7 @@ def test_beyond_the_search_no_axis_is_blamed(offset: float):
 
 
 def swaying(period: float) -> Drive:
-    """Turns left and right in turn, slower and slower; each sways a little further than the one before."""
+    """Simulate alternating turns at falling speed; each turns the car a little further than the one before."""
     rng, t = np.random.default_rng(1), np.arange(0, 90, 0.01)
     speed = 8 + 2 * np.sin(2 * np.pi * t / 23)
     phase = 2 * np.pi * (t / period - 0.00005 * t**2)
@@ -100,8 +100,8 @@ def test_turns_that_would_match_with_another_sign_or_a_smaller_offset(period: fl
 
 
 @pytest.mark.parametrize(("slower", "found"), [(0.0, None), (0.0001, 3.0), (0.0003, 3.0)])
-def test_an_offset_must_lead_over_all_others(slower: float, found: float | None):
-    """Turns with a constant period match at every period; at 0.0001 another offset explains 0.94, at 0.0003 0.7."""
+def test_an_offset_must_be_clearly_better_than_all_others(slower: float, found: float | None):
+    """Turns with a constant period match at every period: another offset explains 0.94 at 0.0001, and 0.7 at 0.0003."""
     t, time = np.arange(0, 120, 0.05), np.arange(10.0, 100.0)
     rate = 0.2 * np.sin(2 * np.pi * (t / 10 - slower * t**2))
     zero, angle = 0 * t, np.interp(time - 3.0, t, np.cumsum(rate) * 0.05)
@@ -113,15 +113,15 @@ def test_an_offset_must_lead_over_all_others(slower: float, found: float | None)
 @pytest.mark.long
 @needs_shared
 @pytest.mark.filterwarnings("ignore::sigmaswarm.errors.DriveWarning")
-def test_a_search_that_ends_at_its_beginning_is_no_offset():
-    """In this minute no column of the gyro follows the course, and 0.1 s were called serious."""
+def test_a_search_that_ends_at_its_initial_value_reports_no_offset():
+    """In this minute, no column of the gyro follows the course, and an offset of 0.1 s was reported as serious."""
     drive = sigmaswarm.read_drive(DRIVES / "dresden")
     first = drive.imu.time[0] + 96.0
     assert "clock-offset" not in sigmaswarm.diagnose(sigmaswarm.clip(drive, first, first + 60.0)).codes
 
 
 def robot(reverse: bool, seed: int, slow: float = 1.0) -> Drive:
-    """Drive for 14 s, stop, and drive on with turns; exact kinematics and white noise, of the fixes less if slow."""
+    """Simulate 14 s of driving, a stop, and turns; exact kinematics, white noise (fixes of a slow robot: smaller)."""
     rng, t = np.random.default_rng(seed), np.arange(0, 90, 0.01)
     first = -4.0 if reverse else 4.0
     speed = np.interp(t, [0, 2, 5, 14, 16, 19, 24, 55, 60, 65, 85], [0, 0, first, first, 0, 0, 5, 5, 2, 5, 0])
@@ -185,7 +185,7 @@ def test_a_long_start_in_reverse_is_one_finding(until: float, fast: float, mount
     assert not {"reverse-start", "mounting-changed"} & codes and ("mounting" in codes) == any(mount)
 
 
-def test_at_walking_speed_no_offset_is_invented():
+def test_at_walking_speed_no_offset_is_reported():
     rng, time = np.random.default_rng(2), np.arange(0.0, 600.0, 0.02)
     yaw_rate = 0.12 * np.sin(2 * np.pi * time / 45) + 0.08 * np.sin(2 * np.pi * time / 19)
     heading = np.cumsum(yaw_rate) * 0.02
@@ -199,7 +199,7 @@ def test_at_walking_speed_no_offset_is_invented():
 
 
 @pytest.mark.parametrize("seed", quickly([(s,) for s in range(4)], lambda s: s < 2))
-def test_errors_of_the_fixes_that_turn_the_course_of_a_slow_robot_are_no_fault_of_its_gyro(seed: int):
+def test_errors_of_a_slow_robot_s_course_are_not_faults_of_its_gyro(seed: int):
     rng, t = np.random.default_rng(seed), np.arange(0.0, 240.0, 0.02)
     rate = np.where(t % 24 < 4, 0.4, 0.0) * np.where(t % 48 < 24, 1, -1)
     heading = np.cumsum(rate) * 0.02
@@ -217,8 +217,8 @@ def test_errors_of_the_fixes_that_turn_the_course_of_a_slow_robot_are_no_fault_o
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.5])
-def test_rates_of_zero_are_no_error(factor: float):
-    """Many drivers write 0 for the rates of a planar IMU."""
+def test_rates_of_zero_are_not_a_finding(factor: float):
+    """Many drivers write 0 for gx and gy of a planar IMU."""
     sound = drive(80.0)
     imu = sound.imu
     zero = replace(imu, gx=0 * imu.gx, gy=0 * imu.gy, gz=factor * imu.gz)

@@ -32,7 +32,7 @@ MEMS = {
     "mpu-6050": {"imu": "mpu-6050", "gps": "white-1m", "imu_rate": 50.0},
     "slow": {"imu": "icm-20602", "gps": "white-1m", "imu_rate": 25.0, "gps_rate": 2.0},
 }
-"""Simulated drives through a town."""
+"""Simulated city drives."""
 REAL = ["kitti-09-30-0033", "kitti-09-26-0101", "kitti-09-26-0022", "colorado-1", "kingston-1", "comma2k19"]
 
 
@@ -53,8 +53,8 @@ def serious(diagnosis: Diagnosis) -> list[str]:
 
 
 @pytest.mark.parametrize("missing", some([25.0, 2.0]))
-def test_fixes_in_a_gap_of_the_imu_are_no_outliers(missing: float):
-    """A window of fixes may lie inside the gap, where the IMU's path is a straight line."""
+def test_fixes_in_a_gap_of_the_imu_are_not_outliers(missing: float):
+    """A window of fixes can lie inside the gap, where the IMU's path is a straight line."""
     drive = simulated("icm-20602", 180.0)
     inside = (drive.imu.time > 80.0) & (drive.imu.time < 80.0 + missing)
     found = sigmaswarm.diagnose(replace(drive, imu=drive.imu.select(~inside)))
@@ -63,7 +63,7 @@ def test_fixes_in_a_gap_of_the_imu_are_no_outliers(missing: float):
 
 
 @pytest.mark.parametrize(("before", "after"), [(0.0, 0.0), (1.0, 2.0)])
-def test_a_pause_of_the_logger_is_no_gap_of_the_fixes_too(before: float, after: float):
+def test_a_pause_of_the_logger_is_not_also_a_gap_of_the_fixes(before: float, after: float):
     drive = simulated("icm-20602")
     kept = (drive.imu.time <= 25.0) | (drive.imu.time >= 31.0)
     seen = (drive.gps.time <= 25.0 - before) | (drive.gps.time >= 31.0 + after)
@@ -79,7 +79,7 @@ def test_a_pause_of_the_logger_is_no_gap_of_the_fixes_too(before: float, after: 
     assert gap.startswith("there is a gap of 5")
 
 
-def test_one_circle_is_said_to_hide_the_scale_of_the_gyro():
+def test_one_circle_does_not_show_the_scale_of_the_gyro():
     rng, t, rate = np.random.default_rng(0), np.arange(0, 60, 0.01), 0.26
     noise = 0.01 * rng.standard_normal((3, len(t)))
     imu = Imu(t, noise[0], 2.5 * rate + noise[1], np.full(len(t), rate) + noise[2])
@@ -95,14 +95,14 @@ def test_one_circle_is_said_to_hide_the_scale_of_the_gyro():
 @pytest.mark.parametrize(
     ("name", "fault"), quickly(product(MEMS, [*FAULTS, *MORE]), lambda *case: case == ("icm-20602", "gaps"))
 )
-def test_a_planted_fault_is_named(name: str, fault: str):
-    """Those that can be repaired are named in `test_repairs`, too."""
+def test_a_planted_fault_is_reported(name: str, fault: str):
+    """`test_repairs` also checks the findings that can be repaired."""
     plant, good = (FAULTS | MORE)[fault][0], simulated(name, 180.0)
     codes, found = codes_of(fault, good), sigmaswarm.diagnose(plant(good))
     if name == "slow" and fault == "0.2 s late":
-        codes = set()  # at 2 Hz and 1 m of noise not to be seen
+        codes = set()  # not visible at 2 Hz with 1 m of noise
     assert codes <= found.codes
-    assert set(serious(found)) <= codes  # and nothing else is alarming
+    assert set(serious(found)) <= codes  # no other serious finding
 
 
 @needs_shared
@@ -113,7 +113,7 @@ def test_a_planted_fault_is_named(name: str, fault: str):
         lambda name: name == "comma2k19",
     ),
 )
-def test_a_good_recording_raises_no_alarm(name: str):
+def test_a_good_recording_has_no_serious_finding(name: str):
     found = sigmaswarm.diagnose(recorded(name))
     assert serious(found) == []
     if recorded(name).imu.az is not None:
@@ -127,7 +127,7 @@ def test_a_good_recording_raises_no_alarm(name: str):
         lambda *case: case == ("mpu-6050", "turns"),
     ),
 )
-def test_a_good_simulated_drive_raises_no_alarm(maneuver: str, sensors: str):
+def test_a_good_simulated_drive_has_no_serious_finding(maneuver: str, sensors: str):
     drive = sigmaswarm.simulate(maneuver, run=1, **MEMS[sensors])
     assert serious(sigmaswarm.diagnose(drive)) == []
 
@@ -135,7 +135,7 @@ def test_a_good_simulated_drive_raises_no_alarm(maneuver: str, sensors: str):
 @pytest.mark.long
 @needs_shared
 def test_the_faults_of_the_raw_log_are_found():
-    """Its README: accelerations of the wrong sign, deg/s, pitched 10.5 deg, 0.65 s late, velocity 0.45 s later."""
+    """Its README: accelerations of the wrong sign, deg/s, pitch 10.5 deg, 0.65 s late, velocity 0.45 s later."""
     found = {
         finding.code: finding for finding in sigmaswarm.diagnose(recorded("dresden-as-recorded")).findings
     }
@@ -150,8 +150,8 @@ def test_the_faults_of_the_raw_log_are_found():
     assert "uneven" in found["imu-rate"].what
 
 
-def diagnosed_anew(drive: Drive) -> Diagnosis:
-    """A diagnosis that was not kept in memory."""
+def diagnosed_without_cache(drive: Drive) -> Diagnosis:
+    """Diagnose without the cache."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(diagnose, "_cache", {})
         return sigmaswarm.diagnose(drive)
@@ -160,15 +160,15 @@ def diagnosed_anew(drive: Drive) -> Diagnosis:
 @pytest.mark.long
 def test_the_same_drive_gives_the_same_findings():
     drive = FAULTS["15 deg"][0](simulated("icm-20602"))
-    assert diagnosed_anew(drive) == diagnosed_anew(drive)
+    assert diagnosed_without_cache(drive) == diagnosed_without_cache(drive)
 
 
-def test_truth_is_not_looked_at():
+def test_the_diagnosis_does_not_use_truth():
     drive = make_drive(duration=20.0, imu_rate=50.0)
-    assert diagnosed_anew(replace(drive, truth=None)) == diagnosed_anew(drive)
+    assert diagnosed_without_cache(replace(drive, truth=None)) == diagnosed_without_cache(drive)
 
 
-def test_a_car_that_stands_shows_nothing_and_that_is_told():
+def test_a_standing_car_is_reported_as_uninformative():
     drive = make_drive(duration=30.0, gps_std=0.5)
     rng = np.random.default_rng(0)
     gps = replace(drive.gps, x=rng.standard_normal(len(drive.gps)), y=rng.standard_normal(len(drive.gps)))
@@ -181,13 +181,13 @@ def test_a_car_that_stands_shows_nothing_and_that_is_told():
     assert serious(found) == []
 
 
-def test_a_straight_road_shows_no_sign_of_yaw_and_that_is_told():
+def test_a_straight_road_is_reported_not_to_show_the_sign_of_yaw():
     found = sigmaswarm.diagnose(sigmaswarm.simulate("cruise", gps="white-1m", imu_rate=50.0))
     assert {"unseen-yaw", "unseen-ay"} <= found.codes
 
 
 def slow_turns(imu_rate: float = 100.0, gps_rate: float = 1.0) -> Drive:
-    """Straight on at 8 m/s, twice slowed down to 2 m/s for a turn at a right angle; exact but for 1 m of the fixes."""
+    """Simulate 8 m/s straight on, with two right-angle turns at 2 m/s; exact except for 1 m of noise in the fixes."""
     step = 1e-3
     t = np.arange(0.0, 100.0, step)
     speed, rate = np.full_like(t, 8.0), np.zeros_like(t)
@@ -205,7 +205,7 @@ def slow_turns(imu_rate: float = 100.0, gps_rate: float = 1.0) -> Drive:
 
 
 @pytest.mark.parametrize("seconds", [0.0, 4.0])
-def test_turns_that_the_fixes_do_not_show_are_not_denied(seconds: float):
+def test_slow_turns_are_reported_as_indistinguishable_from_a_bias(seconds: float):
     found = {f.code: f for f in sigmaswarm.diagnose(fixes_late(seconds)(slow_turns())).findings}
     said = found["unseen-yaw"].what
     assert "hardly turns" not in said
@@ -220,7 +220,7 @@ def test_turns_that_the_fixes_do_not_show_are_not_denied(seconds: float):
 def test_a_swaying_car_hardly_contradicts_the_gyro_s_sign(
     course_change: float, std: float, share: float, known: bool
 ):
-    """A minute of a real motorway showed -1.3 +- 0.19 times the yaw rate, with the sign as recorded."""
+    """One minute of a real motorway drive gave -1.3 +- 0.19 times the yaw rate, although the sign was correct."""
     fit = YawFit("gz", -1.3, std, share, 0.0, 0.1, course_change, -1.3)
     imu = simulated("icm-20602").imu
     assert yaw_of(fit, imu).known == known
@@ -228,7 +228,7 @@ def test_a_swaying_car_hardly_contradicts_the_gyro_s_sign(
 
 
 def test_a_gain_that_depends_on_the_delay_is_no_scale_error():
-    """Slow turns after a standstill: the correct gyro of a recording had a gain of 1.67 with a delay of 1.1 s."""
+    """Slow turns after a standstill: a recording's correct gyro had a gain of 1.67 at a delay of 1.1 s."""
     imu, fit = simulated("icm-20602").imu, YawFit("gz", 1.67, 0.014, 0.98, 1.06, 0.13, 0.29, 1.04)
     assert not yaw_of(fit, imu).known
     assert not yaw_of(replace(fit, gain=1.37, undelayed=1.3), imu).known
@@ -239,7 +239,7 @@ def test_a_gain_that_depends_on_the_delay_is_no_scale_error():
     "scale",
     quickly([(s,) for s in (0.25, 0.5, 0.6, 2.0, -2.0, 0.8, 1.25)], lambda scale: scale in (0.25, -2.0, 0.8)),
 )
-def test_a_wrong_scale_of_the_gyro_is_named_with_its_factor_and_repaired(scale: float):
+def test_a_wrong_scale_of_the_gyro_is_reported_with_its_factor_and_repaired(scale: float):
     drive = simulated("icm-20602", 90.0)
     rates = {n: v for n in ("gx", "gy", "gz") if (v := getattr(drive.imu, n)) is not None}
     scaled = replace(drive, imu=replace(drive.imu, **{n: scale * v for n, v in rates.items()}))
@@ -263,8 +263,8 @@ def test_a_wrong_scale_of_the_gyro_is_named_with_its_factor_and_repaired(scale: 
         lambda *case: case in ((2.0, "white-1m"), (57.3, "ublox-m8")),
     ),
 )
-def test_a_scale_of_gz_alone_is_repaired_alone(scale: float, gps: str):
-    """On a hilly road, the roll of gravity shows that gx and gy are correct."""
+def test_a_wrong_scale_of_gz_alone_is_repaired_in_gz_alone(scale: float, gps: str):
+    """On a hilly road, the roll angle of gravity shows that gx and gy are correct."""
     drive = sigmaswarm.simulate("urban", run=1, duration=150, gps=gps, terrain="hilly", vibration=True)
     for names in (["gz"], ["gx", "gy", "gz"])[: 1 if scale == 1.25 else 2]:
         wrong = replace(drive, imu=replace(drive.imu, **{n: scale * getattr(drive.imu, n) for n in names}))
@@ -303,7 +303,7 @@ def test_the_roll_of_gravity_shows_the_scale_of_gx_over_two_times(
 
 @pytest.mark.parametrize("scale", [180 / np.pi, 2.0])
 def test_a_scale_of_all_rates_is_repaired_in_all_on_a_flat_road(scale: float):
-    """There the body leans in turns, which looks like a roll rate with another wrong scale."""
+    """On a flat road, the body rolls in turns, which looks like a roll rate with a different wrong scale."""
     drive = sigmaswarm.simulate("urban", run=1, duration=150, gps="white-1m", imu_rate=50)
     rates = {name: getattr(drive.imu, name) for name in ("gx", "gy", "gz")}
     wrong = replace(drive, imu=replace(drive.imu, **{name: scale * rate for name, rate in rates.items()}))
@@ -336,8 +336,8 @@ def test_a_gyro_that_does_not_follow_the_course_is_no_straight_road():
         lambda _, runs: runs < 8,
     ),
 )
-def test_an_offset_of_the_size_that_would_have_been_seen_is_seen(maneuver: str, runs: int):
-    """Over so many seeds of short drives and both signs, where at least 95 in 100 are promised."""
+def test_an_offset_of_the_smallest_visible_size_is_detected(maneuver: str, runs: int):
+    """Many short drives, both signs: at least 90% of the offsets are detected, and 90% of the intervals contain 0."""
     asked = seen = 0
     held = []
     length = 50.0 if maneuver == "urban" else None
@@ -361,10 +361,10 @@ def test_an_offset_of_the_size_that_would_have_been_seen_is_seen(maneuver: str, 
             seen += "clock-offset" in sigmaswarm.diagnose(fixes_late(sign * size)(drive)).codes
     print(f"{maneuver}: {seen} of {asked}")
     assert seen >= 0.9 * asked and sum(held) >= 0.9 * len(held)
-    assert asked == (0 if maneuver == "cruise" else 2 * runs)  # a straight road shows none
+    assert asked == (0 if maneuver == "cruise" else 2 * runs)  # on a straight road, no offset is visible
 
 
-def test_a_short_drive_with_few_turns_says_what_it_does_not_see():
+def test_a_short_drive_with_few_turns_reports_what_it_does_not_show():
     found = sigmaswarm.diagnose(fixes_late(0.3)(slow_turns(gps_rate=5.0)))
     if "clock-offset" not in found.codes:
         assert found.visible_clock_offset is not None
@@ -389,8 +389,8 @@ def test_the_yaw_rate_in_another_column():
 
 
 @pytest.mark.parametrize("count", [0, 1, 9])
-def test_few_fixes_have_no_jumps(count: int):
-    """Of positions that hardly change one is left, which once ended in a traceback."""
+def test_few_fixes_are_not_reported_as_jumps(count: int):
+    """If positions hardly change, one of them is left; this caused a traceback."""
     assert not mark_jumps(np.arange(float(count)), np.zeros(count, complex)).any()
 
 
@@ -442,7 +442,7 @@ def test_a_corrupt_last_time():
 
 
 @pytest.mark.long
-def test_a_log_whose_fixes_end_early_is_no_matter_of_units():
+def test_a_log_whose_fixes_end_early_has_correct_units():
     drive = make_drive(duration=60.0)
     short = replace(drive, gps=drive.gps.select(drive.gps.time < 6.0))
     assert "time-unit" not in [f.code for f in sigmaswarm.diagnose(short).findings]
@@ -459,7 +459,7 @@ def states(drive: Drive, std: np.ndarray) -> Drive:
 
 
 def found_of(drive: Drive, code: str) -> str:
-    """What the doctor says of a finding; empty where it does not find it."""
+    """Return the text of a finding; empty if there is no such finding."""
     return next((f.what for f in sigmaswarm.diagnose(drive).findings if f.code == code), "")
 
 
@@ -473,10 +473,10 @@ def found_of(drive: Drive, code: str) -> str:
         (4.5, "gps-noise", "note", None),
     ],
 )
-def test_a_statement_of_the_user_is_compared_with_the_scatter(
+def test_a_stated_deviation_is_compared_with_the_scatter(
     stated: float | None, code: str, severity: str, repaired: float | None
 ):
-    """A larger value is not replaced: a receiver that smooths scatters less than it errs."""
+    """A larger stated value is kept: the fixes of a smoothing receiver scatter less than their error."""
     drive = simulated("mpu-6050")  # 1 m of white noise
     silent = replace(drive, gps=replace(drive.gps, std_x=None, std_y=None), metadata={})
     own = silent if stated is None else replace(silent, metadata={"gps_std_m": stated})
@@ -493,7 +493,7 @@ def test_a_statement_of_the_user_is_compared_with_the_scatter(
 
 
 @pytest.mark.long
-def test_errors_that_last_are_told_from_what_is_stated_against_the_scatter():
+def test_correlated_errors_are_detected_from_stated_deviations_and_scatter():
     drive = simulated("mpu-6050")  # 1 m of white noise
     n = len(drive.gps)
     assert not found_of(drive, "gps-correlated")
@@ -503,15 +503,15 @@ def test_errors_that_last_are_told_from_what_is_stated_against_the_scatter():
     assert "or their stated standard deviation is too large" in said
     assert found_of(
         states(drive, np.full(n, 9.0)), "gps-noise"
-    )  # white noise so far below it: it is stated wrong
+    )  # the white noise is far smaller, so the statement is wrong
     assert not found_of(states(drive, np.full(n, 9.0)), "gps-correlated")
 
 
-def test_a_deviation_below_that_of_every_receiver_is_contradicted_by_the_noise_from_fix_to_fix():
+def test_a_stated_deviation_far_below_the_scatter_is_reported():
     drive = sigmaswarm.simulate("urban", run=5, imu="mpu-6050", gps="f9p-rtk", duration=60.0)
     n = len(drive.gps)
     assert not found_of(drive, "gps-noise")  # 0.01 m
-    assert not found_of(states(drive, np.full(n, 0.0035)), "gps-noise")  # the motion may explain the noise
+    assert not found_of(states(drive, np.full(n, 0.0035)), "gps-noise")  # the noise can be motion
     said = re.search(
         r"smaller than .* scatter \((.*) m per axis", found_of(states(drive, np.full(n, 0.001)), "gps-noise")
     )
@@ -531,7 +531,7 @@ def test_the_options_follow_from_the_log():
     assert found_of(varied, "use").startswith(
         "tune uses --model tilted12 --use lateral standstill accuracy robust, since the receiver's standard deviations"
     )
-    velocity = simulated("icm-20602")  # its receiver gives speed and course, and its errors are correlated
+    velocity = simulated("icm-20602")  # receiver with speed, course and correlated errors
     few = ". With 250 or more training fixes, tune also uses fix-error"
     lasting = f"{few}, since consecutive fixes differ by less than the receiver's error"
     may = ". To add velocity (speed and course of the receiver), write --use "
@@ -575,14 +575,14 @@ def test_a_velocity_that_fits_better_later_is_not_recommended():
     )
     (finding,) = (f for f in sigmaswarm.diagnose(whole).findings if f.code == "velocity-delay")
     assert finding.severity == "note" and "The default filter does not use speed and course" in finding.what
-    rest = split_time(whole, 0.7)[1]  # too little of it for a warning
+    rest = split_time(whole, 0.7)[1]  # not enough data for a warning
     for drive in (whole, rest):
         assert "velocity" not in (found_of(drive, "use") or "")
     assert not found_of(rest, "velocity-delay")
 
 
 @pytest.mark.parametrize("every", some([5, 1]))  # 1 Hz and 5 Hz
-def test_a_stretch_of_multipath_is_named_unless_the_receiver_states_it(every: int):
+def test_multipath_is_reported_unless_the_receiver_states_it(every: int):
     drive = sigmaswarm.simulate("urban", run=1, duration=120.0, gps="white-1m", imu="icm-20602")
     true = [np.interp(drive.gps.time, drive.truth.time, v) for v in (drive.truth.x, drive.truth.y)]
     rng, time = np.random.default_rng(0), drive.gps.time - drive.imu.time[0]
@@ -606,7 +606,7 @@ def test_a_stretch_of_multipath_is_named_unless_the_receiver_states_it(every: in
 
 @pytest.mark.long
 @needs_shared
-def test_a_city_s_receiver():
+def test_a_receiver_in_a_city():
     kingston = recorded("kingston-1")
     asked = "--model planar8 --use lateral standstill accuracy robust, since"
     assert found_of(kingston, "use").startswith(f"tune uses {asked}")
@@ -623,7 +623,7 @@ def test_a_city_s_receiver():
         lambda name, seed: (name, seed) == ("kingston-1", 0),
     ),
 )
-def test_a_gyro_s_sign_shows_through_outliers(name: str, seed: int):
+def test_the_sign_of_the_gyro_is_found_despite_outliers(name: str, seed: int):
     drive = with_outliers(recorded(name), np.random.default_rng(seed))
     for sign in (1, -1):
         found = sigmaswarm.diagnose(replace(drive, imu=replace(drive.imu, gz=sign * drive.imu.gz)))
@@ -631,8 +631,8 @@ def test_a_gyro_s_sign_shows_through_outliers(name: str, seed: int):
 
 
 @pytest.mark.parametrize("jumped", [True, False])
-def test_a_clock_that_jumps_is_told_from_a_logger_that_pauses(jumped: bool):
-    """Both sensors miss 1.3 s: the car went on meanwhile, or no time has passed."""
+def test_a_jump_of_the_clock_is_distinguished_from_a_pause_of_the_logger(jumped: bool):
+    """Both sensors have a gap of 1.3 s: either the car went on (a pause), or no time has passed (a jump)."""
     drive = simulated("mpu-6050")
     gps, imu = drive.gps, drive.imu
     speed = np.hypot(np.diff(gps.x), np.diff(gps.y)) / np.diff(gps.time)
@@ -655,9 +655,9 @@ def test_a_clock_that_jumps_is_told_from_a_logger_that_pauses(jumped: bool):
 
 
 @pytest.mark.parametrize("jumped", [True, False])
-@pytest.mark.parametrize("every", [1, 5])  # fixes at 5 and at 1 Hz
-def test_no_jump_is_made_up_wherever_the_gap_lies(jumped: bool, every: int):
-    """White errors of a meter: a step of two fixes alone says a wrong speed, as on a drive of KITTI's."""
+@pytest.mark.parametrize("every", [1, 5])  # fixes at 5 Hz and at 1 Hz
+def test_a_gap_at_any_time_is_not_reported_as_a_jump(jumped: bool, every: int):
+    """With white errors of 1 m, the distance of two fixes gives a wrong speed, as on a KITTI drive."""
     drive = simulated("icm-20602", 180.0)
     drive = replace(drive, gps=drive.gps.select(np.arange(len(drive.gps)) % every == 0), truth=None)
     named = wrong = 0
@@ -678,33 +678,33 @@ def test_no_jump_is_made_up_wherever_the_gap_lies(jumped: bool, every: int):
 
 @pytest.mark.long
 @needs_shared
-def test_a_pause_in_a_real_log_is_no_jump():
+def test_a_pause_in_a_real_log_is_not_a_jump():
     found = sigmaswarm.diagnose(recorded("kitti-09-30-0018")).codes
     assert "logger-pause" in found
     assert "clock-jump" not in found
 
 
-def test_a_diagnosis_that_is_kept_is_that_of_the_same_numbers_and_name(monkeypatch: pytest.MonkeyPatch):
+def test_a_cached_diagnosis_requires_equal_numbers_and_name(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(diagnose, "CACHE_SIZE", 32)
     monkeypatch.setattr(diagnose, "_cache", {})
     drive = make_drive(duration=30.0, imu_rate=50.0)
     found = sigmaswarm.diagnose(drive)
     assert sigmaswarm.diagnose(drive) is found
     assert sigmaswarm.diagnose(replace(drive, name="other")).drive == "other"
-    stated = replace(drive, metadata={**drive.metadata, "gps_std_m": 50.0})  # no column has it
+    stated = replace(drive, metadata={**drive.metadata, "gps_std_m": 50.0})  # not in any column
     assert sigmaswarm.diagnose(stated).findings != found.findings
     turned = replace(drive, imu=replace(drive.imu, gz=-drive.imu.gz))
     assert "gyro-sign" in sigmaswarm.diagnose(turned).codes - found.codes
     assert sigmaswarm.diagnose(drive) == found
-    assert len(diagnose._cache) == 4  # all that were asked for
+    assert len(diagnose._cache) == 4  # one per different drive
     diagnose._cache.update({("filler", str(k)): found for k in range(diagnose.CACHE_SIZE)})
     sigmaswarm.diagnose(replace(drive, name="last"))
     assert len(diagnose._cache) == diagnose.CACHE_SIZE
-    assert ("filler", str(diagnose.CACHE_SIZE - 1)) in diagnose._cache  # the oldest ones go
+    assert ("filler", str(diagnose.CACHE_SIZE - 1)) in diagnose._cache  # the oldest are removed
 
 
 def test_positions_in_another_unit_are_not_called_a_fault_of_the_accelerometer():
-    """Web Mercator stretches the fixes; the accelerometer measures gravity as before."""
+    """Web Mercator scales the fixes; the accelerometer still measures gravity."""
     drive = simulated("icm-20602", 90.0)
     stretched = replace(drive, gps=replace(drive.gps, x=1.5 * drive.gps.x, y=1.5 * drive.gps.y), truth=None)
     weak = replace(drive, imu=replace(drive.imu, ax=drive.imu.ax / 1.6))
@@ -714,8 +714,8 @@ def test_positions_in_another_unit_are_not_called_a_fault_of_the_accelerometer()
 
 
 @pytest.mark.parametrize(("sense", "scale"), [(1.0, 0.84), (-1.0, 1.2)])
-def test_a_scale_of_the_gyro_shows_in_whole_turns_too(sense: float, scale: float):
-    """Circles: what changes within a window may be slip; a wrong scale also shows in whole turns."""
+def test_a_scale_of_the_gyro_is_also_visible_in_whole_turns(sense: float, scale: float):
+    """In circles, changes within a window may be caused by slip; a wrong scale is also visible in whole turns."""
     rng, t = np.random.default_rng(1), np.arange(0, 100, 0.02)
     rate = sense * (0.25 + 0.1 * np.sin(2 * np.pi * t / 13))
     place = np.cumsum(5.0 * np.exp(1j * np.cumsum(rate) * 0.02)) * 0.02
@@ -743,7 +743,7 @@ def test_steady_circles_show_no_gravity_no_unit_and_no_rotation(speed: float, ra
 
 
 def circle(speed: float, rate: float, *, noise: float, turned_by: float, ahead: float) -> Drive:
-    """90 s on a circle at constant speed: m/s, rad/s; noise of the fixes, rotation about z and lever arm, m."""
+    """Simulate 90 s on a circle: m/s, rad/s, noise of the fixes (m), rotation about z (deg), lever arm (m)."""
     rng, t = np.random.default_rng(1), np.arange(0, 90, 0.025)
     heading = np.exp(1j * rate * t)
     place = (speed / (1j * rate) + ahead) * heading
@@ -769,7 +769,7 @@ def circle(speed: float, rate: float, *, noise: float, turned_by: float, ahead: 
 def test_on_a_circle_at_constant_speed_no_delay_of_the_fixes_is_noted(
     speed: float, rate: float, others: list[float]
 ):
-    """There a delay, a rotation about z and a lever arm look alike."""
+    """On a circle, a delay, a rotation about z and a lever arm can't be distinguished."""
     noise, turned_by, ahead = others
     drive = circle(speed, rate, noise=noise, turned_by=turned_by, ahead=ahead)
     found = {f.code: f for f in sigmaswarm.diagnose(drive).findings}
@@ -778,7 +778,7 @@ def test_on_a_circle_at_constant_speed_no_delay_of_the_fixes_is_noted(
 
 
 @needs_shared
-def test_a_recording_in_circles_proposes_no_delay():
+def test_no_delay_is_proposed_for_a_recording_in_circles():
     source = DRIVES.parent / "cases/data/ros1-own-message/Circles.bag"
     drive = sigmaswarm.import_log(source, say=lambda _: None, mount="x=x,y=-y")
     assert "clock-offset" not in sigmaswarm.diagnose(drive).codes

@@ -1,4 +1,4 @@
-"""A first fix far from the others is a serious finding; a far fix later on is a warning."""
+"""A first fix far from the others is a serious finding; a later far fix is a warning."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Faults of a heading that the doctor finds, and repairs."""
+"""Faults of the heading column: findings and repairs."""
 
 import re
 from collections.abc import Callable
@@ -45,7 +45,7 @@ def evidence() -> Evidence:
 
 
 def found_in(drive: Drive) -> list[Finding]:
-    """Findings of a drive that differs from the good one in the heading alone."""
+    """Return the findings of the good drive with a changed heading."""
     return list(check_heading(replace(evidence(), drive=drive)))
 
 
@@ -90,7 +90,7 @@ def test_a_delay_is_found_by_the_gyro(late: float):
     assert ("lags" in found.what) == (late > 0)
 
 
-def test_noise_follows_no_convention():
+def test_noise_as_heading_matches_no_convention():
     rng = np.random.default_rng(0)
     (found,) = found_in(with_column(rng.uniform(-3.0, 3.0, len(good().gps))))
     assert found.what == "the heading agrees with the direction of travel in no known convention"
@@ -108,13 +108,13 @@ def test_a_fix_without_a_heading_has_none_after_a_repair():
 
 
 @pytest.mark.long
-def test_fixes_that_are_late_as_a_whole_are_no_delay_of_the_heading():
+def test_a_delay_of_the_fixes_is_not_a_delay_of_the_heading():
     drive = replace(good(), gps=replace(good().gps, time=good().gps.time + 18.0))
     assert not [found for found in check_heading(gather(drive)) if found.code == "heading-delay"]
 
 
 def stated(heading: float) -> list[Finding]:
-    """Findings about the good drive without its headings, with a heading_deg in drive.toml."""
+    """Return the findings of the good drive without headings, with heading_deg in drive.toml."""
     gps = replace(good().gps, heading=None, std_heading=None)
     drive = replace(good(), gps=gps, metadata={**good().metadata, "heading_deg": heading % 360.0})
     return list(check_stated_heading(replace(evidence(), drive=drive)))
@@ -122,7 +122,7 @@ def stated(heading: float) -> list[Finding]:
 
 @pytest.mark.parametrize("off", [90.0, -45.0, 180.0, None])
 def test_a_stated_heading_that_contradicts_the_course_is_reported_and_its_remedy_helps(off: float | None):
-    """Without a number: the heading is clockwise from north."""
+    """Heading None: the true heading, but clockwise from north."""
     truth = good().truth
     assert truth is not None
     true = float(np.degrees(np.interp(good().imu.time[0], truth.time, np.unwrap(truth.theta))))

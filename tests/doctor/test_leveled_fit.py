@@ -1,4 +1,4 @@
-"""The delay of the fixes with the tilt of the gyro: more accurate than without it, consistent with other evidence."""
+"""The delay of the fixes, estimated with the tilt of the gyro: more accurate, and consistent with other evidence."""
 
 from dataclasses import replace
 from functools import cache
@@ -19,7 +19,7 @@ from support import several
 
 @cache
 def drive_of(run: int, imu: str) -> Drive:
-    """A drive over hills whose fixes have 1 m of white noise."""
+    """Simulate a hilly drive with 1 m of white noise in the fixes."""
     return sigmaswarm.simulate(
         "urban", run=run, imu=imu, gps="white-1m", duration=120.0, terrain="hilly", imu_rate=50.0
     )
@@ -30,7 +30,7 @@ def planar(drive: Drive) -> Drive:
 
 
 @pytest.mark.parametrize(("run", "imu"), several([(6, "icm-20602"), (9, "mpu-6050"), (18, "adis16465")]))
-def test_a_fifth_of_a_second_is_found_with_a_meter_of_noise(run: int, imu: str):
+def test_a_delay_of_a_fifth_of_a_second_is_found_with_a_meter_of_noise(run: int, imu: str):
     for seconds in (0.2, -0.2):
         drive = fixes_late(seconds)(drive_of(run, imu))
         clock, without = gather(drive).clock, gather(planar(drive)).clock
@@ -48,15 +48,15 @@ def test_the_result_does_not_depend_on_the_initial_value(start: float):
     np.testing.assert_allclose(*found, atol=0.01)
 
 
-def test_a_known_lever_arm_is_no_delay():
-    """6 m at 6 m/s look like 1 s in turns."""
+def test_a_known_lever_arm_is_not_a_delay():
+    """In turns, 6 m at 6 m/s look like 1 s."""
     receiver = replace(GPS_GRADES["white-1m"], lever_arm=(6.0, 0.0, 1.0))
     drive = sigmaswarm.simulate("urban", run=9, imu="icm-20602", gps=receiver, duration=120.0, imu_rate=50.0)
     clock = gather(drive).clock
     assert clock.std < 0.06 and abs(clock.delay) < 2 * clock.std
 
 
-def test_a_wrong_sign_of_the_roll_rate_is_no_clock_offset():
+def test_a_wrong_sign_of_the_roll_rate_is_not_a_clock_offset():
     assert "clock-offset" not in sigmaswarm.diagnose(rolls_reversed(drive_of(9, "mpu-6050"))).codes
 
 

@@ -37,7 +37,7 @@ def mirrored(drive: Drive) -> Drive:
 
 
 def in_degrees(drive: Drive) -> Drive:
-    """Fixes at 60 deg north, where degrees of longitude are half as long, with exchanged columns."""
+    """Return fixes with exchanged columns at 60 deg north, where a degree of longitude is half as long."""
     lat, lon, alt = enu_to_geodetic(
         np.stack([drive.gps.x, drive.gps.y, 0 * drive.gps.x], -1), (60.0, 10.0, 0.0)
     ).T
@@ -71,7 +71,7 @@ def test_exchanged_coordinates_are_reported_and_repaired(axes: int):
 
 
 def test_a_course_and_a_clock_are_checked_after_the_exchange():
-    """A correct course of the receiver would seem to be clockwise from north."""
+    """Before the exchange, a correct course seems to be clockwise from north."""
     drive, gps = good(4), good(4).gps
     velocity = course_of(gps.time, gps.x + 1j * gps.y).velocity
     late = replace(gps, speed=np.abs(velocity), course=np.angle(velocity), time=gps.time + 1.5)
@@ -87,7 +87,7 @@ def test_degrees_and_a_drive_with_truth_are_not_repaired(change: Callable[[Drive
 
 
 def at(drive: Drive, origin: tuple[float, float, float], signs: tuple[int, int]) -> Drive:
-    """Fixes at a place, with latitudes and longitudes times ``signs``."""
+    """Return fixes at a place, with latitudes and longitudes multiplied by ``signs``."""
     lat, lon, alt = enu_to_geodetic(np.stack([drive.gps.x, drive.gps.y, 0 * drive.gps.x], -1), origin).T
     other = (signs[0] * origin[0], signs[1] * origin[1], origin[2])
     x, y, _ = geodetic_to_enu(signs[0] * lat, signs[1] * lon, alt, other).T
@@ -111,7 +111,7 @@ def test_a_missing_sign_of_degrees_is_reported_and_the_imu_is_kept(
     finding = next(f for f in found.findings if f.code == "mirrored-fixes")
     assert finding.repair is None
     assert "lack a minus sign" in finding.what
-    assert not mirror_maps(found)  # the log does not show which of the remedies is right
+    assert not mirror_maps(found)  # the log does not show which remedy is right
     for place in ("gps.lon=-(COLUMN_OF_LON)", "gps.lat=-(COLUMN_OF_LAT)", "imu.gz=-(COLUMN_OF_GZ)"):
         assert f'"{place}"' in finding.remedy
     assert not sigmaswarm.diagnose(at(good(axes), origin, (1, 1))).serious
@@ -152,6 +152,6 @@ def test_a_fault_of_one_sensor_does_not_name_the_fixes(fault: Callable[[Drive], 
     assert not any(LOOKS_THE_SAME in finding.remedy for finding in found.findings)
 
 
-def test_no_mounting_is_found_by_mirrored_fixes():
+def test_mirrored_fixes_give_no_mounting():
     with pytest.raises(InputError, match="mirror image"):
         sigmaswarm.find_mount(mirrored(good(6)))

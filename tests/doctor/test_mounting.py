@@ -1,4 +1,4 @@
-"""The mounting: a rotation, which follows a rotation of the drive, and is never a mirror image or the reverse."""
+"""The mounting: it follows a rotation of the drive, and is never a mirror image or the inverse rotation."""
 
 import warnings
 from dataclasses import replace
@@ -34,7 +34,7 @@ def drive_of(grade: str, terrain: str = "rolling") -> Drive:
 
 
 def estimate(drive: Drive, rotation: np.ndarray):
-    """The mounting of a drive whose IMU is turned by a rotation, and its error, rad."""
+    """Return the estimated mounting of a drive with a rotated IMU, and its error, rad."""
     course = course_of(drive.gps.time, drive.gps.x + 1j * drive.gps.y)
     found = mounting_of(replace(drive, imu=rotate_imu(drive.imu, rotation)), course)
     return found, angle_of(found.rotation @ rotation) if found else 0.0
@@ -52,7 +52,7 @@ def test_a_random_rotation_is_found(grade: str, seed: int):
 
 
 def slowly_converging() -> Drive:
-    """A minute with few turns, in which acceleration and direction of travel disagree."""
+    """Return one minute with few turns, in which acceleration and direction of travel disagree."""
     options = {"gps": "f9p-rtk", "terrain": "hilly", "vibration": 1.0}
     drive = sigmaswarm.simulate("urban", run=26, duration=120.0, imu="adis16465", **options)
     first = drive.imu.time[0]
@@ -96,7 +96,7 @@ WRONG = [(180, 0, 0), (0, 180, 0), (0, 0, 180), (90, 0, 0), (0, 90, 0), (0, 0, 9
 def test_the_mounting_reported_is_the_same_for_every_mounting_of_the_import(
     found: tuple[float, float, float],
 ):
-    """Yaw of the remaining rotation was taken before its tilt was removed, and small angles were set to 0."""
+    """Earlier, the yaw of the remaining rotation included its tilt, and small angles were set to 0."""
     total, std = rotation_of(*found), np.radians([1.5, 0.8, 0.9])
     plain = Mounting(total, std, "sure", "", np.eye(3))
     for before in [
@@ -111,7 +111,7 @@ def test_the_mounting_reported_is_the_same_for_every_mounting_of_the_import(
 
 @pytest.mark.parametrize("yaw", [3.9, 4.9, 5.1])
 def test_a_clear_rotation_is_not_rounded_in_a_whole_log_and_kept_in_a_part(yaw: float):
-    """Within the tolerance of `needed`, a mounting upside down was reported without its rotation about z."""
+    """Earlier, a mounting upside down lost its rotation about z, which was within the tolerance of `needed`."""
     std, down = np.radians([1.1, 0.7, 0.8]), rotation_of(180, 0, 0)
     found = Mounting(rotation_of(180, 0.3, yaw), std, "sure", "", np.eye(3))
     assert found.needed and np.degrees(angle_of(found.mount @ found.rotation.T)) < 1e-5
@@ -130,7 +130,7 @@ def test_a_tilt_is_compared_with_the_accuracy_of_its_own_axis(roll: float, pitch
 
 
 @pytest.mark.parametrize("start", quickly([(a,) for a in WRONG], lambda a: a == (0, -60, 30)))
-def test_a_wrong_mounting_of_the_import_changes_no_answer(start: tuple[float, float, float]):
+def test_a_wrong_mounting_of_the_import_does_not_change_the_result(start: tuple[float, float, float]):
     drive = drive_of("mpu-6050")
     raw = replace(drive, imu=rotate_imu(drive.imu, rotation_of(6, -65, -4).T))
     answers = []
@@ -157,13 +157,13 @@ def test_a_stated_mounting_that_differs_a_little_is_a_note_with_the_mounting_of_
 
 @cache
 def at_constant_speed() -> Drive:
-    """Turns at a constant speed of 8 m/s: M and the delay of the fixes are nearly indistinguishable."""
+    """Simulate turns at 8 m/s, in which the mounting and the delay of the fixes are nearly indistinguishable."""
     options = {"gps": "white-1m", "terrain": "hilly", "vibration": 0.0}
     return sigmaswarm.simulate("urban", run=90, duration=120.0, imu="adis16465", **options)
 
 
 def test_at_constant_speed_the_direction_of_travel_shows_a_large_angle():
-    """The noise of the speed made the angle smaller: 5 instead of 12 deg."""
+    """Noise of the speed had reduced the estimated angle from 12 to 5 deg."""
     drive = at_constant_speed()
     window = clip(drive, drive.imu.time[0] + 42, drive.imu.time[0] + 102)
     course = course_of(window.gps.time, window.gps.x + 1j * window.gps.y)
@@ -179,7 +179,7 @@ def test_a_window_at_constant_speed_gives_no_serious_finding(start: float):
 
 @pytest.mark.long
 @pytest.mark.parametrize("terrain", ["flat", "hilly"])
-def test_the_direction_of_travel_depends_on_no_hill(terrain: str):
+def test_the_direction_of_travel_does_not_depend_on_hills(terrain: str):
     drive, turn = drive_of("icm-20602", terrain), Rotation.from_euler("zy", (4, -3), degrees=True)
     course = course_of(drive.gps.time, drive.gps.x + 1j * drive.gps.y)
     slopes, std = direction_of_travel(rotate_imu(drive.imu, turn.as_matrix()), course, 0.0)
@@ -190,7 +190,7 @@ def test_the_direction_of_travel_depends_on_no_hill(terrain: str):
 @pytest.mark.parametrize(
     ("sensor", "terrain"), quickly([("a", "flat"), ("g", "hilly")], lambda sensor, _: sensor == "a")
 )
-def test_a_sensor_that_reports_the_opposite_turns_no_axis(sensor: str, terrain: str):
+def test_reversed_signs_are_not_a_rotation(sensor: str, terrain: str):
     drive = drive_of("icm-20602", terrain)
     names = [sensor + axis for axis in "xyz"]
     flipped = replace(drive, imu=replace(drive.imu, **{n: -getattr(drive.imu, n) for n in names}))
@@ -207,8 +207,8 @@ def test_a_sensor_that_reports_the_opposite_turns_no_axis(sensor: str, terrain: 
         lambda names: names == ("ay", "gz"),
     ),
 )
-def test_a_mirror_image_is_no_mounting(names: tuple[str, ...]):
-    """Only the leaning of the body distinguishes the third to fifth case from a mounting rotated by 180 degrees."""
+def test_a_mirror_image_is_not_a_mounting(names: tuple[str, ...]):
+    """Only the roll of the body distinguishes the third to fifth case from a mounting rotated by 180 degrees."""
     drive = drive_of("icm-20602", "flat")
     mirrored = replace(drive, imu=replace(drive.imu, **{n: -getattr(drive.imu, n) for n in names}))
     found, _ = estimate(mirrored, Rotation.random(random_state=6).as_matrix())
@@ -226,7 +226,7 @@ def test_a_straight_road_gives_no_yaw(gps: str):
 @pytest.mark.parametrize("name", ["colorado-1", "dresden", "kitti-09-30-0018", "kitti-09-30-0033"])
 def test_a_recording_is_found_within_3_degrees(name: str):
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", sigmaswarm.SigmaswarmWarning)  # gaps
+        warnings.simplefilter("ignore", sigmaswarm.SigmaswarmWarning)  # about gaps
         drive = sigmaswarm.read_drive(DRIVES / name)
     evidence = gather(drive)
     assert not evidence.mounted
@@ -240,7 +240,7 @@ def test_a_recording_is_found_within_3_degrees(name: str):
     [(158, "gnss-ins-sim-mid", (0.0, 120.0)), (179, "adis16405", (20.0, 80.0))],
     ids=["at 8 m/s through a bend", "slopes of 7%"],
 )
-def test_hills_are_no_turned_imu_and_hide_none(run: int, imu: str, span: tuple[float, float]):
+def test_a_rotation_of_the_imu_is_distinguished_from_hills(run: int, imu: str, span: tuple[float, float]):
     drive = sigmaswarm.simulate(
         "urban", run=run, duration=120.0, imu=imu, gps="f9p-rtk", terrain="hilly", vibration=1.0
     )
@@ -281,7 +281,7 @@ def test_an_imu_that_was_moved_within_a_log_is_reported_with_its_time(axis: str,
 
 
 def handled(drive: Drive, begin: float, end: float, axis: str) -> Drive:
-    """The IMU is turned by 60 deg between two times, at 2 rad/s, and turned for the rest of the nearer end."""
+    """Rotate the IMU by 60 deg at 2 rad/s between two times; it stays rotated until the nearer end of the log."""
     imu, first = drive.imu, begin < drive.imu.time[0] + drive.duration / 2
     angle = 1.05 - 2 * (imu.time - begin) if first else 2 * (imu.time - begin)
     rotation = Rotation.from_rotvec(np.clip(angle, 0, 1.05)[:, None] * np.eye(3)["xyz".index(axis)])
@@ -303,10 +303,10 @@ def handled(drive: Drive, begin: float, end: float, axis: str) -> Drive:
     ("begin", "axis", "kept"),
     several([(2.0, "y", (2.5, 150.0)), (2.0, "z", None), (75.0, "y", None), (148.0, "x", (0.0, 148.0))]),
 )
-def test_an_imu_in_someones_hand_at_an_end_is_cut_off(
+def test_a_log_end_with_the_imu_in_a_hand_is_removed(
     begin: float, axis: str, kept: tuple[float, float] | None
 ):
-    """A vehicle turns about the vertical, and an IMU that moves in the middle of a log is another finding."""
+    """A rotation about the vertical is a turn of the vehicle; in the middle of a log, it is a different finding."""
     drive = replace(drive_of("icm-20602", "hilly"), metadata={"heading_deg": 90.0})
     sick = handled(drive, begin, begin + 0.525, axis)
     found = {f.code: f for f in sigmaswarm.diagnose(sick).findings}
@@ -323,7 +323,7 @@ def test_an_imu_in_someones_hand_at_an_end_is_cut_off(
     assert finding.repair and "mounting-handled" not in sigmaswarm.diagnose(mended).codes
 
 
-def test_an_imu_in_someones_hand_at_both_ends_has_a_finding_and_a_repair_for_each():
+def test_an_imu_in_a_hand_at_both_ends_has_a_finding_and_a_repair_for_each():
     drive = drive_of("icm-20602", "hilly")
     sick = handled(handled(drive, 2.0, 2.525, "y"), 148.0, 148.525, "x")
     findings = [f for f in sigmaswarm.diagnose(sick).findings if f.code == "mounting-handled"]
@@ -352,12 +352,12 @@ def test_az_in_another_unit_shows_no_moved_imu():
 
 
 def blind(drive: Drive) -> Drive:
-    """The IMU of a drive with the fixes of a parked receiver: no course shows an axis."""
+    """Return the IMU of a drive with the fixes of a parked receiver, so that no course shows an axis."""
     noise = np.random.default_rng(1).standard_normal((2, len(drive.gps)))
     return replace(drive, gps=type(drive.gps)(drive.gps.time, *noise))
 
 
-def test_without_a_course_an_imu_on_its_head_is_turned_and_a_wrong_sign_of_az_is_changed():
+def test_without_a_course_an_inverted_imu_is_rotated_and_a_wrong_sign_of_az_is_changed():
     drive = blind(sigmaswarm.simulate("urban", duration=90, gps="white-1m", terrain="hilly", vibration=1.0))
     head = replace(drive, imu=rotate_imu(drive.imu, np.diag([1.0, -1.0, -1.0])))
     flipped = replace(drive, imu=replace(drive.imu, az=-drive.imu.az))
@@ -388,7 +388,7 @@ def test_a_slow_robot_in_circles_with_z_down():
 
 
 @pytest.mark.long
-def test_windows_of_a_minute_are_never_called_sure_and_reversed():
+def test_windows_of_a_minute_never_give_a_certain_but_reversed_mounting():
     drive, wrong = drive_of("mpu-6050", "hilly"), []
     for start in (0.0, 20.0, 60.0, 80.0):
         found, error = estimate(
@@ -405,8 +405,8 @@ def test_windows_of_a_minute_are_never_called_sure_and_reversed():
         [((180, 0, 0), 1), ((0, 0, 180), 2), ((100, 40, -120), 3)], lambda angles, _: angles == (180, 0, 0)
     ),
 )
-def test_a_vehicle_without_springs_is_no_reversed_axis(angles: tuple[float, float, float], seed: int):
-    """Noise of the gyro and the error of the estimate, times the yaw rate, looked like a lean into turns."""
+def test_a_vehicle_without_springs_has_no_reversed_axis(angles: tuple[float, float, float], seed: int):
+    """Noise of the gyro and the error of the estimate, multiplied by the yaw rate, looked like a roll in turns."""
     rng, t = np.random.default_rng(seed), np.arange(0, 150, 0.02)
     speed = 8 * np.clip((t - 3) / 4, 0, 1) * (0.75 + 0.25 * np.sin(t / 6))
     rate = np.where(speed > 1, 0.15 * np.sin(t / 9), 0.0)

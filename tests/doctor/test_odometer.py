@@ -28,7 +28,7 @@ def shifted(seconds: float) -> Fault:
 
 
 def stuck(begin: float, length: float, value: float | None = None) -> Fault:
-    """The reading of a moment, or another one, for so many seconds."""
+    """Repeat the value at a time, or a given value, for some seconds."""
 
     def plant(wheels: Odometer) -> Odometer:
         held = np.interp(begin, wheels.time, wheels.speed) if value is None else value
@@ -39,7 +39,7 @@ def stuck(begin: float, length: float, value: float | None = None) -> Fault:
 
 
 def slipping(wheels: Odometer) -> Odometer:
-    """Where the car drives the wheels spin up by half for 3 s, and lock for 3 s a minute later."""
+    """Wheel spin of 50% for 3 s, and locked wheels for 3 s a minute later, both while driving."""
     spun = (wheels.time >= SPUN) & (wheels.time < SPUN + 3.0)
     locked = (wheels.time >= LOCKED) & (wheels.time < LOCKED + 3.0)
     return replace(wheels, speed=np.where(spun, 1.5 * wheels.speed, np.where(locked, 0.0, wheels.speed)))
@@ -61,7 +61,7 @@ FAULTS: dict[str, tuple[str, Fault]] = {
 
 @cache
 def evidence() -> Evidence:
-    """Five minutes of town with a cheap receiver and CAN, whose scale was drawn close to 1."""
+    """Simulate 300 s in a city with a cheap receiver and a CAN odometer with a scale close to 1."""
     drive = simulate("urban", seed=1, duration=300.0, odometer="can", vibration=1.0, imu_rate=50)
     assert abs(drive.metadata["odometer"]["scale"] - 1) < 0.01
     return gather(drive)
@@ -77,7 +77,7 @@ def found(drive: Drive) -> Diagnosis:
     return Diagnosis(drive.name, tuple(subject.check_odometer(replace(evidence(), drive=drive))))
 
 
-def test_nothing_is_said_of_a_sound_odometer():
+def test_a_sound_odometer_has_no_finding():
     assert not found(evidence().drive).findings
     assert not list(
         subject.check_odometer(replace(evidence(), drive=replace(evidence().drive, odometer=None)))
@@ -88,7 +88,7 @@ ONE_OF_EACH = ("3% high", "backwards", "km/h", "late", "stuck", "slipping")
 
 
 @pytest.mark.parametrize("name", quickly([(name,) for name in FAULTS], lambda name: name in ONE_OF_EACH))
-def test_each_fault_is_named_and_mended(name: str):
+def test_each_fault_is_reported_and_repaired(name: str):
     code, fault = FAULTS[name]
     drive = planted(fault)
     diagnosis = found(drive)
@@ -114,7 +114,7 @@ def test_each_fault_is_named_and_mended(name: str):
 @pytest.mark.long
 @pytest.mark.parametrize("environment", ["clear", "slippery"])
 @pytest.mark.parametrize("imu", ["icm-20602", "mpu-6050"])
-def test_brakes_hills_and_snow_are_no_slip(imu: str, environment: str):
+def test_brakes_hills_and_snow_are_not_slip(imu: str, environment: str):
     for maneuver in ("brake", "urban"):
         length = {"duration": 90.0} if maneuver == "urban" else {}
         wheels = {"odometer": "can", "vibration": 1.0, "terrain": "hilly"}
@@ -128,7 +128,7 @@ def test_an_accelerometer_without_information_on_the_wheels_is_not_used():
     assert "odometer-slip" not in {f.code for f in subject.check_odometer(replace(evidence(), drive=drive))}
 
 
-def test_it_is_a_part_of_the_diagnosis_and_of_what_suits_a_log():
+def test_the_odometer_is_part_of_the_diagnosis_and_of_recommended_options():
     diagnosis = diagnose(planted(times(1.06)))
     assert "odometer-scale" in diagnosis.codes
     (use,) = (finding for finding in diagnosis.findings if finding.code == "use")
@@ -152,7 +152,7 @@ def test_remedies_propose_a_tuning_only_within_the_bounds_of_its_search():
 
 
 @needs_shared
-def test_a_real_one():
+def test_a_real_odometer():
     drive = read_drive(DRIVES / "comma2k19")
     seen = gather(drive)
     assert not list(subject.check_odometer(seen))

@@ -22,10 +22,9 @@ from support import DRIVES, SHARED, needs_shared, quickly
 
 MENDABLE = [fault for fault in [*FAULTS, *MORE] if fault != "gaps"]
 EXACT = {"yaw-flipped", "deg/s", "g", "axes-swapped", "force reversed", "right and down"}
-"""All numbers of the sensors come back."""
+"""Faults whose repair restores all numbers of the sensors."""
 ROUGH = {"gravity": 0.6, "15 deg": 0.1}
-"""m/s2 RMS by which ax, ay may differ from the original. Of a tilt only the constant is taken off, the sensor's own
-bias with it; an angle is found to about 2 deg."""
+"""Largest RMS difference of ax, ay from the original, m/s2; a repaired tilt also removes the constant bias."""
 
 
 @cache
@@ -39,7 +38,7 @@ def drive_of(name: str) -> Drive:
 
 
 def same(drive: Drive, good: Drive) -> bool:
-    """Whether all numbers of the sensors agree."""
+    """Return whether all numbers of the sensors agree."""
     pairs = [
         (getattr(new, field.name), getattr(old, field.name))
         for new, old in ((drive.imu, good.imu), (drive.gps, good.gps))
@@ -60,18 +59,16 @@ def check(name: str, fault: str) -> None:
     sick = plant(good)
     found = sigmaswarm.diagnose(sick)
     assert codes <= found.codes
-    assert {
-        f.code for f in found.findings if f.severity == "serious"
-    } <= codes  # and nothing else is alarming
+    assert {f.code for f in found.findings if f.severity == "serious"} <= codes  # no other serious finding
     mended = sigmaswarm.repair(sick, found)
     assert same(mended, good) or fault not in EXACT
-    left = sigmaswarm.diagnose(good if fault in EXACT else mended)  # the same numbers
+    left = sigmaswarm.diagnose(good if fault in EXACT else mended)  # the numbers are the same
     assert not left.serious
     assert not {finding.code for finding in left.findings if finding.severity != "note"} & codes
     for column in ("ax", "ay"):
         off = getattr(mended.imu, column) - getattr(good.imu, column)
         assert np.sqrt(np.mean(off**2)) < ROUGH.get(fault, 1e-9)
-    limit = {"gravity": 0.05, "15 deg": 1e-3}.get(fault, 1e-12)  # a rotation has small roll and pitch, too
+    limit = {"gravity": 0.05, "15 deg": 1e-3}.get(fault, 1e-12)  # a rotation includes small roll and pitch
     np.testing.assert_allclose(mended.imu.gz, good.imu.gz, atol=limit)
     if mended.gps.std_x is not None and fault.startswith("stated"):
         assert np.median(mended.gps.std_x) == pytest.approx(1.0, rel=0.1)
@@ -84,18 +81,18 @@ def check(name: str, fault: str) -> None:
 
 
 QUICK = {"outliers", "yaw-flipped", "0.5 s late", "gravity"}
-"""One fault of each kind; three faults are mended together in `test_three_faults_at_once`."""
+"""One fault of each kind; `test_three_faults_at_once` repairs three faults together."""
 
 
 @pytest.mark.parametrize("fault", quickly([(f,) for f in MENDABLE], lambda f: f in QUICK))
-def test_a_mended_simulated_drive(fault: str):
+def test_a_repaired_simulated_drive(fault: str):
     check("simulated" if "0.2 s" in fault else "simulated, short", fault)
 
 
 @pytest.mark.long
 @needs_shared
 @pytest.mark.parametrize("fault", [f for f in MENDABLE if "0.2 s" not in f])
-def test_a_mended_recording(fault: str):
+def test_a_repaired_recording(fault: str):
     check("kitti-09-30-0033", fault)
 
 
@@ -123,8 +120,8 @@ def test_only_some_findings_are_repaired():
     assert sigmaswarm.repair(sick, found, only=[]) is sick
 
 
-def test_jumps_of_the_clock_are_closed():
-    """Two of them: the second one is named by a time that the first one has put off."""
+def test_jumps_of_the_clock_are_removed():
+    """There are two jumps; the time of the second one in the finding includes the shift by the first."""
     good = sigmaswarm.simulate("urban", gps="white-1m", duration=120, seed=3)
     truth = good.truth
     assert truth is not None
@@ -151,8 +148,8 @@ def test_jumps_of_the_clock_are_closed():
     assert mended.metadata["repaired"].count("clock-jump") == 1
 
 
-def test_what_was_lost_beside_a_jump_is_not_made_up():
-    """Of 4 s that both clocks miss the car drove for 2."""
+def test_lost_time_next_to_a_jump_is_kept():
+    """Both clocks miss 4 s, but the car drove for only 2 s of them."""
     good = sigmaswarm.simulate("cruise", gps="white-1m", seed=3)
     imu, gps = (t.select((t.time <= 15.0) | (t.time > 17.0)) for t in (good.imu, good.gps))
     imu, gps = (replace(t, time=np.where(t.time > 15.0, t.time + 3.0, t.time)) for t in (imu, gps))
@@ -165,18 +162,18 @@ def test_what_was_lost_beside_a_jump_is_not_made_up():
     assert found.repair is None
 
 
-def test_nothing_to_mend_changes_nothing():
+def test_repair_without_findings_changes_nothing():
     drive = drive_of("simulated, short")
     assert sigmaswarm.repair(drive, sigmaswarm.diagnose(drive)) is drive
 
 
 @pytest.mark.long
 @needs_shared
-def test_the_repaired_raw_log_is_about_like_the_corrected_log():
+def test_the_repaired_raw_log_is_similar_to_the_corrected_log():
     sick, good = drive_of("dresden-as-recorded"), drive_of("dresden")
     mended = sigmaswarm.repair(sick, sigmaswarm.diagnose(sick))
     for column, limit in (("ax", 0.35), ("ay", 0.5), ("gz", 0.02)):
-        off = getattr(mended.imu, column) - getattr(good.imu, column)  # the same samples, moved in time there
+        off = getattr(mended.imu, column) - getattr(good.imu, column)  # the same samples, shifted in time
         assert np.sqrt(np.mean(off**2)) < limit
 
 
@@ -203,7 +200,7 @@ def test_a_repair_that_makes_forecasts_worse_is_withheld(code: str, repair: Repa
     assert kept.metadata["withheld"] == [code]
     sick = replace(FAULTS["g"][0](good), metadata={"withheld": ["accelerometer-unit"]})
     assert not any(f.repair for f in sigmaswarm.diagnose(sick).findings if f.code == "accelerometer-unit")
-    # A right repair beside it is applied.
+    # A correct repair is applied together with it.
     sick = FAULTS["g"][0](good)
     found = sigmaswarm.diagnose(sick)
     with pytest.warns(sigmaswarm.SigmaswarmWarning, match="not repaired"):
@@ -212,7 +209,7 @@ def test_a_repair_that_makes_forecasts_worse_is_withheld(code: str, repair: Repa
 
 
 BEFORE = (10.0, 20.0, 30.0)
-"""The mounting that the import has applied, deg."""
+"""Mounting that the import has applied, deg."""
 OTHER = Rotation.random(random_state=3).as_matrix()
 ABOUT_X = np.diag([1.0, -1.0, -1.0])
 
@@ -265,7 +262,7 @@ def test_the_mounting_is_the_rotation_from_the_raw_samples(axes: int, repairs: l
 
 @pytest.mark.long
 def test_the_remedy_of_a_turned_drive_is_the_mounting_of_its_log():
-    """The doctor finds what is left of the mounting, but an import starts from the raw samples."""
+    """The doctor finds the remaining rotation, but an import starts from the raw samples."""
     good = sigmaswarm.simulate("urban", gps="white-1m", duration=120, terrain="flat", run=4)
     total = Rotation.from_euler("xyz", (0, -25, 90), degrees=True).as_matrix()
     raw = replace(good, imu=rotate_imu(good.imu, total.T))
@@ -283,7 +280,7 @@ def test_the_remedy_of_a_turned_drive_is_the_mounting_of_its_log():
 
 @pytest.mark.parametrize(("after", "withheld"), [((2.1, 4.9, 0.9, 2.0), False), ((3.1, 4.9, 2.3, 4.9), True)])
 def test_a_rotation_is_withheld_by_the_mean_of_all_forecasts(monkeypatch, after, withheld: bool):
-    """One of four forecasts was worse after the right rotation of a phone, and the repair was withheld."""
+    """With the correct rotation of a phone, one of four forecasts was worse, and the repair was withheld."""
     drive, errors = drive_of("simulated, short"), iter([(2.9, 4.4, 2.2, 4.6), after, after, after])
     monkeypatch.setattr(verified_repair, "_forecasts", lambda *_: np.array(next(errors)))
     rotation = Repair("rotate", tuple(about_z(0.5).ravel().tolist()))

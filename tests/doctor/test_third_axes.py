@@ -49,7 +49,7 @@ def check(name: str, fault: str) -> None:
         lambda name, fault: (name, fault) == ("hilly", "gy reversed"),
     ),
 )
-def test_a_planted_fault_is_named_and_mended(name: str, fault: str):
+def test_a_planted_fault_is_reported_and_repaired(name: str, fault: str):
     check(name, fault)
 
 
@@ -69,7 +69,7 @@ def test_g_of_the_horizontal_axes_alone_is_repaired_alone():
     "fault",
     quickly([(f,) for f in THIRD_AXES if f not in ("g", "deg/s")], lambda f: f == "gx, gy swapped"),
 )
-def test_a_fault_planted_in_a_recording_is_named_and_mended(fault: str):
+def test_a_fault_planted_in_a_recording_is_reported_and_repaired(fault: str):
     check("colorado-1", fault)
 
 
@@ -90,18 +90,18 @@ def test_the_raw_log_is_repaired_in_all_axes():
         assert np.sqrt(np.mean(off**2)) < 0.06
 
 
-def test_a_straight_road_does_not_show_the_roll_rate_and_that_is_told():
+def test_a_straight_road_is_reported_not_to_show_the_roll_rate():
     drive = sigmaswarm.simulate("accelerate", gps="white-1m", vibration=1.0)
     assert "unseen-tilt" in sigmaswarm.diagnose(drive).codes
 
 
-def test_without_a_third_axis_nothing_is_said():
+def test_without_a_third_axis_there_is_no_finding():
     drive = drive_of("flat")
     planar = replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None))
     assert not sigmaswarm.diagnose(planar).codes & THIRD
 
 
-def test_rates_that_follow_nothing_are_not_mended():
+def test_rates_without_relation_to_the_motion_are_not_repaired():
     drive, rng = drive_of("flat"), np.random.default_rng(0)
     dead = {n: 0.01 * rng.standard_normal(len(drive.imu)) for n in ("gx", "gy")}
     found = sigmaswarm.diagnose(replace(drive, imu=replace(drive.imu, **dead)))

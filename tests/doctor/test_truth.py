@@ -1,4 +1,4 @@
-"""The truth: a wrong clock is found and repaired; it shows delay and errors of the fixes."""
+"""The truth: a wrong clock is found and repaired; truth shows delay and errors of the fixes."""
 
 from dataclasses import replace
 
@@ -40,7 +40,7 @@ def test_a_wrong_clock_of_the_truth_is_found_and_repaired(name: str, seconds: fl
 
 
 @pytest.mark.parametrize("seconds", [50.0, 18.0, -50.0])
-def test_neither_a_part_nor_another_origin_hides_it(seconds: float):
+def test_a_wrong_clock_of_the_truth_is_found_in_a_part_and_with_another_origin(seconds: float):
     whole = DRIVES["urban"]
     part = replace(whole, truth=clip(whole, 20.0, 90.0).truth)
     for drive in (shifted(whole, seconds, move=3e4), shifted(part, seconds)):
@@ -49,7 +49,7 @@ def test_neither_a_part_nor_another_origin_hides_it(seconds: float):
 
 
 @pytest.mark.parametrize("interval", [3, 5, 8])
-def test_fixes_with_long_intervals_show_it(interval: int):
+def test_a_wrong_clock_of_the_truth_is_found_with_long_intervals_of_the_fixes(interval: int):
     drive = DRIVES["urban"]
     few = replace(drive, gps=drive.gps.select(np.arange(0, len(drive.gps), 5 * interval)))
     position = few.gps.x + 1j * few.gps.y
@@ -61,12 +61,12 @@ def test_fixes_with_long_intervals_show_it(interval: int):
 
 @pytest.mark.parametrize("name", DRIVES)
 @pytest.mark.parametrize("seconds", [0.0, 0.5, -1.0])
-def test_a_truth_with_the_delay_of_a_receiver_is_not_doubted(name: str, seconds: float):
+def test_a_truth_with_the_delay_of_a_receiver_has_no_finding(name: str, seconds: float):
     assert "truth-clock" not in diagnose(shifted(DRIVES[name], seconds)).codes
 
 
-def test_fixes_with_a_wrong_clock_are_the_fixes_fault():
-    """IMU and truth agree, so only the fixes are moved."""
+def test_a_wrong_clock_of_the_fixes_is_not_a_fault_of_the_truth():
+    """IMU and truth agree, so only the fixes are shifted."""
     drive = DRIVES["urban"]
     late = replace(drive, gps=replace(drive.gps, time=drive.gps.time + 18.0))
     diagnosis = diagnose(late)
@@ -102,7 +102,7 @@ def test_a_small_offset_of_the_fixes_does_not_move_a_truth_with_the_clock_of_the
 
 
 def test_the_delay_of_the_truth_is_computed_once(monkeypatch: pytest.MonkeyPatch):
-    """Also a clock of 18.6 s is not called GPS time, for fixes and truth alike."""
+    """An offset of 18.6 s is not called GPS time, neither for fixes nor for truth."""
     calls: list[int] = []
     monkeypatch.setattr(evidence, "truth_delay", lambda *given: calls.append(1) or truth_delay(*given))
     drive = replace(DRIVES["urban"], name="counted")
@@ -125,13 +125,13 @@ def test_three_clocks_are_two_findings():
 
 @pytest.mark.parametrize("moved", [0.0, 0.6])
 def test_a_truth_shows_the_delay_of_noisy_fixes(moved: float):
-    """The truth may have the clock of the IMU or that of the fixes."""
+    """The truth has the clock of the IMU or that of the fixes."""
     drive = simulate("urban", run=2, duration=60.0, gps="gnss-ins-sim")
     late = replace(drive, gps=replace(drive.gps, time=drive.gps.time + 0.6))
     blind, clock = gather(replace(late, truth=None)).clock, gather(shifted(late, moved, move=3e4)).clock
     assert clock.std < 0.8 * blind.std
     assert abs(clock.delay - 0.6) < 2 * clock.std
-    assert gather(shifted(late, 18.0)).clock == blind  # nothing follows from a truth whose clock is wrong
+    assert gather(shifted(late, 18.0)).clock == blind  # a truth with a wrong clock gives no evidence
 
 
 def stating(drive: Drive, std: float) -> Drive:
@@ -140,7 +140,7 @@ def stating(drive: Drive, std: float) -> Drive:
     )
 
 
-def test_a_truth_shows_the_size_of_errors_that_last():
+def test_a_truth_shows_the_size_of_correlated_errors():
     drive = simulate("urban", run=5, duration=60.0, gps="f9p-rtk")
     assert "gps-noise" not in diagnose(drive).codes  # 0.01 m
     (said,) = (f for f in diagnose(stating(drive, 0.1)).findings if f.code == "gps-noise")
@@ -164,7 +164,7 @@ def test_a_truth_without_heading_is_compared_with_the_fixes_too():
     assert fit is not None
     without = replace(truth, theta=np.full_like(truth.theta, np.nan))
     assert gather(replace(drive, truth=without)).truth_fit == fit
-    # If the antenna is not at the IMU, its track is known only with a heading.
+    # Without a heading, the track of an antenna away from the IMU is unknown.
     elsewhere = {"gps_lever_arm_m": (0.01, 0.0)}
     assert gather(replace(drive, truth=without, metadata=elsewhere)).truth_fit is None
     half = replace(truth, theta=np.where(truth.time < middle, truth.theta, np.nan))

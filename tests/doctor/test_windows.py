@@ -19,7 +19,7 @@ def problem(rng: np.random.Generator, windows: int = 6, count: int = 20):
     return y, columns, own
 
 
-def test_it_is_the_dense_least_squares():
+def test_the_regression_equals_dense_least_squares():
     y, columns, own = problem(np.random.default_rng(0))
     found = regress(y, columns, own, np.ones(y.shape), rounds=1)
     windows, count = y.shape
@@ -43,8 +43,8 @@ def test_outliers_are_downweighted():
     assert found.weight[2, 5] < 1e-3
 
 
-def test_the_deviations_are_honest():
-    """Independent windows: the true spread, doubled in variance for windows that overlap, or more."""
+def test_the_deviations_match_the_true_spread():
+    """For independent windows: the variance is doubled, since windows usually overlap."""
     draws = [regress(*(p := problem(np.random.default_rng(s))), np.ones(p[0].shape), 1) for s in range(200)]
     spread = np.std([d.solution for d in draws], axis=0)
     told = np.mean([np.sqrt(np.diag(d.covariance)) for d in draws], axis=0)
@@ -53,7 +53,7 @@ def test_the_deviations_are_honest():
 
 
 @pytest.mark.parametrize("gap", [0.0, 30.0])
-def test_windows_overlap_by_half_and_hold_no_gap(gap: float):
+def test_windows_overlap_by_half_and_contain_no_gap(gap: float):
     time = np.arange(100) * 0.5
     time[50:] += gap
     rows = windows_of(time, np.ones(100, dtype=bool), 10.0)
@@ -64,6 +64,6 @@ def test_windows_overlap_by_half_and_hold_no_gap(gap: float):
 
 @pytest.mark.parametrize("n", [1, 2, 7, 500])
 @pytest.mark.parametrize("count", [1, 2, 5, 50])
-def test_the_moving_mean_is_scipys(n: int, count: int):
+def test_the_moving_mean_equals_scipy_s(n: int, count: int):
     rows = np.random.default_rng(n).normal(size=(3, n))
     assert moving_mean(rows, count).tobytes() == uniform_filter1d(rows, count, axis=1).tobytes()

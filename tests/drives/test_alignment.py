@@ -302,7 +302,7 @@ def same(a: InitialState, b: InitialState) -> bool:
     )
 
 
-def with_later_samples_changed(table, time: float, rng: np.random.Generator):
+def with_later_changed(table, time: float, rng: np.random.Generator):
     later = table.time > time
     columns = {k: v for k, v in vars(table).items() if v is not None and k != "time"}
     return replace(
@@ -321,8 +321,8 @@ def test_later_samples_do_not_change_the_start(seed: int):
     rng = np.random.default_rng(seed)
     changed = replace(
         drive,
-        imu=with_later_samples_changed(drive.imu, state.time, rng),
-        gps=with_later_samples_changed(drive.gps, state.time, rng),
+        imu=with_later_changed(drive.imu, state.time, rng),
+        gps=with_later_changed(drive.gps, state.time, rng),
     )
     assert same(initial_state(changed), state)
     # one later sample is necessary to run a filter

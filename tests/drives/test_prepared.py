@@ -36,9 +36,7 @@ def test_alignment_and_timelines_are_computed_once(monkeypatch: pytest.MonkeyPat
         assert ready.timeline() is ready.timeline(np.zeros(len(HIDDEN), dtype=bool))
         assert ready.timeline(HIDDEN) is ready.timeline(HIDDEN.copy())
         assert ready.timeline(HIDDEN, removed=True) is ready.timeline(HIDDEN, removed=True)
-    assert calls == ["initial_state", *2 * ["build_timeline"]], (
-        "expected one timeline of all fixes and one of the remaining fixes"
-    )
+    assert calls == ["initial_state", *2 * ["build_timeline"]], "one timeline of all fixes, one of the rest"
 
 
 def test_hidden_fixes_do_not_change_the_steps_and_removed_fixes_do():
