@@ -70,7 +70,7 @@ def run(*words: str) -> str:
 
 
 def thinned(table: Any, every: int, digits: int = 5, **changes: Any) -> Any:
-    """Every so manieth row of a table, rounded: full precision would fill the archive."""
+    """Return every n-th row of a table, rounded, since full precision would make the archive large."""
     kept: dict[str, Any] = {}
     for field in fields(table):
         values = getattr(table, field.name)
@@ -82,7 +82,7 @@ def thinned(table: Any, every: int, digits: int = 5, **changes: Any) -> Any:
 
 
 def town(run_number: int, name: str, *, duration: float = 30.0) -> sigmaswarm.Drive:
-    """A simulated drive at 50 Hz with six axes, truth at 10 Hz and an odometer."""
+    """Simulate a drive at 50 Hz with six axes, truth at 10 Hz and an odometer."""
     whole = sigmaswarm.simulate(
         "urban", run=run_number, duration=duration, gps="white-1m", vibration=True, odometer="pulses"
     )
@@ -98,7 +98,7 @@ def town(run_number: int, name: str, *, duration: float = 30.0) -> sigmaswarm.Dr
 
 
 def stated(drive: sigmaswarm.Drive, name: str) -> sigmaswarm.Drive:
-    """The drive with the receiver's stated deviations, speed and course."""
+    """Add the receiver's stated standard deviations, speed and course to a drive."""
     truth = drive.truth
     assert truth is not None
     rng = np.random.default_rng(7)
@@ -116,7 +116,7 @@ def stated(drive: sigmaswarm.Drive, name: str) -> sigmaswarm.Drive:
 
 
 def world(drive: sigmaswarm.Drive, name: str) -> sigmaswarm.Drive:
-    """The drive as a log in latitude and longitude, with heights."""
+    """Convert a drive to latitude and longitude, with heights."""
     from sigmaswarm.geodesy import enu_to_geodetic
 
     origin = (49.0, 8.4, 110.0)
@@ -127,7 +127,7 @@ def world(drive: sigmaswarm.Drive, name: str) -> sigmaswarm.Drive:
 
 
 def write_drives() -> None:
-    """Drives of each frame, with and without truth, odometer and stated deviations; CSV and Parquet."""
+    """Write drives of each frame, with and without truth, odometer and stated standard deviations; CSV and Parquet."""
     drives = [town(i, f"town-{i}") for i in range(3)]
     drives += [replace(town(i + 3, f"bare-{i}"), truth=None, odometer=None) for i in range(2)]
     drives += [stated(town(5, "town-5"), "stated-0"), world(town(6, "town-6"), "world-0")]
@@ -141,9 +141,9 @@ def write_drives() -> None:
 
 
 def write_tunings() -> None:
-    """A tuning of each model, filter type, optimizer and objective's family."""
+    """Write a tuning for each model, filter type, optimizer and kind of objective."""
     for name, (drives, options) in TUNINGS.items():
-        budget = ("--workers", "1") if name == "paper" else TINY  # the paper's setting has its own
+        budget = ("--workers", "1") if name == "paper" else TINY  # the paper's setting has a fixed budget
         run(
             "tune",
             *(f"drives/{d}" for d in drives.split()),
@@ -155,11 +155,11 @@ def write_tunings() -> None:
 
 
 class Stopped(Exception):
-    """As if the process had been killed."""
+    """Stands for the end of the process."""
 
 
 def write_interrupted() -> None:
-    """A tuning with a checkpoint in its second trial, beside what it ends in."""
+    """Write a tuning with a checkpoint in its second trial, and the finished tuning."""
     drives = [sigmaswarm.read_drive("drives/town-0"), sigmaswarm.read_drive("drives/town-1")]
     for optimizer in ("de", "pso", "cma-es"):
         options: dict[str, Any] = {"model": "planar5", "objective": "truth-rmse", "particles": 4}
@@ -176,7 +176,7 @@ def write_interrupted() -> None:
 
 
 def custom_model() -> tuple[sigmaswarm.Model, list[sigmaswarm.Log]]:
-    """A model of the user's own: a position driven by a measured speed, and two logs."""
+    """Return a user's model (a position with a measured speed as input) and two logs."""
 
     def f(state: Any, dt: float, u: Any, p: Any) -> Any:
         return np.array([state[0] + (u[0] - state[1]) * dt, state[1]])
@@ -225,7 +225,7 @@ def custom_model() -> tuple[sigmaswarm.Model, list[sigmaswarm.Log]]:
 
 
 def write_custom() -> None:
-    """A tuning of a model of the user's own."""
+    """Write a tuning of a user's model."""
     model, logs = custom_model()
     sigmaswarm.tune(
         logs, model=model, objective="innovation-nll", particles=4, generations=3, out="custom/track"
@@ -233,13 +233,13 @@ def write_custom() -> None:
 
 
 def write_filter() -> None:
-    """A file with a filter's parameters alone."""
+    """Write a file that contains only the parameters of a filter."""
     Path("filters").mkdir()
     sigmaswarm.datasheet(sigmaswarm.read_drive("drives/town-0")).save("filters/own.toml")
 
 
 def write_evaluations() -> None:
-    """Evaluations with truth and without, against another tuning, smoothed, and of a swarm."""
+    """Write evaluations: with truth, without truth, against another tuning, smoothed, and with a filter bank."""
     for name, words in {
         "plain": ("tunings/default", "drives/town-2"),
         "two-drives": ("tunings/planar5", "drives/town-1", "drives/town-2"),
@@ -255,7 +255,7 @@ def write_evaluations() -> None:
 
 
 def write_recipes() -> None:
-    """Logs of odd columns, the recipes that read them, and the drives that these gave."""
+    """Write logs with unusual columns, recipes for these logs, and the imported drives."""
     drive = sigmaswarm.read_drive("drives/three-axes")
     Path("logs").mkdir()
     rows = zip(drive.imu.time, drive.imu.ax, drive.imu.ay, np.degrees(drive.imu.gz), strict=True)
@@ -285,7 +285,7 @@ def write_recipes() -> None:
 
 
 def write_comparison_and_study() -> None:
-    """A comparison of two optimizers and a study of two trials, both on drives of the corpus."""
+    """Write a comparison of two optimizers and a study of two trials, both with drives of the corpus."""
     drives = tuple(f"drives/town-{i}" for i in range(3))
     run(
         *("compare", *drives[:2], "--validation", drives[2], "--optimizers", "pso", "de", "pso:polish=2"),
@@ -297,7 +297,7 @@ def write_comparison_and_study() -> None:
 
 
 def write_learned() -> None:
-    """Both networks, beside a filter of planar8."""
+    """Write both networks and a filter of planar8."""
     for network in ("outage-lstm", "noise-gru"):
         run(
             "learn", network, "tunings/planar8", "drives/long", "drives/town-1", "--out", f"learned/{network}"
@@ -305,26 +305,26 @@ def write_learned() -> None:
 
 
 def write_others() -> None:
-    """A reference, exports with their replays, estimates, the filter that a swarm settled on."""
+    """Write a reference, exports with replays, estimates, and the filter on which a bank has settled."""
     run("reference", "drives/town-2", "--fixes", "drives/town-2", "--out", "reference", "--accuracy", "3")
     for target in ("filterpy", "c99", "robot_localization"):
         more = ("--replay", "drives/town-2") if target == "c99" else ()
         run("export", "tunings/planar5", "--to", target, "--out", f"exports/{target}", *more)
     Path("estimates").mkdir()
     run("run", "tunings/planar5", "drives/town-2", "--out", "estimates/swarm.csv", "--swarm")
-    Path("estimates/swarm.csv").unlink()  # large; what it settled on is kept
+    Path("estimates/swarm.csv").unlink()  # large; the settled filter is kept
     run("run", "tunings/planar8", "drives/town-2", "--out", "estimates/plain.csv")
 
 
 def drive_of(name: str) -> str:
-    """The drive that a tuning is run over for `expected.json`."""
+    """Return the drive over which a tuning is run for `expected.json`."""
     if name.startswith("world"):
         return "world-0"
     return "stated-0" if name.endswith("everything") else "town-2"
 
 
 def write_expected() -> None:
-    """Record what this version computes from the files: scores, estimates, findings, drives as read."""
+    """Record values that this version computes from the files: scores, estimates, findings, drives as read."""
     import numba
     import scipy
 
@@ -382,7 +382,7 @@ STEPS: dict[str, Callable[[], None]] = {
 
 
 def pack(folder: Path, archive: Path) -> None:
-    """Pack all but pictures and pages; equal files give an equal archive."""
+    """Pack all files except pictures and pages; equal files give an equal archive."""
 
     def plain(member: tarfile.TarInfo) -> tarfile.TarInfo | None:
         if Path(member.name).suffix in (".png", ".svg", ".html", ".pdf"):

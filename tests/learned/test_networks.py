@@ -29,7 +29,7 @@ AXES = ("ax", "ay", "gz", "az", "gx", "gy")
 
 @cache
 def silent() -> Drive:
-    """A drive without fixes from 20 to 40 s."""
+    """Return a drive without fixes from 20 to 40 s."""
     return hide_fixes(make_drive(duration=60.0), [[20.0, 40.0]])
 
 
@@ -55,7 +55,7 @@ def test_without_an_outage_no_bit_changes(recover: bool):
 
 
 @pytest.mark.parametrize("model", ["planar8", "tilted12"])
-def test_in_an_outage_pieces_have_the_bits_of_the_whole(model: str):
+def test_in_an_outage_pieces_give_the_bits_of_the_whole(model: str):
     p = parameters(model, lateral_noise=0.05)
     one, many = (OutageRun(whole_pass(silent()), p, network(), samples=n) for n in (10_000, 33))
     assert one.whole().mean.tobytes() == many.whole().mean.tobytes()
@@ -64,7 +64,7 @@ def test_in_an_outage_pieces_have_the_bits_of_the_whole(model: str):
     assert one.failure is None
 
 
-def test_what_comes_later_changes_nothing_before():
+def test_estimates_do_not_depend_on_later_fixes():
     p = parameters("planar8", lateral_noise=0.05)
     drive = silent()
     late = drive.gps.time > 45.0
@@ -75,7 +75,7 @@ def test_what_comes_later_changes_nothing_before():
     assert one.mean.tobytes() != two.mean.tobytes()
 
 
-def test_an_infinite_inflation_leaves_the_filter_alone():
+def test_an_infinite_inflation_changes_no_bit_of_the_filter():
     p = parameters("planar8")
     run = OutageRun(whole_pass(silent()), p, replace(network(), inflation=np.inf, unsure=10.0))
     assert run.whole().mean.tobytes() == run_filter(silent(), p).mean.tobytes()
@@ -84,7 +84,7 @@ def test_an_infinite_inflation_leaves_the_filter_alone():
 def displaced(
     p: FilterParameters, drive_pass: FilterPass, first: int = 1500
 ) -> tuple[FilterRun, DisplacementStart, int, Displacements]:
-    """A run over the 100 samples of a displacement, its start, the step behind it, and its update."""
+    """Return a run at the end of 100 samples, the displacement's start, the next step, and the displacement updates."""
     begins, stop = (int(np.flatnonzero(drive_pass.timeline.sampled)[k]) + 1 for k in (first, first + 100))
     run = FilterRun(drive_pass, p)
     run._steps_to(begins, np.empty((0, 0, 0)))
@@ -95,7 +95,7 @@ def displaced(
 
 @pytest.mark.parametrize(
     ("model", "kind", "lateral_noise"),
-    # planar5 without lateral knows at each step where it heads: unless it is told that somebody else has turned it
+    # planar5 without lateral determines the direction in each step, unless the state has been turned by another program
     quickly(
         [
             ("planar8", "ekf", 0.05),
@@ -109,7 +109,7 @@ def displaced(
 def test_the_update_with_a_displacement_equals_that_of_a_filter_with_a_clone(
     model: str, kind: str, lateral_noise: float | None
 ):
-    """The textbook's filter, run from states moved a little, one by one, and the joint update written out."""
+    """Compare with a joint update that uses numerical derivatives of the textbook filter."""
     p = parameters(model, kind=kind, lateral_noise=lateral_noise)
     drive_pass = whole_pass(silent())
     line, first = drive_pass.timeline, int(np.flatnonzero(drive_pass.timeline.sampled)[1200]) + 1
@@ -117,7 +117,7 @@ def test_the_update_with_a_displacement_equals_that_of_a_filter_with_a_clone(
     (x0, p0), (x1, p1) = on._state(begin.rows), on._state(run._rows[0])
     plus, minus = on._plus, on._minus
 
-    def moved_on(state: np.ndarray) -> np.ndarray:
+    def propagated(state: np.ndarray) -> np.ndarray:
         car = TextbookCar(line, p, drive_pass.initial)
         car.filter.mean, car.filter.covariance = state.copy(), p0.copy()
         for step in range(first, stop):
@@ -125,7 +125,7 @@ def test_the_update_with_a_displacement_equals_that_of_a_filter_with_a_clone(
         return car.filter.mean
 
     steps = 1e-3 * np.sqrt(np.diag(p0))
-    ahead = np.array([minus(moved_on(plus(x0, e)), moved_on(x0)) for e in np.diag(steps)]).T / steps
+    ahead = np.array([minus(propagated(plus(x0, e)), propagated(x0)) for e in np.diag(steps)]).T / steps
     n = len(x0)
     joint = np.block([[p0, p0 @ ahead.T], [ahead @ p0, p1]])
     h = np.zeros((2, 2 * n))
@@ -146,19 +146,19 @@ def test_the_update_with_a_displacement_equals_that_of_a_filter_with_a_clone(
     scale = np.sqrt(np.diag(p1))
     np.testing.assert_allclose(minus(mean, plus(x1, gain[n:] @ innovation)) / scale, 0.0, atol=2e-3)
     np.testing.assert_allclose((covariance - wanted) / np.outer(scale, scale), 0.0, atol=2e-3)
-    assert not on.update(begin, rows, stop, at + 1e3, noise)  # nobody believes that
+    assert not on.update(begin, rows, stop, at + 1e3, noise)  # rejected as an outlier
 
 
-def test_a_displacement_says_nothing_of_the_place():
-    """However sure a displacement is, the position is no surer behind it than before it."""
+def test_a_displacement_does_not_determine_the_absolute_position():
+    """Even with an accurate displacement, the final position is not more certain than the initial position."""
     run, begin, stop, on = displaced(parameters("planar8", lateral_noise=0.05), whole_pass(silent()))
     (x0, p0), (x1, _) = on._state(begin.rows), on._state(run._rows[0])
     assert on.update(begin, run._rows[0], stop, body_displacement(x0, x1), 1e-6 * np.eye(2))
     assert np.linalg.eigvalsh(on._state(run._rows[0])[1][:2, :2])[1] > 0.9 * np.linalg.eigvalsh(p0[:2, :2])[1]
 
 
-def test_an_update_that_leads_away_from_the_displacement_is_left_out():
-    """Heading and velocity so unsure, beside what was known at the begin, are not on one straight line."""
+def test_an_update_that_increases_the_residual_is_rejected():
+    """If heading and velocity are very uncertain, the model is not linear, and the update may increase the residual."""
     run, begin, stop, on = displaced(parameters("planar8", lateral_noise=0.05), whole_pass(silent()))
     rows = run._rows[0]
     (x0, _), (x1, _) = on._state(begin.rows), on._state(rows)
@@ -174,8 +174,8 @@ def test_an_update_that_leads_away_from_the_displacement_is_left_out():
         assert rows.tobytes() == before.tobytes()
 
 
-def test_features_are_means_and_shakes():
-    """Against each step's samples, taken one by one."""
+def test_features_are_means_and_standard_deviations():
+    """Compare with each step's samples, evaluated one by one."""
     drive = make_drive(duration=40.0)
     line = whole_pass(drive).timeline
     end = np.array([2000, 2500])
@@ -190,7 +190,7 @@ def test_features_are_means_and_shakes():
                 assert np.exp(found[k, j, 2 + column]) == pytest.approx(values.std(), rel=0.05, abs=2e-3)
 
 
-def test_outages_are_told_in_time():
+def test_outages_are_detected_after_a_delay():
     line = whole_pass(silent()).timeline
     found = outage_lstm.outage_windows(line, axes=AXES, window=6.0)
     time, last = line.imu_time, line.end[line.updates]
@@ -202,7 +202,7 @@ def test_outages_are_told_in_time():
     assert time[found.over[0]] >= 40.0
 
 
-def test_a_drive_without_an_axis_is_refused():
+def test_a_drive_without_an_axis_is_rejected():
     drive = silent()
     bare = replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None))
     with pytest.raises(InputError, match=r"synthetic: imu.csv has no az, an input of the network"):
@@ -213,7 +213,7 @@ def _unlearned(units: int = 4) -> dict[str, np.ndarray]:
     return new_weights(np.random.default_rng(0), 3, FEATURES, units, 2)
 
 
-def test_scales_hold_from_the_sample_behind_a_fix_and_lie_in_bounds():
+def test_noise_scales_start_after_the_first_fix_and_are_within_bounds():
     weights = {**_unlearned(), "head": 9.0 * np.random.default_rng(1).normal(size=(4, 2))}
     drive, p = equipped(), parameters("planar8")
     run = NoiseRun(whole_pass(drive), p, weights).finished()
@@ -227,8 +227,8 @@ def test_scales_hold_from_the_sample_behind_a_fix_and_lie_in_bounds():
     assert run.innovations.covariance[1].tobytes() != plain.covariance[1].tobytes()
 
 
-def test_cells_are_those_of_the_books():
-    """Element by element, as the papers write them."""
+def test_cells_agree_with_their_equations():
+    """Compute the cells element by element, as in the papers."""
     rng = np.random.default_rng(3)
     x, h, c = rng.normal(size=3), rng.normal(size=2), rng.normal(size=2)
     w = {k: rng.normal(size=v.shape) for k, v in new_weights(rng, 4, 3, 2, 1).items()}
@@ -252,8 +252,8 @@ def test_cells_are_those_of_the_books():
     np.testing.assert_allclose(head(w, h), h @ w["head"] + w["head_bias"])
 
 
-def test_hidden_fixes_count_as_an_outage_too():
-    """A pass that hides fixes from the filter, to score its forecasts, has the outage of a drive without them."""
+def test_hidden_fixes_cause_an_outage_too():
+    """A pass that hides fixes, to score predictions, has the outage of a drive without these fixes."""
     drive, p = make_drive(duration=60.0), parameters("planar8")
     ready = PreparedDrive(drive)
     line = ready.timeline(hidden_fixes(drive.gps.time, [[20.0, 40.0]]))

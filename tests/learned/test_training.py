@@ -1,4 +1,4 @@
-"""Training: gradients of the same filter, the same bits after any interruption, and the commands."""
+"""Training: gradients through the same filter, the same bits after any interruption, and the commands."""
 
 import json
 from dataclasses import replace
@@ -36,8 +36,8 @@ ONE_STEP = Schedule(0.01, epochs=1, batch=1, patience=5, seed=0)
     quickly([("planar5", {"robust_dof": 4.0}), ("planar8", ALL)], lambda model, _: model == "planar5"),
     ids=["robust", "all"],
 )
-def test_the_filter_that_is_trained_through_is_the_compiled_one(model: str, option: dict[str, float]):
-    """With scales of one and with those of a network, over a whole drive."""
+def test_the_differentiable_filter_agrees_with_the_compiled_filter(model: str, option: dict[str, float]):
+    """Compare over a whole drive, with scales of one and with those of a network."""
     import jax
 
     from sigmaswarm.learned.noise_filter import FilterConstants, columns_of, run
@@ -70,7 +70,7 @@ def test_the_filter_that_is_trained_through_is_the_compiled_one(model: str, opti
         (parameters("planar8", velocity_noise=0.1), "velocity_noise"),
     ],
 )
-def test_filters_that_it_is_not_trained_through_are_refused(p, said: str):
+def test_filters_that_the_training_does_not_support_are_rejected(p, said: str):
     with pytest.raises(InputError, match=said):
         require_supported(p)
 
@@ -79,7 +79,7 @@ class Stopped(Exception):
     pass
 
 
-def test_a_fit_that_is_interrupted_ends_in_the_same_bits(tmp_path: Path):
+def test_an_interrupted_fit_ends_in_the_same_bits(tmp_path: Path):
     rng = np.random.default_rng(0)
     x = rng.normal(size=(60, 3))
     examples = (x[:40], x[:40] @ [1.0, -2.0, 0.5]), (x[40:], x[40:] @ [1.0, -2.0, 0.5])
@@ -102,16 +102,16 @@ def test_a_fit_that_is_interrupted_ends_in_the_same_bits(tmp_path: Path):
     assert again.losses.tobytes() == whole.losses.tobytes()
 
 
-def test_one_step_of_adam_is_that_of_the_paper():
+def test_one_step_of_adam_agrees_with_the_paper():
     x = np.array([[1.0, 2.0]])
     example = x, np.array([1.7])
     found = fit(TrainingProblem(square, {"w": np.array([0.5, 0.5])}, example, example), ONE_STEP)
     gradient = 2 * (1.5 - 1.7) * x[0]
-    step = gradient / np.abs(gradient)  # m / sqrt(v), both corrected, after one step
+    step = gradient / np.abs(gradient)  # m / sqrt(v) after one step, both with bias correction
     np.testing.assert_allclose(found.weights["w"], 0.5 - 0.01 * (step + 1e-4 * 0.5), rtol=1e-6)
 
 
-def test_a_step_that_is_not_finite_is_not_taken():
+def test_a_step_that_is_not_finite_is_omitted():
     x = np.array([[1.0, 2.0], [np.inf, 0.0]])
     example = (x[:1], np.array([1.7]))
     start = {"w": np.array([0.5, 0.5])}
@@ -136,7 +136,7 @@ def quick(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(LEARNERS, "outage-lstm", OfBoth)
 
 
-def test_a_search_that_is_interrupted_ends_in_the_same_bytes(quick, tmp_path: Path):
+def test_an_interrupted_search_ends_in_the_same_bytes(quick, tmp_path: Path):
     p = parameters("planar8", lateral_noise=0.05)
     config = LearnConfig("outage-lstm", p, drives(), search=3)
     learn(config, tmp_path / "whole")
@@ -163,8 +163,7 @@ def test_a_search_that_is_interrupted_ends_in_the_same_bytes(quick, tmp_path: Pa
 
 
 @pytest.mark.long
-def test_the_noise_network_learns_downhill():
-    """The gradient that it is trained by is that of the loss, by differences."""
+def test_the_gradient_of_the_noise_network_agrees_with_differences():
     p = parameters("planar5", kind="ekf")
     segments = noise_training.segments_of(drives()[:1], p, 2.0)
     batch = tuple(array[:2] for array in segments.arrays)
@@ -184,8 +183,8 @@ def test_the_noise_network_learns_downhill():
 
 
 @pytest.mark.long
-def test_the_outage_network_learns_how_fast_the_car_is():
-    """On other parts of the same drives it does better than the mean; the same seed gives the same bits."""
+def test_the_outage_network_learns_the_speed_of_the_car():
+    """On other parts of the same drives, it is better than the mean; the same seed gives the same bits."""
     p = parameters("planar8", lateral_noise=0.05)
     tracks = outage_training.tracks_of(drives(), p)
     examples = outage_training.examples_of(tracks, ("ax", "ay", "gz"), 6.0)
@@ -201,7 +200,7 @@ def test_the_outage_network_learns_how_fast_the_car_is():
     assert (variance > 0).all()
 
 
-def test_truth_is_not_looked_at():
+def test_truth_is_not_used():
     p = parameters("planar8", lateral_noise=0.05)
     blind = [replace(drive, truth=None) for drive in drives()]
     with_truth, without = (
@@ -228,7 +227,7 @@ def test_the_commands(quick, sigmaswarm, unpainted: None, tmp_path: Path):
     ended = sigmaswarm("evaluate", out, own, "--out", tmp_path / "evaluation", "--trust-log")
     assert ended.code == 0, ended.err
     assert "tuned, outage-lstm" in ended.out
-    assert "the errors on training data are smaller" in " ".join(ended.err.split())  # the network has seen it
+    assert "the errors on training data are smaller" in " ".join(ended.err.split())  # tested on training data
     assert sigmaswarm("report", tmp_path / "evaluation").code == 0
     ended = sigmaswarm("evaluate", tmp_path / "evaluation" / "tuning.toml", own, "--json", "--trust-log")
     assert "outage-lstm" in json.loads(ended.out)["mean"]
@@ -246,7 +245,9 @@ def test_the_commands(quick, sigmaswarm, unpainted: None, tmp_path: Path):
 
 
 @pytest.mark.parametrize("library", ["jax", "optax"])
-def test_a_missing_library_is_told_in_one_line(library: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+def test_a_missing_library_is_reported_with_one_line(
+    library: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
     monkeypatch.setitem(__import__("sys").modules, library, None)
     with pytest.raises(InputError, match=r"pip install 'sigmaswarm\[learned\]'"):
         learn(LearnConfig("noise-gru", parameters("planar8"), drives()), tmp_path / "learned")

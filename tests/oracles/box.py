@@ -6,22 +6,22 @@ import numpy as np
 
 from sigmaswarm.filters.parameters import FilterParameters
 
-# alpha, beta, kappa, five variances of Q, two of R: the paper's box.
+# Bounds of the paper: alpha, beta, kappa, five variances of Q, two of R.
 LOWER = np.array([1e-3, 0, 0, *[1e-5] * 5, *[1e-5] * 2])
 UPPER = np.array([1, 3, 5, *[10] * 5, *[10] * 2])
 
-# Besides: bias_std (2), velocity_noise, lateral_noise, rear_axle, tire_slip, standstill_noise, gate, latency, and
-# forgetting.
+# Bounds of the other parameters: bias_std (2), velocity_noise, lateral_noise, rear_axle, tire_slip, standstill_noise,
+# gate, latency and forgetting.
 _MORE = np.array([
     [1e-3, 1], [1e-5, 0.1], [1e-4, 10], [1e-4, 10], [-1, 4], [0, 0.02], [1e-6, 1], [4, 100], [0, 0.5], [0.9, 0.9999]
 ]).T  # fmt: skip
 
 
 def box_table(n: int, seed: int = 0) -> np.ndarray:
-    """Parameter sets of the paper's box, (n, 10): 32 plain corners first, then random corners and random sets.
+    """Return parameter sets within the paper's bounds, (n, 10): 32 plain corners, then random corners and random sets.
 
-    A plain corner has one level for all of Q and one for all of R; at a random corner each of the ten parameters
-    is at one of its bounds. Inside, alpha and the variances are uniform in their logarithms.
+    A plain corner has one level for all of Q and one for all of R; at a random corner, each of the ten parameters is
+    at one of its bounds. Random sets are uniform in the logarithms of alpha and the variances.
     """
     rng = np.random.default_rng(seed)
     corners = np.array([[a, b, k, *[q] * 5, *[r] * 2] for q in (0, 1) for r in (0, 1) for a in (0, 1)
@@ -33,7 +33,7 @@ def box_table(n: int, seed: int = 0) -> np.ndarray:
 
 
 def _draw(rng: np.random.Generator, lower: np.ndarray, upper: np.ndarray, *, corner: bool) -> np.ndarray:
-    """A random corner, or a random row: uniform, in its logarithm where a bound is positive."""
+    """Draw a random corner or a random row, which is uniform, in the logarithm if the lower bound is positive."""
     if corner:
         return np.where(rng.random(len(lower)) < 0.5, upper, lower)
     share = rng.random(len(lower))
@@ -44,12 +44,12 @@ def _draw(rng: np.random.Generator, lower: np.ndarray, upper: np.ndarray, *, cor
 
 
 def as_parameters(table: np.ndarray, **more) -> list[FilterParameters]:
-    """The library's records of the rows of a `box_table`."""
+    """Convert the rows of a `box_table` to the library's records."""
     return [FilterParameters(*map(float, row[:3]), tuple(row[3:8]), tuple(row[8:]), **more) for row in table]
 
 
 def box_sets(model: str, kind: str, n: int, seed: int = 0) -> list[FilterParameters]:
-    """Sets of a model's box that use every measurement: corners and random sets in turn."""
+    """Return sets within a model's bounds that use every measurement: random sets and corners in turn."""
     rng = np.random.default_rng(seed)
     low, states = LOWER, 5
     high = UPPER
@@ -70,7 +70,7 @@ def box_sets(model: str, kind: str, n: int, seed: int = 0) -> list[FilterParamet
 
 
 def _ruled(sets: list[FilterParameters], rng: np.random.Generator) -> list[FilterParameters]:
-    """The sets with a fuzzy filter's memory, edges and gains from the box."""
+    """Add the memory, widths and gains of a fuzzy filter to the sets."""
     memory, widths = rng.uniform(0.5, 0.999, len(sets)), 10.0 ** rng.uniform(-1, 0, (len(sets), 2))
     gains = 100.0 ** rng.uniform(0, 1, (len(sets), 2))
     each = zip(sets, memory.tolist(), map(tuple, widths.tolist()), map(tuple, gains.tolist()), strict=True)
@@ -78,7 +78,7 @@ def _ruled(sets: list[FilterParameters], rng: np.random.Generator) -> list[Filte
 
 
 def weighed(sets: list[FilterParameters], seed: int = 0) -> list[FilterParameters]:
-    """The sets with Student's t and stated accuracies in place of the gate."""
+    """Replace the gate of the sets with Student's t and stated accuracies."""
     rng = np.random.default_rng(seed)
     scale, dof = 10.0 ** rng.uniform(-3, 1, len(sets)), 30.0 ** rng.uniform(0, 1, len(sets))
     each = zip(sets, scale.tolist(), dof.tolist(), strict=True)
@@ -86,7 +86,7 @@ def weighed(sets: list[FilterParameters], seed: int = 0) -> list[FilterParameter
 
 
 def wheeled(sets: list[FilterParameters], seed: int = 0) -> list[FilterParameters]:
-    """The sets with an odometer: noise, scale and latency from the box."""
+    """Add an odometer to the sets: noise, scale and latency."""
     rng = np.random.default_rng(seed)
     noise, scale = 10.0 ** rng.uniform(-4, 1, len(sets)), rng.uniform(0.9, 1.1, len(sets))
     each = zip(sets, noise.tolist(), scale.tolist(), rng.uniform(0.0, 0.3, len(sets)).tolist(), strict=True)

@@ -25,7 +25,7 @@ print("ANSWER" + json.dumps([[g.latitude, g.longitude] for g in found]), flush=T
 
 
 def formula_0914(x: float, y: float, latitude: float, longitude: float) -> tuple[float, float]:
-    """Latitude and longitude of CARLA 0.9.14."""
+    """Return latitude and longitude of CARLA 0.9.14."""
     radius = 6378137.0
     scale = math.cos(latitude * math.pi / 180.0)
     mx = scale * longitude * math.pi * radius / 180.0
@@ -38,7 +38,7 @@ def formula_0914(x: float, y: float, latitude: float, longitude: float) -> tuple
 
 
 def client_0916(places: list[tuple[float, float]], latitude: float, longitude: float) -> list[list[float]]:
-    """Latitudes and longitudes from the installed client, in a process of its own: it may abort at exit."""
+    """Return latitudes and longitudes from the installed client in a separate process, since it may abort at exit."""
     request = json.dumps([latitude, longitude, places])
     done = subprocess.run(
         [sys.executable, "-c", _CLIENT],

@@ -16,7 +16,7 @@ from oracles.extended import THETA, Extended, wrap
 
 @dataclass(frozen=True)
 class Measurement:
-    """What a sensor says.
+    """A measurement of a sensor.
 
     innovation : z - h at the mean (s, n), shape (s, m)
     change : h of the points less h at the mean, (s, 1, n) and (s, p, n) to (s, p, m)
@@ -29,23 +29,23 @@ class Measurement:
 
 
 def _biases(mean: np.ndarray, offsets: np.ndarray) -> list[np.ndarray]:
-    """The three biases of all points, each (s, p); planar5 has none."""
+    """Return the three biases of all points, each (s, p); they are zero for planar5."""
     if mean.shape[-1] == THETA + 1:
         return [np.zeros(offsets.shape[:-1], dtype=Extended)] * 3
     return list(np.moveaxis(mean[..., 5:] + offsets[..., 5:], -1, 0))
 
 
 def _heading(mean: np.ndarray, offsets: np.ndarray | int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Cosine and sine; wrapped first, for a heading of many turns has few digits to spare for an offset."""
+    """Return cosine and sine; the mean is wrapped first, since a heading of many turns has few digits left."""
     turn = offsets if isinstance(offsets, int) else offsets[..., THETA]
     theta = wrap(mean[..., THETA]) + turn
     return np.cos(theta), np.sin(theta)
 
 
 def newton(mean: np.ndarray, offsets: np.ndarray, dt: Extended, imu: np.ndarray) -> np.ndarray:
-    """New offsets (s, p, n), from where the mean would be if it coasted and turned as the gyro says.
+    """Return new offsets (s, p, n), relative to the mean after coasting with the gyro's turn.
 
-    Newton's equations are the same in a frame that travels with the mean.
+    Newton's equations are the same in a frame that moves with the mean.
     """
     bias_x, bias_y, _ = _biases(mean, offsets)
     c, s = _heading(mean, offsets)
@@ -61,7 +61,7 @@ def newton(mean: np.ndarray, offsets: np.ndarray, dt: Extended, imu: np.ndarray)
 
 
 def coasted(mean: np.ndarray, dt: Extended, gz: Extended) -> np.ndarray:
-    """Where the mean (s, n) would be without acceleration."""
+    """Return the mean (s, n) after a step without acceleration."""
     new = mean.copy()
     new[:, :2] += mean[:, 2:4] * dt
     new[:, THETA] += (gz - (mean[:, 7] if mean.shape[1] == 8 else 0)) * dt
@@ -69,7 +69,7 @@ def coasted(mean: np.ndarray, dt: Extended, gz: Extended) -> np.ndarray:
 
 
 def newton_jacobian(mean: np.ndarray, dt: Extended, imu: np.ndarray) -> np.ndarray:
-    """F, (s, n, n)."""
+    """Return F, (s, n, n)."""
     sets, n = mean.shape
     here, nothing = mean[:, None], np.zeros((sets, 1, n), dtype=Extended)
     bias_x, bias_y, _ = (b[:, 0] for b in _biases(here, nothing))
@@ -91,7 +91,7 @@ def newton_jacobian(mean: np.ndarray, dt: Extended, imu: np.ndarray) -> np.ndarr
 
 
 def fix(z: np.ndarray, lever: np.ndarray, latency: np.ndarray) -> Measurement:
-    """The antenna's position, z (2,), ``lever`` (2,) m forward and left of the IMU, ``latency`` (s,) s ago."""
+    """Measure the antenna's position z (2,), ``lever`` (2,) m forward and left of the IMU, ``latency`` (s,) s ago."""
     forward, left = lever[:2].astype(Extended)
 
     def arm(c: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -116,7 +116,7 @@ def fix(z: np.ndarray, lever: np.ndarray, latency: np.ndarray) -> Measurement:
 
 
 def linear(z: np.ndarray, states: list[int]) -> Measurement:
-    """Some of the states themselves."""
+    """Measure some of the states."""
     return Measurement(
         innovation=lambda mean: z.astype(Extended) - mean[:, states],
         change=lambda mean, offsets: offsets[..., states],
@@ -125,7 +125,7 @@ def linear(z: np.ndarray, states: list[int]) -> Measurement:
 
 
 def lateral(gz: float, axle: np.ndarray) -> Measurement:
-    """No velocity to the left at the rear axle, ``axle`` (s,) m behind the IMU."""
+    """Measure zero lateral velocity at the rear axle, ``axle`` (s,) m behind the IMU."""
 
     def innovation(mean: np.ndarray) -> np.ndarray:
         c, s = _heading(mean)
@@ -152,7 +152,7 @@ def lateral(gz: float, axle: np.ndarray) -> Measurement:
 
 
 def odometer(speed: np.ndarray, ax: float, delay: np.ndarray) -> Measurement:
-    """The velocity forward as it was ``delay`` (s,) s ago; ``speed`` (s,) m/s."""
+    """Measure the forward velocity ``delay`` (s,) s ago; ``speed`` (s,) m/s."""
 
     def innovation(mean: np.ndarray) -> np.ndarray:
         c, s = _heading(mean)

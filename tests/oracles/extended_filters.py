@@ -50,14 +50,14 @@ class SigmaPointForm:
         self.wc[:, 0] = self.wm[:, 0] + 1 - alpha**2 + beta
 
     def offsets(self, p: np.ndarray) -> np.ndarray:
-        """The sigma points as seen from the centre, (s, 2n + 1, n)."""
+        """Return the sigma points relative to the center, (s, 2n + 1, n)."""
         root = np.empty_like(p)
         root[:, self.order] = cholesky(p[:, self.order][:, :, self.order])
         columns = np.sqrt(self.n_plus_lambda)[:, None, None] * transposed(root)
         return np.concatenate([np.zeros_like(columns[:, :1]), columns, -columns], axis=1)
 
     def _moments(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean (s, m) and the points' distances from it; the weights of the mean add up to one."""
+        """Return the mean (s, m) and the points relative to it; the weights of the mean add up to one."""
         mean = points[:, 0] + np.einsum("sk,ski->si", self.wm, points - points[:, :1])
         return mean, (points - points[:, :1]) - (mean - points[:, 0])[:, None]
 
@@ -99,19 +99,19 @@ class JacobianForm:
 
 
 class ExtendedCar:
-    """Filters of one kind, model and choice of measurements on a drive's timeline, one per parameter set.
+    """Filters of one type, model and choice of measurements on a drive's timeline, one per parameter set.
 
     Attributes
     ----------
     mean, covariance : (s, n), (s, n, n)
     q, r : (s, n), (s, 2), the diagonals of Q and R; an adaptive filter changes them
-    recent : (s,), strong tracking's recent size of the innovations; NaN before the first
-    quick, slow, times_r : (s,), a fuzzy filter's averages of NIS / 2, and the factor that is in R
-    rejected : (s,), how many fixes in a row the gate has turned away
-    lost : (s,), whether the last fix ended a run of outliers so long that the filter recovers
-    outliers, span : (s,), how many fixes in a row had a small weight, and Q's scale from the first to the last of them
+    recent : (s,), average size of the innovations for strong tracking; NaN before the first fix
+    quick, slow, times_r : (s,), averages of NIS / 2 of a fuzzy filter, and the factor contained in R
+    rejected : (s,), number of consecutive fixes that the gate has rejected
+    lost : (s,), whether the last fix ended a run of outliers that is long enough for a recovery
+    outliers, span : (s,), number of consecutive fixes with a small weight, and Q's scale from the first to the last
     since : Q's scale since the last fix
-    prior : (s, n, n), the covariance before anything is absorbed, stretched where a filter stretches it
+    prior : (s, n, n), the covariance before the update, including its scaling by a filter
     nis, log_determinant, squared_residual, weight : (s,), of the last fix
     """
 
@@ -124,7 +124,7 @@ class ExtendedCar:
         self.form = JacobianForm() if self.kind == "ekf" else SigmaPointForm(sets)
         self.axes, self.car = ("ax", "ay", "gz"), extended_car
         if self.n == 12:
-            from oracles import extended_tilted  # it is made of this file's forms
+            from oracles import extended_tilted  # it uses this module
 
             self.car = extended_tilted
             extended = self.kind == "ekf"
@@ -157,9 +157,9 @@ class ExtendedCar:
         self.since = Extended(0)
 
     def step(self, i: int, happens: int, z: np.ndarray | None, wheels: np.ndarray | None = None) -> None:
-        """The timeline's step i: predict, then absorb what ``happens`` says there is at its end.
+        """Run step i of the timeline: predict, then update with the measurements in ``happens``.
 
-        ``wheels`` is what the odometer says there: the mean of readings, their age, and what is added to R.
+        ``wheels`` contains the mean of odometer readings, their age, and the addition to R.
         """
         line = self.line
         dt, scale = Extended(line.dt[i]), Extended(line.q_scale[i])
@@ -189,11 +189,11 @@ class ExtendedCar:
                 self._absorb(self.car.linear(shown, biases), noise)
 
     def _unseen(self, dt: Extended, gap: Extended) -> np.ndarray:
-        """What a gap adds: G a G^T + turn, with the acceleration's variance a = (sigma^2 gap / dt) over the step."""
+        """Return the addition of a gap to P: G a G^T + turn, for an acceleration of variance a = sigma^2 gap / dt."""
         g = np.zeros((self.n, 2), dtype=Extended)
         g[:4] = np.kron(
             [[dt / 2], [Extended(1)]], np.eye(2, dtype=Extended)
-        )  # of a change of velocity, half moves
+        )  # displacement is half of dt times the change of velocity
         added = g @ transposed(g) * GAP_ACCELERATION**2 * gap * dt
         added[4, 4] = GAP_TURN**2 * gap * dt
         if self.n == 12:
@@ -201,7 +201,7 @@ class ExtendedCar:
         return added
 
     def _arm(self) -> np.ndarray:
-        """Distance from the point without lateral velocity forward to the IMU, (s,) m."""
+        """Return the distance from the point without lateral velocity to the IMU, (s,) m."""
         return self.axle - self.tire_slip * np.sum(self.mean[:, 2:4] ** 2, axis=1)
 
     def _absorb(self, z: Measurement, variance: np.ndarray, gate: float = np.inf) -> None:
@@ -215,7 +215,7 @@ class ExtendedCar:
     def _absorb_fix(self, z: Measurement, stated: np.ndarray) -> None:
         r = np.eye(2, dtype=Extended) * (self.r + (self.times_r * self.accuracy)[:, None] * stated)[:, None]
         seen = self.form.measure(self.mean, self.covariance, z, r)
-        self.nis = _nis(seen)  # before S is stretched: a forecast must not know what it forecasts
+        self.nis = _nis(seen)  # before S is scaled: NIS of a prediction must not depend on the fix
         self.log_determinant = np.log(seen.s[:, 0, 0] * seen.s[:, 1, 1] - seen.s[:, 0, 1] * seen.s[:, 1, 0])
         used = (self.nis <= self.gate) | (self.rejected >= MOST_REJECTED)
         self.rejected = np.where(used, 0, self.rejected + 1)
@@ -225,7 +225,7 @@ class ExtendedCar:
             r = self._reason(seen, used)
         if self.robust:
             r = self._weigh(seen)
-        # Of z itself: M = S - R is what the filter knew, so M S^-1 nu is what it learns.
+        # In terms of z: M = S - R is the predicted variance, so that M S^-1 nu is the update.
         m = seen.s - r
         known, nu = whiten(seen.s, m), whiten(seen.s, seen.nu[..., None])
         residual = seen.nu - (transposed(known) @ nu)[..., 0]
@@ -238,7 +238,7 @@ class ExtendedCar:
         self.covariance = np.where(used[:, None, None], covariance, self.covariance)
 
     def _weigh(self, seen: Innovation) -> np.ndarray:
-        """Piche, Sarkka and Hartikainen's weights, or recovery; gives the R that is absorbed with."""
+        """Apply the weights of Piche, Sarkka and Hartikainen, or recover; return the R of the update."""
         r, m = seen.r, seen.s - seen.r
         inverse = np.eye(2, dtype=Extended) / diagonal(r)[..., None]
         weight = np.ones(len(r), dtype=Extended)
@@ -263,9 +263,9 @@ class ExtendedCar:
         return heavy
 
     def _reason(self, seen: Innovation, used: np.ndarray) -> np.ndarray:
-        """Rules on the size of the innovations scale Q and R; gives the R that is absorbed with.
+        """Scale Q and R by rules on the size of the innovations; return the R of the update.
 
-        Each fix moves the averages by 1 - forgetting, and a quarter of it, of the way to its NIS / 2, at most 10.
+        Each fix moves the averages towards its NIS / 2 (at most 10), by 1 - forgetting and by a quarter of that.
         """
         size = np.minimum(self.nis / 2, 10)
         step = np.where(used, 1 - self.forgetting, 0)
@@ -286,29 +286,29 @@ class ExtendedCar:
         return noise
 
     def _fade(self, seen: Innovation, used: np.ndarray) -> None:
-        """Strong tracking."""
+        """Scale the covariance for strong tracking."""
         size, rho = np.sum(seen.nu**2, axis=1), self.forgetting
         recent = np.where(np.isnan(self.recent), size, rho * self.recent + (1 - rho) * size)
         self.recent = np.where(used, recent, self.recent)
         self._stretch(seen, used, recent)
 
     def _stretch(self, seen: Innovation, used: np.ndarray, size: np.ndarray) -> None:
-        """P + (factor - 1) C (H P H^T)^-1 C^T with H = C^T P^-1, factor from the traces."""
+        """Set P + (factor - 1) C (H P H^T)^-1 C^T with H = C^T P^-1 and the factor from the traces."""
         root = whiten(self.covariance, seen.c)
         hph = transposed(root) @ root
         factor = (size - diagonal(seen.r).sum(axis=1)) / diagonal(hph).sum(axis=1)
         factor = np.where(used, np.maximum(factor, 1), 1)[:, None, None]
         part = whiten(hph, transposed(seen.c))
         self.covariance = self.covariance + (factor - 1) * transposed(part) @ part
-        self.prior = self.covariance  # what the fix shrinks
+        self.prior = self.covariance  # the covariance before the update
         seen.s = seen.s + (factor - 1) * hph
         seen.c = factor * seen.c
 
     def _adapt(self, used, residual, left, moved, covariance) -> None:
-        """Sage and Husa, in the steady state of their weights: Q and R drift to what a fix says they are.
+        """Adapt by Sage and Husa, with constant weights: Q and R move towards the estimates from a fix.
 
-        R is seen as eps eps^T + M+, with eps (s, 2) the ``residual`` and M+ what is ``left`` of the prediction's
-        variance; Q as the step ``moved`` by the fix, its square + P+ - (P- - Q), but never below zero.
+        The estimate of R is eps eps^T + M+, with eps (s, 2) the ``residual`` and M+ the updated variance ``left``.
+        That of Q is the square of the correction ``moved``, + P+ - (P- - Q), but not below zero.
         """
         weight = np.where(used, 1 - self.forgetting, 0)[:, None]
         self.r = (1 - weight) * self.r + weight * (residual**2 + diagonal(left))

@@ -22,14 +22,14 @@ __all__ = ["TiltedForm", "TiltedPoints", "fix", "lateral", "linear", "odometer"]
 
 
 def skew(v: np.ndarray) -> np.ndarray:
-    """[v]x, (s, 3, 3)."""
+    """Return [v]x, (s, 3, 3)."""
     x, y, z = np.moveaxis(v, -1, 0)
     zero = np.zeros_like(x)
     return np.stack([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
 
 
 def exponential(v: np.ndarray) -> np.ndarray:
-    """The rotation about v, (s, 3), by Rodrigues' formula, in half angles, so that no digit of a small one is lost."""
+    """Return the rotation about v, (s, 3), by Rodrigues' formula; half angles keep all digits of small rotations."""
     half = np.sqrt(np.sum(v**2, axis=-1))[:, None, None] / 2
     sinc = np.where(half > 0, np.sin(half) / np.where(half > 0, half, 1), 1)
     cross = skew(v)
@@ -82,8 +82,8 @@ class TiltedForm(JacobianForm):
 class TiltedPoints(SigmaPointForm):
     """The unscented filter on the manifold.
 
-    Of the square root of P, the columns of the gyro's biases and of the attitude come first in a step, those of the
-    attitude in a measurement.
+    In the square root of P, the columns of the gyro's biases and of the attitude come first for a prediction, and those
+    of the attitude for a measurement.
     """
 
     def __init__(self, sets) -> None:
@@ -97,7 +97,7 @@ class TiltedPoints(SigmaPointForm):
         flat = np.repeat(mean, points, axis=0)
         r, a = self._driven(plus(flat, offsets.reshape(-1, n)), dt, imu)
         r, a = r.reshape(sets, points, 3, 3), a.reshape(sets, points, 3)
-        errors = offsets.copy()  # from the centre after the step
+        errors = offsets.copy()  # relative to the center after the step
         change = (a - a[:, :1])[..., :2]
         errors[..., :2] += dt * offsets[..., 2:4] + dt**2 / 2 * change
         errors[..., 2:4] += dt * change
@@ -110,7 +110,7 @@ class TiltedPoints(SigmaPointForm):
         return plus(centre, shift), transposed(self.wc[..., None] * spread) @ spread + q
 
     def _driven(self, states, dt, imu) -> tuple[np.ndarray, np.ndarray]:
-        """The attitude after a step, and the acceleration."""
+        """Return the attitude and the acceleration after a step."""
         force = np.tile(imu[:3], (len(states), 1))
         force[:, :2] -= states[:, 5:7]
         half = exponential((imu[3:] - states[:, GYRO]) * dt / 2)
@@ -123,12 +123,12 @@ class TiltedPoints(SigmaPointForm):
 
 
 def plus(mean: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Errors added to means, (s, n) each."""
+    """Add errors to means, (s, n) each."""
     return with_attitude(mean + error, exponential(error[:, ERROR]) @ attitude(mean))
 
 
 def logarithm(r: np.ndarray) -> np.ndarray:
-    """The rotation vector, (s, 3), of up to half a turn."""
+    """Return the rotation vector, (s, 3), of at most half a turn."""
     axis = np.stack([r[:, 2, 1] - r[:, 1, 2], r[:, 0, 2] - r[:, 2, 0], r[:, 1, 0] - r[:, 0, 1]], axis=-1) / 2
     sine = np.sqrt(np.sum(axis**2, axis=1))
     angle = np.arctan2(sine, (np.trace(r, axis1=1, axis2=2) - 1) / 2)
@@ -136,7 +136,7 @@ def logarithm(r: np.ndarray) -> np.ndarray:
 
 
 def nearest(vector: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """The rotation vectors (..., 3) of the same rotations that are nearest to others."""
+    """Return the rotation vectors (..., 3) of the same rotations that are nearest to ``other``."""
     angle = np.sqrt(np.sum(vector**2, axis=-1, keepdims=True))
     axis = vector / np.where(angle > 0, angle, 1)
     turns = np.floor((np.sum(axis * other, axis=-1, keepdims=True) - angle) / (2 * PI) + Extended(0.5))
@@ -144,7 +144,7 @@ def nearest(vector: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def pushed(innovation: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """The change of a measurement's prediction, of its innovation z - h at means."""
+    """Return the function of the predicted change of a measurement, given its innovation z - h at means."""
 
     def change(mean: np.ndarray, offsets: np.ndarray) -> np.ndarray:
         sets, points, n = offsets.shape
@@ -156,12 +156,12 @@ def pushed(innovation: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarr
 
 
 def each(values: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """One value for each parameter set (s,), for as many or more means, their points next to each other."""
+    """Repeat a value of each parameter set (s,) for its means, which are adjacent."""
     return np.repeat(values, len(mean) // len(values))
 
 
 def fix(z: np.ndarray, lever: np.ndarray, latency: np.ndarray) -> Measurement:
-    """The antenna's position, z (2,), ``lever`` (3,) m from the IMU, ``latency`` (s,) s ago."""
+    """Measure the antenna's position z (2,), ``lever`` (3,) m from the IMU, ``latency`` (s,) s ago."""
 
     def arm(mean: np.ndarray) -> np.ndarray:
         return (attitude(mean) @ lever.astype(Extended)[:, None])[..., 0]
@@ -182,7 +182,7 @@ def fix(z: np.ndarray, lever: np.ndarray, latency: np.ndarray) -> Measurement:
 
 
 def on_the_road(mean: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """An axis of the body, the one upwards, and the velocity, which has no part along that; (s, 3) each."""
+    """Return an axis of the body, the upward axis, and the velocity, which is orthogonal to the latter; (s, 3) each."""
     r = attitude(mean)
     along, up = r[:, :, axis], r[:, :, 2]
     v = np.concatenate([mean[:, 2:4], np.zeros_like(mean[:, :1])], axis=1)
@@ -191,7 +191,7 @@ def on_the_road(mean: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray, np
 
 
 def odometer(speed: np.ndarray, ax: float, delay: np.ndarray) -> Measurement:
-    """The velocity forward along the road as it was ``delay`` (s,) s ago; on a slope gravity is a part of ax."""
+    """Measure the forward velocity ``delay`` (s,) s ago; on a slope, ax contains a component of gravity."""
 
     def innovation(mean: np.ndarray) -> np.ndarray:
         forward, _, v = on_the_road(mean, 0)
@@ -199,7 +199,7 @@ def odometer(speed: np.ndarray, ax: float, delay: np.ndarray) -> Measurement:
         return (each(speed, mean) + each(delay, mean) * gained - np.sum(forward * v, axis=1))[:, None]
 
     def jacobian(mean: np.ndarray) -> np.ndarray:
-        # As of `lateral`; and the slope, forward_z, changes by (e x forward)_z = e . (forward x up), up the world's.
+        # As in `lateral`; the slope forward_z also changes by (e x forward)_z = e . (forward x up), up of the world.
         forward, up, v = on_the_road(mean, 0)
         slope = (forward[:, 2] / up[:, 2])[:, None]
         h = np.zeros((len(mean), 1, mean.shape[1]), dtype=Extended)
@@ -213,14 +213,14 @@ def odometer(speed: np.ndarray, ax: float, delay: np.ndarray) -> Measurement:
 
 
 def lateral(gz: float, axle: np.ndarray) -> Measurement:
-    """No velocity to the left at the rear axle, and none away from the road."""
+    """Measure zero lateral velocity at the rear axle; the vertical velocity relative to the road is zero."""
 
     def innovation(mean: np.ndarray) -> np.ndarray:
         left, _, v = on_the_road(mean, 1)
         return (each(axle, mean) * (Extended(gz) - mean[:, 7]) - np.sum(left * v, axis=1))[:, None]
 
     def jacobian(mean: np.ndarray) -> np.ndarray:
-        # Of left . v with up . v = 0: v changes by (dvx, dvy, dvz), left and up by e x left and e x up.
+        # Derivative of left . v with up . v = 0: v changes by (dvx, dvy, dvz), left and up by e x left and e x up.
         left, up, v = on_the_road(mean, 1)
         slope = (left[:, 2] / up[:, 2])[:, None]
         h = np.zeros((len(mean), 1, mean.shape[1]), dtype=Extended)

@@ -1,4 +1,4 @@
-"""FilterPy 2.0.0's filters on a timeline of sigmaswarm."""
+"""Filters of FilterPy 2.0.0 on a timeline of sigmaswarm."""
 
 from collections.abc import Callable
 from typing import Any
@@ -22,7 +22,7 @@ Function = Callable[[np.ndarray], np.ndarray]
 
 
 def upper_root_theta_first(p: np.ndarray) -> np.ndarray:
-    """U with U^T U = P, from the factor with theta put first (FilterPy takes the rows of U as offsets)."""
+    """Return U with U^T U = P, from the factor with theta first (FilterPy uses the rows of U as offsets)."""
     order = [4, 0, 1, 2, 3, 5, 6, 7][: len(p)]
     root = np.empty_like(p)
     root[:, order] = cholesky(p[np.ix_(order, order)])
@@ -38,7 +38,7 @@ def _newton(s: np.ndarray, dt: float, u: np.ndarray) -> np.ndarray:
 
 
 def _unseen(n: int, dt: float, gap: float) -> np.ndarray:
-    """What nobody saw of the motion in a gap of the IMU's samples: 1 m/s2 per axis and 0.1 rad/s."""
+    """Return the covariance of the unknown motion in a gap of the IMU: 1 m/s2 per axis and 0.1 rad/s."""
     added = np.zeros((n, n))
     added[:4, :4] = np.kron([[dt**2 / 4, dt / 2], [dt / 2, 1.0]], np.eye(2)) * gap * dt
     added[4, 4] = 0.1**2 * gap * dt
@@ -50,9 +50,9 @@ def _velocity(s: np.ndarray) -> np.ndarray:
 
 
 class FilterPyCar:
-    """FilterPy's unscented or extended filter for a car; the latter needs Jacobians, which are the oracle's.
+    """FilterPy's unscented or extended filter for a car; the Jacobians are those of the oracle.
 
-    The heading is a number on the real line, as in any plain script: f does not wrap it, so nothing needs to.
+    The heading is not wrapped, since f does not wrap it.
 
     Parameters
     ----------
@@ -60,9 +60,9 @@ class FilterPyCar:
     p : FilterParameters
         Of kind "ukf" or "ekf", without a gate.
     theta_first : bool
-        FilterPy's own root of P, or the one of the compiled filter.
+        FilterPy's root of P, or that of the compiled filter.
     redraw : bool
-        False: as FilterPy 1.4.5, whose update pushes the propagated sigma points through h.
+        False: as in FilterPy 1.4.5, whose update propagates the predicted sigma points through h.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class FilterPyCar:
         self.filter.x, self.filter.P = mean.copy(), covariance.copy()
 
     def step(self, i: int, happens: int, z: np.ndarray | None) -> None:
-        """The timeline's step i: predict, then absorb what ``happens`` says there is at its end."""
+        """Run step i of the timeline: predict, then update with the measurements in ``happens``."""
         p, line, gz = self.p, self.line, self.line.gz[i]
         self._predict(i)
         self._first, none = True, np.zeros(2)
@@ -127,7 +127,7 @@ class FilterPyCar:
             ours.F = newton_jacobian(ours.x[None].astype(Extended), Extended(dt), u)[0].astype(float)
             moved = _newton(ours.x, dt, u)
             ours.predict()
-            ours.x = moved  # in place of F x
+            ours.x = moved  # instead of F x
         elif self.redraw:
             ours.predict(dt=dt, u=u)
         else:
@@ -141,7 +141,7 @@ class FilterPyCar:
                 z, lambda s: by_hand.jacobian(s[None].astype(Extended))[0].astype(float), h, R=r
             )
             return
-        if not self._first:  # FilterPy draws sigma points in predict only
+        if not self._first:  # FilterPy draws sigma points only in predict
             self.filter.sigmas_f = self.filter.points_fn.sigma_points(self.mean, self.covariance)
         self.filter.update(z, R=r, hx=h)
         self._first = False

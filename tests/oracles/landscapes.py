@@ -9,7 +9,7 @@ _RNG = np.random.default_rng(42)
 OPTIMUM = _RNG.uniform(-3, 3, DIMENSIONS)
 ROTATION = ortho_group.rvs(DIMENSIONS, random_state=_RNG)
 AXES = 10 ** (4 * np.arange(DIMENSIONS) / (DIMENSIONS - 1))  # condition number 1e4
-OUTSIDE = np.where(np.arange(DIMENSIONS) % 2, 7.0, OPTIMUM)  # every other coordinate beyond its bound
+OUTSIDE = np.where(np.arange(DIMENSIONS) % 2, 7.0, OPTIMUM)  # every other coordinate is outside the bounds
 
 
 def sphere(x: np.ndarray) -> np.ndarray:
@@ -29,7 +29,7 @@ def rosenbrock(x: np.ndarray) -> np.ndarray:
 
 
 def ellipsoid_at_bounds(x: np.ndarray) -> np.ndarray:
-    """Condition number 100, the best point on five of the bounds; its cost there is zero."""
+    """Return the cost of an ellipsoid with condition number 100; the optimum, 0, is on five of the bounds."""
     best = np.clip(OUTSIDE, LOW, HIGH)
     return np.sum(np.sqrt(AXES) * ((x - OUTSIDE) ** 2 - (best - OUTSIDE) ** 2), axis=1)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 
 def by_equations(cost, low, high, n, seed, generations, w=0.7298, c1=1.5, c2=1.5, stop_at_bounds=False):
-    """Positions, velocities and best of each generation, in loops over particles and coordinates."""
+    """Yield positions, velocities and best of each generation, in loops over particles and coordinates."""
     rng = np.random.default_rng(seed)
     d = len(low)
     x = rng.uniform(low, high, (n, d)).tolist()

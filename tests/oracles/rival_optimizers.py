@@ -1,4 +1,4 @@
-"""Other implementations of the algorithms with the same bounds, batch and budget: the lowest cost."""
+"""Other implementations of the algorithms with the same bounds, batch and budget; functions return the lowest cost."""
 
 import cma
 import cmaes
@@ -11,7 +11,7 @@ from scipy.optimize import differential_evolution, minimize
 from oracles.landscapes import DIMENSIONS, HIGH, LOW
 from oracles.particle_swarm import by_equations
 
-FIRST_STEP, EDGE = 0.3, 0.05  # of CMA-ES and of the simplex, in widths of the box
+FIRST_STEP, EDGE = 0.3, 0.05  # of CMA-ES and of the simplex, relative to the widths of the bounds
 
 
 def equations(cost, population: int, budget: int, seed: int) -> float:
@@ -28,7 +28,7 @@ def pymoo_ga(cost, population: int, budget: int, seed: int) -> float:
         def _evaluate(self, x, out, *args, **kwargs) -> None:
             out["F"] = cost(x)
 
-    # pymoo takes a seed of 0 for none
+    # pymoo ignores a seed of 0
     return float(
         pymoo_minimize(
             Landscape(), GA(pop_size=population), ("n_gen", budget // population), seed=seed + 1
@@ -58,7 +58,7 @@ def pycma(cost, population: int, budget: int, seed: int) -> float:
         "bounds": [0, 1],
         "popsize": population,
         "randn": lambda *shape: rng.standard_normal(shape),
-        "seed": np.nan,  # any other would seed NumPy's global generator
+        "seed": np.nan,  # other values would seed NumPy's global generator
         "verbose": -9,
     }
     search = cma.CMAEvolutionStrategy(np.full(DIMENSIONS, 0.5), FIRST_STEP, options)

@@ -1,7 +1,7 @@
-"""The single-track drift model of commonroad-vehicle-models, integrated, with its parameters as a `Vehicle`.
+"""The single-track drift model of commonroad-vehicle-models, integrated, and its parameters as a `Vehicle`.
 
-M. Althoff and G. Würsching, "CommonRoad: Vehicle Models", 2020: an independent implementation with wheels
-that spin and a full magic formula, but one track, no relaxation of the tires, no roll and no pitch.
+M. Althoff and G. Würsching, "CommonRoad: Vehicle Models", 2020: an independent implementation with the rotation of
+wheels and a full magic formula, but with one track, and without relaxation of the tires, roll and pitch.
 """
 
 import math
@@ -11,18 +11,18 @@ import numpy as np
 from sigmaswarm.simulation.dynamics import Vehicle
 from sigmaswarm.simulation.environments import MODEL_3
 
-STRONG = 10.0  # m/s2, of a full pedal in our terms
+STRONG = 10.0  # m/s2, acceleration of a full pedal
 
 
 def parameters():
-    """Their BMW 320i, with the tire's coefficients."""
+    """Return the parameters of a BMW 320i, with coefficients of the tires."""
     from vehiclemodels.parameters_vehicle2 import parameters_vehicle2
 
     return parameters_vehicle2()
 
 
 def as_vehicle(p) -> Vehicle:
-    """Their parameters in our model; what theirs lacks (relaxation, roll, lags) stays as ours is."""
+    """Convert the parameters to this project's model; those that they lack (relaxation, roll, lags) are kept."""
     inertia = p.m + 2 * p.I_y_w / p.R_w**2
     return MODEL_3._replace(
         mass=p.m,
@@ -34,7 +34,7 @@ def as_vehicle(p) -> Vehicle:
         drag_area=0.0,
         rolling_resistance=0.0,
         wheel_radius=p.R_w,
-        wheel_inertia=p.I_y_w / 2,  # theirs is an axle's
+        wheel_inertia=p.I_y_w / 2,  # their value is that of an axle
         slip_stiffness=p.tire.p_kx1,
         cornering_front=-p.tire.p_ky1,
         cornering_rear=-p.tire.p_ky1,
@@ -46,7 +46,7 @@ def as_vehicle(p) -> Vehicle:
         steer_rate=p.steering.v_max,
         pedal_lag=0.01,
         pedal_speed=np.array([0.0, 50.0]),
-        # Theirs makes a force of mass times acceleration, wheels not included.
+        # Their force is mass times acceleration, without the inertia of the wheels.
         full_throttle=np.full(2, STRONG * p.m / inertia),
         coast=np.zeros(2),
         full_brake=np.full(2, -STRONG * p.m / inertia),
@@ -54,7 +54,7 @@ def as_vehicle(p) -> Vehicle:
 
 
 def drive(p, speed: float, steer_rate: np.ndarray, acceleration: np.ndarray, step: float) -> np.ndarray:
-    """States (n, 9) of their model under rates of the steering angle, rad/s, and accelerations, m/s2."""
+    """Return states (n, 9) of their model for rates of the steering angle, rad/s, and accelerations, m/s2."""
     from vehiclemodels.init_std import init_std
     from vehiclemodels.vehicle_dynamics_std import vehicle_dynamics_std
 

@@ -1,4 +1,4 @@
-"""Truth from the fixes of a good receiver, compared with the simulator's truth; rejected inputs."""
+"""Truth from the fixes of a good receiver, compared with the simulator's truth; rejected input."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -20,13 +20,13 @@ ACCURACY = 0.05
 ORIGIN = (51.05, 13.74, 113.25)
 EPOCH = 1_700_000_000
 FLOAT, OUTAGE = (16.0, 17.2), (22.0, 52.0)
-"""s: float solutions that are a meter off, which the IMU bridges, and no fixes for longer than it can."""
+"""Times in s: float solutions with errors of 1 m, which the IMU bridges, and an outage that is too long for the IMU."""
 OPTIONS = {"run": 3, "duration": 60.0}
 
 
 @pytest.fixture(scope="module")
 def cheap() -> Drive:
-    """A drive in a plane of known place and time, with truth."""
+    """Return a drive with truth and with a known origin and time."""
     drive = simulate("urban", gps="white-1m", **OPTIONS)
     return replace(drive, origin=ORIGIN, metadata={**drive.metadata, "time_origin_s": EPOCH})
 
@@ -46,7 +46,7 @@ def made(cheap: Drive, rtk: Gps) -> Drive:
 
 
 def write_pos(path: Path, gps: Gps, ahead: float = 0.0) -> Path:
-    """As RTKLIB prints it, in UTC; what states half a meter is a float solution."""
+    """Write the fixes in the format of RTKLIB, in UTC; those with a standard deviation of 0.5 m are float solutions."""
     enu = np.column_stack([gps.x, gps.y, np.zeros(len(gps))])
     lines = ["%  UTC    latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)"]
     for t, place, std in zip(gps.time, enu_to_geodetic(enu, ORIGIN), gps.std_x, strict=True):
@@ -61,28 +61,28 @@ def write_pos(path: Path, gps: Gps, ahead: float = 0.0) -> Path:
 def test_the_errors_of_the_truth_agree_with_its_standard_deviations(cheap: Drive, made: Drive):
     got, true = made.truth, cheap.truth
     at = np.searchsorted(true.time, got.time)
-    np.testing.assert_array_equal(true.time[at], got.time)  # the IMU's times
+    np.testing.assert_array_equal(true.time[at], got.time)  # the times of the IMU
     for name in "xy":
         error = np.abs(getattr(got, name) - getattr(true, name)[at])
         assert np.mean(error <= 2 * getattr(got, f"std_{name}")) > 0.95
-        assert error.max() < 0.2  # the antenna is a meter away
+        assert error.max() < 0.2  # although the antenna is 1 m away
     turned = np.abs(wrap_angle(got.theta - true.theta[at]))
     assert np.degrees(np.sqrt(np.mean(turned**2))) < 0.3
     for name in ("imu", "gps", "odometer"):
         assert getattr(made, name) is getattr(cheap, name)
 
 
-def test_what_is_not_known_is_left_out(made: Drive):
+def test_unknown_parts_are_omitted(made: Drive):
     got, about = made.truth, made.metadata["reference"]
     inside = (got.time > OUTAGE[0] + 12) & (got.time < OUTAGE[1] - 12)
     assert not inside.any()
-    assert np.any((got.time > FLOAT[0] + 0.3) & (got.time < FLOAT[1] - 0.3))  # the IMU bridges it
+    assert np.any((got.time > FLOAT[0] + 0.3) & (got.time < FLOAT[1] - 0.3))  # bridged by the IMU
     assert max(got.std_x.max(), got.std_y.max()) <= ACCURACY
     assert about["fixes_taken"] == about["fixes_given"] - 6
     assert 0.3 < about["share"] < 0.8
 
 
-def test_the_same_receiver_s_log_is_put_on_the_drive_s_clock_and_plane(
+def test_the_log_of_the_receiver_is_converted_to_the_drive_s_clock_and_frame(
     tmp_path: Path, cheap: Drive, rtk: Gps
 ):
     log = read_fixes(write_pos(tmp_path / "rtk.pos", rtk, ahead=7.0), cheap, offset=-7.0)
@@ -91,7 +91,7 @@ def test_the_same_receiver_s_log_is_put_on_the_drive_s_clock_and_plane(
     np.testing.assert_array_equal(log.sure, rtk.std_x <= 0.1)  # Q
 
 
-def test_fixes_of_another_drive_come_to_the_same_place(tmp_path: Path, cheap: Drive, rtk: Gps):
+def test_fixes_of_another_drive_are_converted_to_the_same_positions(tmp_path: Path, cheap: Drive, rtk: Gps):
     later = replace(
         cheap, gps=replace(rtk, time=rtk.time + 5), metadata={"time_origin_s": EPOCH - 5}, truth=None
     )
@@ -120,7 +120,7 @@ CASES = ("no overlap", "no file", "no log", "no accuracy", "no place", "no clock
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_bad_input_is_one_line_with_a_remedy(cheap: Drive, rtk: Gps, tmp_path: Path, case: str):
+def test_wrong_input_causes_one_line_with_a_remedy(cheap: Drive, rtk: Gps, tmp_path: Path, case: str):
     drive, fixes, options, said = wrong(cheap, rtk, tmp_path)[case]
     with pytest.raises(InputError) as caught:
         reference(drive, fixes, **options)

@@ -5,4 +5,4 @@ import pytest
 
 @pytest.fixture(autouse=True)
 def simulate_every_time(simulated_anew: None) -> None:
-    """Each drive is computed."""
+    """Disable the cache of simulated drives."""

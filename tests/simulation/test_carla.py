@@ -9,7 +9,7 @@ from sigmaswarm.simulation.gps import METERS_PER_DEGREE
 from standin.geodesy import from_geolocation, to_geolocation
 
 ORIGINS = [(0.0, 0.0), (49.0, 8.0), (-33.0, 151.0)]
-# Multiples of 1/8 m: CARLA's locations are single floats.
+# Multiples of 1/8 m, which are exact in the single precision of CARLA's locations.
 PLACES = [(0.0, 0.0), (100.0, 0.0), (0.0, 100.0), (-350.125, 220.5), (5000.0, -3000.0)]
 
 
@@ -39,13 +39,13 @@ def test_0916_equals_the_genuine_client(origin):
 
 @pytest.mark.parametrize("version", ["0.9.14", "0.9.16"])
 @pytest.mark.parametrize("origin", ORIGINS)
-def test_there_and_back(origin, version):
+def test_the_conversion_can_be_inverted(origin, version):
     x, y = np.array(PLACES).T
     back = from_geolocation(*to_geolocation(x, y, *origin, version), *origin, version)
     np.testing.assert_allclose(back, [x, y], atol=1e-6)
 
 
-def test_0916_counts_latitude_the_other_way():
+def test_0916_mirrors_latitude():
     lat, _ = to_geolocation(np.zeros(1), np.array([100.0]), 49.0, 8.0, "0.9.14")
     lat_16, _ = to_geolocation(np.zeros(1), np.array([100.0]), 49.0, 8.0, "0.9.16")
     assert lat[0] < 49.0 < lat_16[0]

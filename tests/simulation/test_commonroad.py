@@ -1,4 +1,4 @@
-"""Our two-track model against commonroad-vehicle-models' single track with drift, on the same inputs."""
+"""The two-track model compared with the single-track drift model of commonroad-vehicle-models for the same inputs."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ STEP = 0.002
 
 
 def compare(steer, wanted, speed):
-    """Our record at each other millisecond, and their states on the inputs that ours really had."""
+    """Return this model's record at every other millisecond, and the other's states for the inputs of this record."""
     p = single_track_drift.parameters()
     car = single_track_drift.as_vehicle(p)
     ours = run_open_loop(

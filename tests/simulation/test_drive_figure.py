@@ -27,8 +27,8 @@ def test_a_simulated_drive_shows_outages_and_figures():
     assert {"target", "achieved", "outage_1_s", "peak_slip_percent"} <= cells
     assert labels == []
     (errors,) = (axes for axes in figure.axes if "error" in axes.get_ylabel())
-    for line in errors.lines[:2]:  # the third is the zero
-        assert np.isnan(line.get_ydata()).sum() == 2  # broken at both outages
+    for line in errors.lines[:2]:  # the third line is zero
+        assert np.isnan(line.get_ydata()).sum() == 2  # a gap at both outages
 
 
 @pytest.mark.long
@@ -39,7 +39,7 @@ def test_a_recorded_drive_without_truth_or_speed_is_drawn_too(keep):
 
 
 @pytest.mark.parametrize("start", [0.0, 58426.9, 1.6e9])
-def test_the_time_axis_has_the_times_of_the_log_in_full(start: float):
+def test_the_time_axis_shows_the_full_times_of_the_log(start: float):
     time = start + np.arange(100) / 10
     zero = np.zeros(100)
     bare = Drive("bare", Imu(time, zero, zero, zero), Gps(time[::10], zero[::10], zero[::10]))

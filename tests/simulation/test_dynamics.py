@@ -21,7 +21,7 @@ NEUTRAL = MODEL_3._replace(coast=np.zeros_like(MODEL_3.coast))
 
 
 def run(car, friction, speed, steer, pedal):
-    """Recorded motion; steering and pedal are numbers or arrays, at least one an array."""
+    """Return the recorded motion; steering and pedal are numbers or arrays, and at least one is an array."""
     steer, pedal = (np.ascontiguousarray(v, dtype=float) for v in np.broadcast_arrays(steer, pedal))
     return run_open_loop(car, friction, start_state(0.0, 0.0, 0.0, speed, car), steer, pedal)
 
@@ -37,7 +37,9 @@ def test_a_standing_car_stays_where_it_is(car, friction, pedal):
 @pytest.mark.parametrize("car", VEHICLES.values(), ids=VEHICLES)
 @pytest.mark.parametrize("friction", [0.1, 0.25, 0.85])
 @pytest.mark.parametrize("throttle", [0.1, 1.0])
-def test_full_lock_stays_finite_within_the_friction_circle_and_comes_to_rest(car, friction, throttle):
+def test_at_full_lock_the_motion_is_finite_within_the_friction_circle_and_ends_at_rest(
+    car, friction, throttle
+):
     pedal = np.concatenate([np.full(6000, throttle), np.full(14000, -1.0)])
     record = run(car, friction, 0.0, np.full(20000, car.steer_max), pedal)
     assert np.isfinite(record).all()
@@ -46,7 +48,7 @@ def test_full_lock_stays_finite_within_the_friction_circle_and_comes_to_rest(car
 
 
 @pytest.mark.parametrize("friction", [0.1, 0.25, 0.65, 0.85])
-def test_full_brakes_use_the_friction_and_no_more(friction):
+def test_full_brakes_use_exactly_the_available_friction(friction):
     record = run(MODEL_3, friction, 14.0, 0.0, np.full(20000, -1.0))
     moving = record[300 : np.argmax(record[:, VX] < 0.5)]
     drag = 0.5 * 1.204 * MODEL_3.drag_area * 14.0**2 / MODEL_3.mass
@@ -62,7 +64,7 @@ def test_coast_down_loses_speed_monotonically(car):
     assert (record[:, VX] > -1e-6).all()
 
 
-def test_no_energy_appears_while_the_car_winds_about_in_neutral():
+def test_in_neutral_the_energy_never_increases():
     steer = 0.15 * np.sin(2 * np.pi * 0.4 * np.arange(20000) / 1000)
     record = run(NEUTRAL, 0.85, 12.0, steer, 0.0)
     energy = (
@@ -73,9 +75,9 @@ def test_no_energy_appears_while_the_car_winds_about_in_neutral():
     assert energy[-1] < 0.9 * energy[0]
 
 
-def test_carlas_pedals_do_what_was_measured_in_carla():
+def test_carlas_pedals_agree_with_measurements_in_carla():
     car = MODEL_3_CARLA
-    # Grip beyond what the maps ask for, since the maps are what is tested.
+    # With high grip, the pedal maps determine the acceleration.
     throttle = run(car, 3.5, 0.0, 0.0, np.full(3000, 1.0))[500:, AX]
     assert throttle.min() > 6.2 and throttle.max() < 7.1
     assert run(car, 3.5, 20.0, 0.0, np.zeros(1000))[-1, AX] == pytest.approx(-1.58, abs=0.15)
@@ -95,10 +97,10 @@ def test_steady_cornering_follows_the_understeer_gradient():
     assert record[YAW_RATE] == pytest.approx(expected, rel=0.02)
 
 
-def test_the_body_rolls_outward_and_dives_as_much_as_stated():
+def test_the_body_rolls_outward_and_dives_as_specified():
     car = MODEL_3
     turn = run(car, 0.85, 15.0, np.full(4000, 0.03), 0.1)[-1]
-    assert turn[ROLL] == pytest.approx(turn[AY], rel=0.02)  # kept as the acceleration that holds it there
+    assert turn[ROLL] == pytest.approx(turn[AY], rel=0.02)  # stored as the acceleration that causes this roll
     stop = run(car, 0.85, 25.0, 0.0, np.full(2000, -0.4))[-1]
     assert stop[PITCH] == pytest.approx(stop[AX], rel=0.02)
 

@@ -12,7 +12,7 @@ COUNT = 50_000
 
 
 def moving(count=COUNT, speed=10.0, interval=0.2):
-    """Eastward at a constant speed."""
+    """Return the motion of a car that drives east at a constant speed."""
     time = np.arange(count) * interval
     zero = np.zeros(count)
     velocity = np.column_stack([zero + speed, zero, zero])
@@ -28,17 +28,17 @@ def fixes(grade, outages=(), count=COUNT, **how):
 @pytest.mark.parametrize("name", GPS_GRADES)
 def test_errors_have_the_stated_size(name):
     grade = GPS_GRADES[name]
-    gps, motion = fixes(grade, speed=0.0, interval=5.0)  # 70 hours: errors last a minute
+    gps, motion = fixes(grade, speed=0.0, interval=5.0)  # 70 hours, since errors last a minute
     for error in (gps.x - motion.position[:, 0], gps.y):
         assert error.std() == pytest.approx(grade.std, rel=0.10, abs=1e-6)
-    if grade.std == 0.0:  # a deviation of 0 can't be read back
+    if grade.std == 0.0:  # a standard deviation of 0 is not written
         assert gps.std_x is None
     else:
         assert gps.std_x is not None
         np.testing.assert_allclose(gps.std_x, grade.std)
 
 
-def test_white_and_correlated_errors_are_told_apart_by_their_autocorrelation():
+def test_the_autocorrelation_separates_white_and_correlated_errors():
     grade = GPS_GRADES["ublox-m8"]
     error = fixes(grade)[0].y
     lag = round(grade.markov_time / 0.2)
@@ -61,10 +61,10 @@ def test_lost_fixes_and_outages_are_missing():
     assert not ((gps.time >= 100) & (gps.time < 104)).any()
 
 
-def test_carlas_noise_is_white_in_degrees_and_passes_its_geodesy():
+def test_carlas_noise_is_white_in_degrees_and_converted_by_its_geodesy():
     gps, motion = fixes(GPS_GRADES["carla"], count=2000)
     plain, _ = fixes(replace(GPS_GRADES["carla"], carla=False), count=2000)
-    # On the equator a degree is as long both ways, and within 4 km of it the Mercator plane hardly stretches.
+    # At the equator, a degree has the same length in both directions, and the distortion within 4 km is small.
     np.testing.assert_allclose(gps.x, plain.x, atol=1e-5)
     np.testing.assert_allclose(gps.y, plain.y, atol=1e-5)
     assert np.abs(gps.x - motion.position[:, 0]).max() > 1.0
@@ -76,7 +76,7 @@ def test_degradation_multiplies_all_errors():
     assert worse.velocity_std == pytest.approx(0.1)
 
 
-def test_a_receiver_with_two_antennas_tells_the_heading_as_its_grade_says():
+def test_the_heading_of_two_antennas_has_the_noise_of_its_grade():
     mounted = replace(HEADING_GRADES["dual-antenna"], mounting=0.1)
     drives = {of: simulate("turns", heading=of) for of in (None, "ideal", "dual-antenna", mounted)}
     plain = drives[None]

@@ -25,13 +25,13 @@ def at_rest(count):
 
 
 def measured(grade, count, interval, seed=1):
-    """Accelerometers and gyros at rest, shape (2, 3, n)."""
+    """Return accelerations and angular rates at rest, shape (2, 3, n)."""
     imu = measure_imu(np.arange(count) * interval, at_rest(count), grade, np.random.default_rng(seed))
     return np.array([[imu.ax, imu.ay, imu.az], [imu.gx, imu.gy, imu.gz]])
 
 
 def allan_deviation(values, interval, tau):
-    """Of three axes together, by an independent library."""
+    """Compute the Allan deviation of three axes together with an independent library."""
     allantools = pytest.importorskip("allantools", reason="allantools is not installed")
     found = [allantools.oadev(v, rate=1 / interval, data_type="freq", taus=[tau])[1][0] for v in values]
     return float(np.sqrt(np.mean(np.square(found))))
@@ -54,9 +54,9 @@ def test_allan_deviation_shows_the_white_noise(name):
 
 @pytest.mark.parametrize("name", WITH_BIAS)
 def test_allan_deviation_shows_the_bias(name):
-    """At its peak, 1.89 correlation times, after taking off the white noise that is left there.
+    """Compare at the peak, 1.89 correlation times, after subtracting the remaining white noise.
 
-    Samples are so rare here that no noise would blur a coarse quantization: it is left out.
+    Quantization is omitted, since at this low rate the noise is too small to randomize it.
     """
     grade = IMU_GRADES[name]
     accel, gyro = (replace(triad, resolution=0.0) for triad in (grade.accel, grade.gyro))
@@ -70,7 +70,7 @@ def test_allan_deviation_shows_the_bias(name):
         assert found == pytest.approx(triad.bias_std, rel=0.10)
 
 
-def test_turn_on_bias_fills_its_range_and_stays_for_a_run():
+def test_turn_on_bias_covers_its_range_and_is_constant_in_a_run():
     grade = ImuGrade("test", Triad(turn_on=0.5), Triad(turn_on=0.1))
     runs = np.array([measured(grade, 4, 0.01, seed) for seed in range(400)]) - [
         [[0], [0], [GRAVITY]],
@@ -96,8 +96,8 @@ def test_scale_misalignment_saturation_and_quantization():
     np.testing.assert_array_equal(steps, np.round(steps))
 
 
-def test_a_grades_draws_are_scaled_not_redrawn():
-    """The same seed gives the same noise at another size, so that grades are compared on equal terms."""
+def test_grades_with_the_same_seed_have_the_same_noise_scaled():
+    """Grades can be compared with the same noise at another size."""
     quiet, loud = (ImuGrade("test", Triad(noise_density=d)) for d in (0.01, 0.02))
     np.testing.assert_allclose(2 * measured(quiet, 50, 0.01)[0, 0], measured(loud, 50, 0.01)[0, 0])
 

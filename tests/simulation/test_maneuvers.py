@@ -27,7 +27,7 @@ ROADS, WHERE = list(MANEUVERS), ["clear", "rain", "slippery"]
         lambda maneuver, environment, seed: ROADS.index(maneuver) % 3 == WHERE.index(environment) == seed,
     ),
 )
-def test_nothing_exceeds_the_friction_and_the_driver_stays_in_the_lane(maneuver, environment, seed):
+def test_friction_is_sufficient_and_the_driver_stays_in_the_lane(maneuver, environment, seed):
     where = ENVIRONMENTS[environment]
     duration = 90.0 if maneuver == "urban" else None
     journey = drive_maneuver(maneuver, where, MODEL_3, np.random.default_rng(seed), duration)
@@ -38,7 +38,7 @@ def test_nothing_exceeds_the_friction_and_the_driver_stays_in_the_lane(maneuver,
 
 
 @pytest.mark.parametrize("environment", ["clear", "rain", "slippery"])
-def test_cruise_covers_500_m_at_an_even_speed(environment):
+def test_cruise_covers_500_m_at_a_constant_speed(environment):
     found = achieved("cruise", environment)
     assert found["distance_m"] == pytest.approx(500.0, abs=3.0)
     assert found["peak_lateral_ms2"] < 0.5
@@ -57,20 +57,20 @@ def test_turns_are_90_degrees_to_both_sides(environment, run):
 @pytest.mark.parametrize(
     ("environment", "low", "high"), [("clear", 4.8, 5.1), ("rain", 4.8, 5.1), ("slippery", 6.8, 8.0)]
 )
-def test_zero_to_sixty_as_fast_as_told_or_as_the_road_allows(environment, low, high):
-    """With all wheels driven, friction 0.25 can't do it under 6.8 s."""
+def test_zero_to_sixty_takes_the_requested_time_or_the_least_that_friction_allows(environment, low, high):
+    """With all-wheel drive and friction 0.25, at least 6.8 s are necessary."""
     assert low < achieved("accelerate", environment)["time_s"] < high
 
 
 @pytest.mark.parametrize(
     ("environment", "low", "high"), [("clear", 1.8, 2.0), ("rain", 2.17, 2.5), ("slippery", 5.6, 6.5)]
 )
-def test_fifty_to_zero_as_fast_as_told_or_as_the_road_allows(environment, low, high):
-    """50 km/h over friction x g: 2.18 s in rain, 5.66 s on snow."""
+def test_fifty_to_zero_takes_the_requested_time_or_the_least_that_friction_allows(environment, low, high):
+    """50 km/h divided by friction x g: 2.18 s in rain, 5.66 s on snow."""
     assert low < achieved("brake", environment)["time_s"] < high
 
 
-def test_carlas_stock_brakes_take_longer_than_the_paper_says():
+def test_carlas_stock_brakes_take_longer_than_in_the_paper():
     assert achieved("brake", "clear", vehicle=MODEL_3_CARLA)["time_s"] == pytest.approx(2.66, abs=0.25)
 
 
@@ -86,7 +86,7 @@ def test_outages_last_3_to_5_seconds_and_begin_after_alignment():
         assert windows[1][0] - windows[0][1] > 5.0
 
 
-def test_urban_is_mixed_and_as_long_as_told():
+def test_urban_drives_are_mixed_and_have_the_requested_duration():
     drive = simulate("urban", duration=240.0)
     truth = drive.truth
     assert drive.duration == pytest.approx(240.0, abs=0.02)

@@ -1,4 +1,4 @@
-"""Consistency of the ideal IMU and the true path: integrating the IMU gives the path."""
+"""Consistency of the ideal IMU and the true path: integrating the IMU samples gives the path."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from sigmaswarm.simulation.environments import ENVIRONMENTS, MODEL_3
 from sigmaswarm.simulation.maneuvers import MANEUVERS, drive_maneuver
 from sigmaswarm.simulation.motion import TERRAINS, add_slopes, build_road_profile, motion_at, sample
 
-PLACE = (0.8, -0.4, 0.3)  # off the centre in every direction, so that each term of the lever arm counts
+PLACE = (0.8, -0.4, 0.3)  # off center in every direction, so that each term matters
 
 
 def integrate(values, start):
@@ -34,7 +34,7 @@ def motion(request):
     return motion_at(record, MODEL_3, PLACE)
 
 
-def test_specific_force_integrated_with_the_true_attitude_returns_the_path(motion):
+def test_integrating_the_specific_force_with_the_true_attitude_gives_the_path(motion):
     acceleration = np.einsum("nij,nj->ni", motion.rotation, motion.specific_force) - [0.0, 0.0, GRAVITY]
     position = integrate(integrate(acceleration, motion.velocity[0]), motion.position[0])
     length = np.linalg.norm(np.diff(motion.position, axis=0), axis=1).sum()
@@ -43,8 +43,8 @@ def test_specific_force_integrated_with_the_true_attitude_returns_the_path(motio
     assert error < 1e-5 * length
 
 
-def test_angular_rate_turns_the_attitude(motion):
-    """R(t + h) = R(t) (I + [w] h + ...), in the middle of each step."""
+def test_angular_rate_is_the_change_of_the_attitude(motion):
+    """R(t + h) = R(t) (I + [w] h + ...), at the middle of each step."""
     rate = (motion.angular_rate[1:] + motion.angular_rate[:-1]) / 2
     change = np.einsum("nji,njk->nik", motion.rotation[:-1], motion.rotation[1:])
     turned = np.column_stack(

@@ -32,7 +32,7 @@ def digest(folder):
     return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(folder.iterdir())}
 
 
-def test_the_same_seed_gives_the_same_bytes_whatever_the_number_of_workers(tmp_path):
+def test_the_same_seed_gives_the_same_bytes_for_any_number_of_workers(tmp_path):
     def write_to(where):
         return lambda drive: write_drive(drive, where / drive.name)
 
@@ -47,7 +47,7 @@ def test_the_same_seed_gives_the_same_bytes_whatever_the_number_of_workers(tmp_p
         assert digest(a) == digest(b)
 
 
-def test_a_written_drive_reads_back_with_all_that_was_said_about_it(tmp_path):
+def test_a_written_drive_is_read_with_all_its_metadata(tmp_path):
     drive = simulate("brake", "rain", seed=3)
     back = read_drive(write_drive(drive, tmp_path / "brake"))
     assert same(drive, back, "imu", "gps", "truth")
@@ -61,7 +61,7 @@ def test_other_seeds_runs_and_environments_give_other_noise():
     assert not any(same(base, other, "gps") for other in others)
 
 
-def test_changing_a_sensor_leaves_the_others_draws_alone():
+def test_changing_a_sensor_does_not_change_the_noise_of_others():
     base = simulate("turns", seed=2)
     other_gps = simulate("turns", seed=2, gps="f9p-rtk", gps_rate=10.0)
     assert same(base, other_gps, "imu", "truth") and not same(base, other_gps, "gps")
@@ -74,7 +74,7 @@ def test_changing_a_sensor_leaves_the_others_draws_alone():
 @pytest.mark.parametrize(
     "environment", quickly([("clear",), ("slippery",)], lambda where: where == "slippery")
 )
-def test_every_drive_lets_a_filter_align_before_the_maneuver(maneuver, environment):
+def test_every_drive_allows_an_alignment_before_the_maneuver(maneuver, environment):
     drive = simulate(maneuver, environment, duration=60.0 if maneuver == "urban" else None)
     truth = drive.truth
     speed = np.hypot(truth.vx, truth.vy)
@@ -97,7 +97,7 @@ def test_maneuver_drives_are_25_to_30_seconds_long_on_average():
     assert 25.0 < np.mean(lengths) < 30.0
 
 
-def test_clocks_jitter_but_never_turn_back():
+def test_clocks_have_jitter_and_increase_strictly():
     drive = simulate("turns", jitter=0.002)
     steps = np.diff(drive.imu.time)
     assert steps.min() > 0
@@ -107,12 +107,12 @@ def test_clocks_jitter_but_never_turn_back():
     np.testing.assert_allclose(ideal.gps.x, x, atol=1e-3)
 
 
-def test_ideal_sensors_tell_the_truth_and_latency_and_lever_arm_shift_it():
+def test_ideal_sensors_agree_with_truth_and_latency_and_lever_arm_shift_it():
     ideal = simulate("turns", imu="ideal", gps="ideal")
     truth = ideal.truth
     np.testing.assert_allclose(ideal.gps.x, np.interp(ideal.gps.time, truth.time, truth.x), atol=1e-9)
     yaw = truth.theta[0] + np.concatenate([[0.0], np.cumsum(ideal.imu.gz[1:] + ideal.imu.gz[:-1]) * 0.005])
-    np.testing.assert_allclose(yaw, truth.theta, atol=0.02)  # roll and pitch tilt the gyro a little
+    np.testing.assert_allclose(yaw, truth.theta, atol=0.02)  # roll and pitch slightly tilt the gyro
 
     late = simulate("turns", gps=GpsGrade("late", 0.0, latency=0.1)).gps
     np.testing.assert_allclose(late.x, np.interp(late.time - 0.1, truth.time, truth.x), atol=2e-3)
@@ -121,7 +121,7 @@ def test_ideal_sensors_tell_the_truth_and_latency_and_lever_arm_shift_it():
     np.testing.assert_allclose(np.hypot(*offset.T), 1.0, atol=0.01)
 
 
-def test_vibration_shakes_a_moving_car_and_no_other_sensor():
+def test_vibration_affects_the_imu_of_a_moving_car_and_no_other_sensor():
     still, shaken = (simulate("accelerate", vibration=v) for v in (0.0, 1.0))
     assert same(still, shaken, "gps", "truth")
     noise = shaken.imu.ax - still.imu.ax
@@ -130,36 +130,34 @@ def test_vibration_shakes_a_moving_car_and_no_other_sensor():
     assert noise[:50].std() < 0.01
 
 
-def test_vibration_does_not_turn_the_body_for_good():
-    """Roll and pitch rates that are added by shaking keep their sum small: the springs bring the body back."""
+def test_vibration_causes_no_lasting_rotation():
+    """The sum of the added roll and pitch rates stays small, since the springs restore the attitude of the body."""
     still, shaken = (simulate("urban", duration=120.0, imu="ideal", vibration=v).imu for v in (0.0, 1.0))
     for axis, density in (("gx", 0.002), ("gy", 0.003)):
         added = getattr(shaken, axis) - getattr(still, axis)
-        assert np.diff(added).std() > 0.5 * density * 10 * np.sqrt(
-            2
-        )  # as seen from one sample to the next, but halts
+        assert np.diff(added).std() > 0.5 * density * 10 * np.sqrt(2)  # between samples, except during stops
         assert np.abs(np.cumsum(added) * 0.01).max() < np.radians(0.4)
 
 
-def test_gnss_degradation_is_off_by_default_and_said_when_on():
+def test_gnss_degradation_is_off_by_default_and_recorded_if_it_is_on():
     plain, worse = (simulate("brake", "rain", gnss_degradation=on) for on in (False, True))
     assert plain.metadata["gps_std_m"] == pytest.approx(2.1)
     assert worse.metadata["gps_std_m"] == pytest.approx(2.1 * ENVIRONMENTS["rain"].gnss_noise_factor)
     assert worse.metadata["scenario"]["gnss_degradation"] is True
 
 
-def test_clear_night_and_fog_share_one_physics():
+def test_clear_night_and_fog_have_the_same_physics():
     physics = [ENVIRONMENTS[name].physics for name in ("clear", "night", "rain", "fog", "slippery")]
     assert physics == ["dry", "dry", "wet", "dry", "snow"]
 
 
 @pytest.mark.parametrize("imu", IMU_GRADES)
-def test_every_imu_grade_drives(imu):
+def test_every_imu_grade_can_be_simulated(imu):
     assert simulate("brake", imu=imu).metadata["imu_noise"]["grade"] == imu
 
 
 @pytest.mark.parametrize("gps", GPS_GRADES)
-def test_every_gps_grade_drives(gps):
+def test_every_gps_grade_can_be_simulated(gps):
     assert simulate("brake", gps=gps).metadata["gps_noise"]["grade"] == gps
 
 
@@ -180,7 +178,7 @@ def test_every_gps_grade_drives(gps):
         ({"seed": -1}, "seed is -1"),
     ],
 )
-def test_bad_input_is_refused_in_one_sentence(options, said):
+def test_wrong_input_is_rejected_with_one_sentence(options, said):
     with pytest.raises(InputError, match=said):
         simulate(**options)
 
@@ -195,12 +193,12 @@ def test_bad_input_is_refused_in_one_sentence(options, said):
         ({"maneuvers": ("brake",), "duration": 60.0}, "only 'urban'"),
     ],
 )
-def test_a_bad_condition_is_refused_before_any_drive_is_made(options, said):
+def test_a_wrong_condition_is_rejected_before_any_drive_is_simulated(options, said):
     with pytest.raises(InputError, match=said):
         list(simulate_many(**options, use=lambda drive: pytest.fail(f"{drive.name} was made")))
 
 
-def test_drives_that_are_left_out_change_no_other():
+def test_omitted_drives_do_not_change_the_others():
     conditions = {"maneuvers": ("brake",), "environments": ("clear",), "runs": 3}
     whole = list(simulate_many(**conditions))
     rest = list(simulate_many(**conditions, leave_out={"brake-clear-01"}))
@@ -208,5 +206,5 @@ def test_drives_that_are_left_out_change_no_other():
     assert all(same(a, b, "imu", "gps", "truth") for a, b in zip(rest, whole[::2], strict=True))
 
 
-def test_papers_maneuvers_are_five():
+def test_the_paper_has_five_maneuvers():
     assert PAPER_MANEUVERS == ("cruise", "turns", "accelerate", "brake", "outages")

@@ -20,7 +20,7 @@ _ORIGIN = (0.0, 0.0, 0.0)
 
 
 def stock_physics() -> list[Any]:
-    """VehiclePhysicsControl as the server sends it: some of the Model 3's figures, and four wheels."""
+    """Return VehiclePhysicsControl as the server sends it: some values of the Model 3, and four wheels."""
     steer = (70.0, 70.0, 0.0, 0.0)
     wheels = [[STOCK_FRICTION, 0.25, s, 34.0, STOCK_BRAKE, 0.0, 3.0, 17.0, 1000.0, 3 * [0.0]] for s in steer]
     curve, steering = [[0.0, 500.0], [15000.0, 100.0]], [[0.0, 1.0], [120.0, 0.5]]
@@ -35,15 +35,15 @@ class Car:
     Attributes
     ----------
     rows : list of ndarray, shape (20,)
-        What `sigmaswarm.simulation.dynamics` records, at the last three ticks.
+        Records of `sigmaswarm.simulation.dynamics` at the last three ticks.
     motion : Motion
-        Of the car's origin, at the last three ticks.
+        Motion of the car's origin at the last three ticks.
     seen, felt : tuple
-        See `_seen` and `_felt`, at the last tick.
+        Results of `_seen` and `_felt` at the last tick.
     """
 
     def __init__(self, x: float, y: float, yaw: float, grip: float = 0.85) -> None:
-        """At CARLA's x, y (m) and yaw (deg), standing; stock tires have the friction `grip`."""
+        """Place the car at CARLA's x, y (m) and yaw (deg), at rest; stock tires have the friction `grip`."""
         self.grip = grip
         self.physics = stock_physics()
         self.control = [0.0, 0.0, 1.0, False, False, False, 0]
@@ -52,7 +52,7 @@ class Car:
         self._see(3 * [self._drive(0, 0.0, -1.0)], 0.05)
 
     def _drive(self, steps: int, steer: float, pedal: float) -> np.ndarray:
-        """Advance the state by some steps; return the row that the next one would record."""
+        """Advance the state by some steps; return the row that the next step would record."""
         wheels = self.physics[-2]
         friction = self.grip * wheels[0][0] / STOCK_FRICTION
         brakes = MODEL_3_CARLA.full_brake * (wheels[0][4] / STOCK_BRAKE)
@@ -63,23 +63,23 @@ class Car:
         return row
 
     def _see(self, rows: list[np.ndarray], seconds: float) -> None:
-        """Compute, once for a tick, what is seen and felt."""
+        """Compute the visible state and the IMU measurement once per tick."""
         self.rows, self.seconds = rows, seconds
         self.motion = motion_at(np.array(rows), MODEL_3_CARLA, _ORIGIN)
         self.seen, self.felt = self._seen(), self._felt()
 
     def tick(self, seconds: float) -> None:
-        """Drive on."""
+        """Advance by one tick with the present control."""
         throttle, steer, brake, hand_brake = self.control[:4]
         pedal = -1.0 if hand_brake else throttle - brake
-        # CARLA turns the wheels less, the faster the car is.
+        # In CARLA, the angle of the wheels decreases with the speed of the car.
         curve = np.array(self.physics[-3])
         share = np.interp(3.6 * self.state[dynamics.VX], curve[:, 0], curve[:, 1])
         angle = -steer * share * MODEL_3_CARLA.steer_max
         self._see([*self.rows[1:], self._drive(round(seconds / STEP), angle, pedal)], seconds)
 
     def told_physics(self) -> list[Any]:
-        """Its physics, with the wheels where they are in the world, cm."""
+        """Return the physics, with the positions of the wheels in the world, cm."""
         car, (x, y, yaw) = MODEL_3_CARLA, self.state[:3]
         along, across = (car.front, car.front, -car.rear, -car.rear), car.track / 2
         for i, wheel in enumerate(self.physics[-2]):
@@ -90,12 +90,12 @@ class Car:
         return self.physics
 
     def truth(self) -> list[float]:
-        """East m, north m, their rates m/s, heading rad: now, in full precision."""
+        """Return x east and y north (m), their rates (m/s) and the heading (rad) in double precision."""
         now = self.motion
         return [*now.position[-1, :2], *now.velocity[-1, :2], now.yaw[-1]]
 
     def _seen(self) -> tuple[Any, Any, Any, Any]:
-        """Place, rotation (pitch, yaw, roll), velocity and angular velocity, deg/s, in CARLA's axes."""
+        """Return position, rotation (pitch, yaw, roll), velocity and angular velocity (deg/s) in CARLA's axes."""
         now = self.motion
         (x, y, z), (vx, vy, vz), rotation = now.position[-1], now.velocity[-1], now.rotation[-1]
         pitch = math.degrees(math.asin(rotation[2, 0]))
@@ -105,7 +105,7 @@ class Car:
         return (x, -y, z), (pitch, -yaw, roll), (vx, -vy, vz), (-p, q, -r)
 
     def _felt(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Specific force m/s2 and angular rate rad/s without noise, in CARLA's axes."""
+        """Return the specific force (m/s2) and the angular rate (rad/s) without noise, in CARLA's axes."""
         now = self.motion
         fx, fy, fz = carla_force(self.seconds * np.arange(3), now)[0]
         p, q, r = now.angular_rate[-1]

@@ -17,23 +17,23 @@ Array = NDArray[np.float64]
 CarlaVersion = Literal["0.9.14", "0.9.16"]
 
 EARTH_RADIUS = 6378137.0
-"""m, of CARLA's sphere."""
+"""Radius of CARLA's sphere, m."""
 _SCALE_0916 = 0.9996
 
 
 def to_geolocation(
     x: Array, y: Array, latitude: float, longitude: float, version: CarlaVersion = "0.9.14"
 ) -> tuple[Array, Array]:
-    """Latitude and longitude, deg, shapes (n,), that CARLA gives to places.
+    """Return latitude and longitude, deg, shapes (n,), that CARLA gives to positions.
 
     Parameters
     ----------
     x, y : ndarray, shape (n,)
         m, in CARLA's left-handed frame.
     latitude, longitude : float
-        deg, of CARLA's origin: the map's georeference.
+        Latitude and longitude of CARLA's origin, deg: the map's georeference.
     version : {"0.9.14", "0.9.16"}
-        The first also stands for everything from 0.9.0 to 0.9.15.
+        The first also applies to all versions from 0.9.0 to 0.9.15.
     """
     if version == "0.9.16":
         across = x / (_SCALE_0916 * EARTH_RADIUS)
@@ -48,7 +48,7 @@ def to_geolocation(
 def from_geolocation(
     lat: Array, lon: Array, latitude: float, longitude: float, version: CarlaVersion = "0.9.14"
 ) -> tuple[Array, Array]:
-    """Places x, y (m, shapes (n,)) in CARLA's frame: the inverse of `to_geolocation`."""
+    """Return x, y (m, shapes (n,)) in CARLA's frame: the inverse of `to_geolocation`."""
     if version == "0.9.16":
         phi, away = np.radians(lat), np.radians(np.asarray(lon) - longitude)
         x = np.arctanh(np.cos(phi) * np.sin(away))

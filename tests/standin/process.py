@@ -21,12 +21,12 @@ from sigmaswarm_carla.pack import pack
 
 TESTS = Path(__file__).parents[1]
 PYTHONS = "SIGMASWARM_CARLA_PYTHONS"
-"""Environment variable: interpreters that have other versions of the client, separated like PATH."""
+"""Environment variable with interpreters for other versions of the client, separated as in PATH."""
 
 
 @dataclass
 class StandIn:
-    """A stand-in with a world of one test's own; `log` holds what was true once the `with` block has ended."""
+    """A stand-in with a separate world for one test; `log` contains the true values after the `with` block."""
 
     process: subprocess.Popen[str]
     port: int
@@ -34,13 +34,13 @@ class StandIn:
 
 
 class _Keeper:
-    """The one server process of a test session, started when it is needed and again after it died."""
+    """The server process of a test session, which is started when it is needed, also after its end."""
 
     process: subprocess.Popen[str] | None = None
     port = 0
 
     def order(self, **order: Any) -> None:
-        """Give an order and wait until it is done."""
+        """Send a command, and wait until it is executed."""
         if self.process is None or self.process.poll() is not None:
             self._start()
         assert self.process is not None
@@ -64,7 +64,7 @@ class _Keeper:
         self.port = int(self.process.stdout.readline())
 
     def end(self) -> None:
-        """End the process: it ends by itself when its standard input closes."""
+        """End the process, which exits when its standard input closes."""
         if self.process is None:
             return
         assert self.process.stdin is not None
@@ -86,7 +86,7 @@ atexit.register(_KEEPER.end)
 
 @contextmanager
 def stand_in(folder: Path, version: str = "0.9.16", **faults: Any) -> Iterator[StandIn]:
-    """Serve a new world while the `with` block lasts."""
+    """Serve a new world until the `with` block ends."""
     _KEEPER.order(version=version, faults=faults)
     assert _KEEPER.process is not None
     running = StandIn(_KEEPER.process, _KEEPER.port)
@@ -99,7 +99,7 @@ def stand_in(folder: Path, version: str = "0.9.16", **faults: Any) -> Iterator[S
 
 @cache
 def recorder() -> Path:
-    """The recorder as users copy it to another machine: one file."""
+    """Return the recorder as one file, in the form in which users copy it to another machine."""
     folder = Path(tempfile.mkdtemp(prefix="sigmaswarm-recorder-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     pack(folder / "carla_recorder.pyz")
@@ -108,7 +108,7 @@ def recorder() -> Path:
 
 @cache
 def _others() -> dict[str, str]:
-    """Interpreters by the version of the client that they have."""
+    """Return interpreters by their version of the client."""
     named = [p for p in os.environ.get(PYTHONS, "").split(os.pathsep) if p]
     known = [found for name in ("python3.8", "python3.10") if (found := shutil.which(name))]
     ask = "import importlib.metadata as m; print(m.version('carla')); import carla"
@@ -135,7 +135,7 @@ def python_with(version: str) -> str:
 def record(
     port: int, out: Path, *more: object, version: str = "0.9.16", home: Path | None = None
 ) -> subprocess.CompletedProcess[str]:
-    """Run the recorder's file with the genuine client to its end."""
+    """Run the recorder's file with the genuine client until it ends."""
     with recording(port, out, *more, version=version, home=home) as process:
         said, complained = process.communicate(timeout=150)
     return subprocess.CompletedProcess(process.args, process.returncode, said, complained)

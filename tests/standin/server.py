@@ -26,7 +26,7 @@ from standin.world import World
 
 
 class Streams:
-    """Sensor data on its way: connections by the number of the stream that the client asked for."""
+    """Sensor data that are sent: connections by the number of the stream that the client has requested."""
 
     def __init__(self) -> None:
         self.listener = _listen()
@@ -50,7 +50,7 @@ class Streams:
     def hang_up(self) -> None:
         """Close all connections."""
         for connection in [c for listening in self.connections.values() for c in listening]:
-            with contextlib.suppress(OSError):  # it has gone already
+            with contextlib.suppress(OSError):  # the client has closed it
                 connection.shutdown(socket.SHUT_RDWR)
         self.connections.clear()
 
@@ -71,7 +71,7 @@ def _listen() -> socket.socket:
 
 
 def _serve(connection: socket.socket, world: World, lock: threading.Lock) -> None:
-    """Answer one client's calls until it goes."""
+    """Answer the calls of one client until it disconnects."""
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     unpacker = msgpack.Unpacker(raw=False, strict_map_key=False, unicode_errors="surrogateescape")
     try:
@@ -96,7 +96,7 @@ def _answer(world: World, lock: threading.Lock, number: int, name: str, args: li
 
 
 class Server:
-    """One stand-in: sockets, threads, and the world of the moment."""
+    """A stand-in: sockets, threads, and the present world."""
 
     def __init__(self) -> None:
         self.lock, self.listener, self.streams = threading.Lock(), _listen(), Streams()
@@ -104,7 +104,7 @@ class Server:
         self.world = World("0.9.16", self.streams, {}, self.lose)
 
     def obey(self, order: dict[str, Any]) -> None:
-        """Begin a new world, or write the log of the old one."""
+        """Start a new world, or write the log of the present one."""
         if "log" in order:
             Path(order["log"]).write_text(json.dumps(self.world.log()))
             return
@@ -112,17 +112,17 @@ class Server:
         self.world = World(order["version"], self.streams, order["faults"], self.lose)
 
     def lose(self, how: str) -> None:
-        """Lose the connections: `die` with the server itself, or only `hang up`."""
+        """Close the connections (`hang up`), or end the process (`die`)."""
         if how == "die":
             os._exit(9)
         for client in self.clients:
-            with contextlib.suppress(OSError):  # it has gone already
+            with contextlib.suppress(OSError):  # the client has closed it
                 client.shutdown(socket.SHUT_RDWR)
         self.clients.clear()
         self.streams.hang_up()
 
     def listen_to_orders(self) -> None:
-        """Obey until nobody holds our standard input any more."""
+        """Execute commands until standard input closes."""
         for line in sys.stdin:
             with self.lock:
                 self.obey(json.loads(line))
@@ -130,7 +130,7 @@ class Server:
         os._exit(0)
 
     def run_free(self) -> None:
-        """Tick by ourselves while no client does."""
+        """Advance the world while no client controls the ticks."""
         while True:
             time.sleep(0.05)
             with self.lock:
@@ -138,7 +138,7 @@ class Server:
                     self.world.advance()
 
     def accept(self) -> None:
-        """Serve whoever comes."""
+        """Accept clients."""
         while True:
             client, _ = self.listener.accept()
             with self.lock:
@@ -154,7 +154,7 @@ def main() -> None:
         "--life", type=float, default=1200.0, help="s, after which the process ends by itself"
     )
     options = parser.parse_args()
-    Car(0.0, 0.0, 0.0).tick(0.01)  # compiles, where no cache is there yet
+    Car(0.0, 0.0, 0.0).tick(0.01)  # compiles if the cache is empty
     server = Server()
     for work in (server.listen_to_orders, server.run_free, server.accept):
         threading.Thread(target=work, daemon=True).start()

@@ -1,18 +1,18 @@
-"""A small town as an OpenDRIVE text: a grid of two-lane streets with crossings, one street a kilometre long."""
+"""A small town as an OpenDRIVE text: a grid of two-lane streets with junctions; one street is a kilometer long."""
 
 import math
 from dataclasses import dataclass
 
 REACH = 10.0
-"""m, from a crossing's middle to where its streets begin: left turns have 11.75 m of radius, right ones 8.25 m."""
+"""Distance (m) from a junction's center to its streets; left turns have a radius of 11.75 m, right turns of 8.25 m."""
 WIDTH = 3.5
-"""m, of a lane."""
-_FIRST_JUNCTION = 1001  # CARLA's client takes a number that no road has for a junction's
+"""Width of a lane, m."""
+_FIRST_JUNCTION = 1001  # CARLA's client requires that no road has the number of a junction
 
 
 @dataclass(frozen=True)
 class Street:
-    """A straight street from crossing `a` to crossing `b`, which are (column, row); None where it just ends."""
+    """A straight street from junction `a` to junction `b`, both (column, row); None for a dead end."""
 
     number: int
     x: float
@@ -33,7 +33,7 @@ def write_town(
     tail: float = 1100.0,
     origin: tuple[float, float] = (49.0, 8.0),
 ) -> str:
-    """OpenDRIVE of a grid; from each border crossing a street of 150 m leads out, to the west one of `tail` m."""
+    """Return the OpenDRIVE text of a grid; streets of 150 m lead out of the grid, those to the west have `tail` m."""
     streets = _streets(columns, rows, tail)
     crossings = [(i, j) for i in range(len(columns)) for j in range(len(rows))]
     roads = [_street(s, {c: k for k, c in enumerate(crossings, _FIRST_JUNCTION)}) for s in streets]
@@ -93,7 +93,7 @@ def _street(s: Street, numbers: dict[tuple[int, int], int]) -> str:
 
 
 def _crossing(crossing, junction: int, streets: list[Street], number: int) -> tuple[list[str], list[str]]:
-    """The roads within a crossing, one for each way through it, and the junction's connections."""
+    """Return the roads within a junction, one for each way through it, and the junction's connections."""
     arms = [(s, "end") for s in streets if s.b == crossing] + [
         (s, "start") for s in streets if s.a == crossing
     ]

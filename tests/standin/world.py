@@ -1,4 +1,4 @@
-"""The world of the stand-in: settings, weather, actors and ticks, as answers to the client's calls."""
+"""The world of the stand-in: settings, weather, actors and ticks, and the replies to the client's calls."""
 
 import random
 import threading
@@ -12,30 +12,30 @@ from standin.geodesy import to_geolocation
 from standin.town import write_town
 
 ORIGIN = (49.0, 8.0)
-"""deg, of the map."""
+"""Latitude and longitude of the map's origin, deg."""
 MAPS: dict[str, dict[str, Any]] = {"Grid": {}, "Village": {"tail": 150.0}}
-"""Towns, by what is peculiar to them."""
+"""Towns and their parameters."""
 DEFAULTS = [False, False, [False], True, 0.01, 10, 0.0, False, 3000.0, 2000.0, True]
-"""EpisodeSettings of a server that nobody has touched."""
+"""EpisodeSettings of a new server."""
 GARBAGE = 2
-"""Inertial samples after listen() that are nonsense (carla-simulator/carla#8970)."""
+"""Number of first inertial samples that are wrong (carla-simulator/carla#8970)."""
 
 FAULTS = {
-    "say_version": "what the server says of itself",
-    "ignore_settings": "of a synchronous mode's settings the step is not taken",
-    "ignore_physics": "the car's physics are not taken",
-    "mirror_gnss": "fixes lie on the other side of the map's x axis",
-    "fail_spawn": "how many spawns of a car fail",
-    "stuck": "how many cars do not obey the throttle",
-    "astray": "how many cars do not obey the steering wheel",
-    "grip": "friction of the stock tires, 0.85 if not given",
-    "deaf": "how many samples of each sensor are never sent, at first",
-    "silent": "a sensor, and from which of its samples on it sends no more",
-    "late": "a sensor, which of its samples, and by how many s",
-    "drop_frame": "at which cue since the car was spawned two frames pass",
-    "hang_up": "at which cue since then all connections are closed",
-    "die": "at which cue since then the server dies",
-    "always": "the three before happen each time, not just once",
+    "say_version": "version that the server reports",
+    "ignore_settings": "the step of a synchronous mode is ignored",
+    "ignore_physics": "the car's physics are ignored",
+    "mirror_gnss": "fixes are mirrored at the map's x axis",
+    "fail_spawn": "number of failing spawns of a car",
+    "stuck": "number of cars that ignore the throttle",
+    "astray": "number of cars that ignore the steering wheel",
+    "grip": "friction of the stock tires, 0.85 by default",
+    "deaf": "number of first samples of each sensor that are not sent",
+    "silent": "a sensor, and the number of its first sample that is no longer sent",
+    "late": "a sensor, the number of the delayed sample, and the delay in s",
+    "drop_frame": "number of the tick cue (after the car's spawn) at which two frames pass",
+    "hang_up": "number of the tick cue at which all connections are closed",
+    "die": "number of the tick cue at which the server ends",
+    "always": "the previous three faults are repeated for each car",
 }
 
 _CAR = "vehicle.tesla.model3"
@@ -53,7 +53,7 @@ _SENSORS = {
 
 @dataclass
 class Actor:
-    """Something that the client has spawned."""
+    """An actor that the client has spawned."""
 
     number: int
     blueprint: str
@@ -69,18 +69,18 @@ class Actor:
 
 
 class World:
-    """All state of the server; the caller holds a lock around every method.
+    """State of the server; the caller holds a lock around every method.
 
     Parameters
     ----------
     version : str
-        Of the server.
+        Version of the server.
     streams : Streams
-        Where sensor data goes.
+        Receiver of the sensor data.
     faults : dict
-        What goes wrong; see `FAULTS`.
+        Planted faults; see `FAULTS`.
     lose : callable
-        Loses the connection, "die" or "hang up".
+        Function that closes the connection, "die" or "hang up".
     """
 
     def __init__(
@@ -95,12 +95,12 @@ class World:
         self.map, self.episode = "Grid", 1
         self.truth: list[list[float]] = []
         self.ticks = 0
-        """Cues from the client since it spawned a car."""
+        """Number of tick cues since the client has spawned a car."""
         self.calls: dict[str, int] = {}
         self.spawned: list[dict[str, str]] = []
 
     def log(self) -> dict[str, Any]:
-        """What was true, for the tests."""
+        """Return the true values for the tests."""
         return {
             "truth": self.truth,
             "settings": self.settings,
@@ -110,10 +110,10 @@ class World:
             "attributes": self.spawned,
         }
 
-    # -- what a client asks ------------------------------------------------------------------------
+    # -- calls of a client ------------------------------------------------------------------------
 
     def call(self, name: str, args: list[Any]) -> Any:
-        """Answer a call; AttributeError for one that is unknown here."""
+        """Execute a call; raise AttributeError for an unsupported one."""
         self.calls[name] = self.calls.get(name, 0) + 1
         return getattr(self, f"call_{name}")(*args)
 
@@ -164,7 +164,7 @@ class World:
         return self.call_get_map_data().encode()
 
     def call_get_actor_definitions(self) -> list[Any]:
-        shift = 1 if self.version == "0.9.16" else 0  # of the attribute types
+        shift = 1 if self.version == "0.9.16" else 0  # shift of the attribute types
 
         def attribute(name: str, kind: int, value: str) -> list[Any]:
             return [name, kind + shift, value, [], True, False]
@@ -252,7 +252,7 @@ class World:
         return True
 
     def advance(self) -> None:
-        """One frame further: cars drive, streams get their data."""
+        """Advance by one frame: move the cars and send sensor data."""
         fixed = self.settings[2]
         seconds = fixed[1] if fixed[0] else 0.05
         self.frame, self.elapsed = self.frame + 1, self.elapsed + seconds

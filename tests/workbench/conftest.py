@@ -26,17 +26,17 @@ if PAUSE:
 main()
 """
 SMALL = {"model": "planar5", "particles": 8, "generations": 4}
-"""Options of a tuning that takes a second."""
+"""Options of a tuning that takes one second."""
 AT_REST = """document.addEventListener("DOMContentLoaded", () => {
   const style = document.createElement("style");
   style.textContent = "*, ::before, ::after { animation: none !important; transition: none !important; }";
   document.head.append(style);
 });"""
-"""Without spinners that turn: a browser without a graphics card draws the whole page for each of their frames."""
+"""Without animations: a browser without a graphics card draws the whole page for each frame of a spinner."""
 
 
 class Served:
-    """A server in a process of its own, which is ended by its number; ``pause``: s before each generation."""
+    """A server in a separate process; ``pause`` is the time before each generation, s."""
 
     def __init__(self, folder: Path, *logs: Path, pause: float = 0.0, **choices: Any) -> None:
         folder.mkdir(exist_ok=True)
@@ -56,7 +56,7 @@ class Served:
 
 @pytest.fixture
 def serve() -> Iterator[Any]:
-    """Start servers; all are ended with the test."""
+    """Start servers, which end with the test."""
     served: list[Served] = []
 
     def start(*arguments: Any, **choices: Any) -> Served:
@@ -70,7 +70,7 @@ def serve() -> Iterator[Any]:
 
 @pytest.fixture
 def tab(browser: Any) -> Iterator[Any]:
-    """Open tabs; a test fails if a page asks another host for anything, or has an error."""
+    """Open tabs; the test fails if a page has an error or sends a request to another host."""
     context = browser.new_context(viewport={"width": 1280, "height": 900})
     context.grant_permissions(["clipboard-read", "clipboard-write"])
     context.set_default_timeout(60_000)

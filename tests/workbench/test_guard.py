@@ -23,7 +23,7 @@ UPGRADE = {
 
 
 def ask(port: int, path: str, method: str = "GET", **headers: str) -> tuple[int, str]:
-    """Status and body of an answer."""
+    """Return status and body of the response."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30)
     connection.putrequest(method, path, skip_host="Host" in headers)
     for name, value in headers.items():
@@ -36,7 +36,7 @@ def ask(port: int, path: str, method: str = "GET", **headers: str) -> tuple[int,
 
 
 def test_guard(tmp_path: Path, serve: Any):
-    """No page, file or socket without the token, and nothing outside the folder with it."""
+    """Without the token, no page, file or socket is served; with the token, no file outside the folder is served."""
     bench = tmp_path / "bench"
     sigmaswarm.write_drive(make_drive(duration=12.0, name="monday"), bench / "drives" / "monday")
     (tmp_path / "secret").mkdir()
@@ -75,7 +75,7 @@ def test_guard(tmp_path: Path, serve: Any):
 
 
 def test_a_body_without_a_length_is_bounded(monkeypatch: pytest.MonkeyPatch):
-    """An upload in chunks ends as soon as it is too long."""
+    """An upload in chunks is ended when it is too long."""
     from sigmaswarm.workbench import server
 
     async def chunk() -> dict[str, Any]:
@@ -86,13 +86,13 @@ def test_a_body_without_a_length_is_bounded(monkeypatch: pytest.MonkeyPatch):
         return [(await receive())["type"] for _ in range(3)]
 
     monkeypatch.setattr(server, "MAX_UPLOAD_SIZE", 10)
-    with ThreadPoolExecutor(1) as pool:  # a browser's test may have left an event loop in this thread
+    with ThreadPoolExecutor(1) as pool:  # this thread may contain an event loop of a browser test
         ended = pool.submit(lambda: asyncio.run(taken())).result()
     assert ended == ["http.request", "http.request", "http.disconnect"]
 
 
 def test_names_and_sources(tmp_path: Path):
-    """Names lead nowhere else; a damaged file of choices is no obstacle; a missing log is one line."""
+    """Paths outside the folder are rejected, a damaged file of choices is ignored, and a missing log is one line."""
     (tmp_path / "bench").mkdir()
     (tmp_path / "bench" / "workbench.json").write_text("{broken")
     bench = Workbench(tmp_path / "bench")
@@ -115,7 +115,7 @@ def test_names_and_sources(tmp_path: Path):
 
 
 def test_without_the_extra(monkeypatch: pytest.MonkeyPatch):
-    """One line names what to install."""
+    """The error names what to install."""
     monkeypatch.setattr("sigmaswarm.cli.workbench.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"pip install 'sigmaswarm\[workbench\]'"):
         workbench()

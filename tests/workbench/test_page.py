@@ -1,4 +1,4 @@
-"""The steps one by one: faults next to their columns, repairs and their reversal, keyboard, contrast."""
+"""The steps one by one: faults next to their columns, repairs and their removal, keyboard, contrast."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -18,21 +18,21 @@ axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe i
 
 
 def wrong_sign(folder: Path) -> Path:
-    """A drive whose gyro turns the other way."""
+    """Write a drive whose gyro has the wrong sign."""
     drive = make_drive(duration=DURATION, gps_rate=5.0, seed=3, name="monday")
     imu = Imu(drive.imu.time, drive.imu.ax, drive.imu.ay, -drive.imu.gz)
     return sigmaswarm.write_drive(replace(drive, imu=imu), folder / "drives" / "monday")
 
 
 def contrast_of(page: Any) -> list[str]:
-    """What an accessibility checker objects to."""
+    """Return the violations that an accessibility checker finds."""
     rules = {"runOnly": {"type": "tag", "values": ["wcag2a", "wcag2aa", "wcag21aa"]}}
     found = axe.Axe().run(page, options=rules).response["violations"]
     return [f"{v['id']}: {n['html'][:200]}" for v in found for n in v["nodes"]]
 
 
 def tab_to(page: Any, name: str) -> None:
-    """Press Tab until an element has the focus that is named so."""
+    """Press Tab until an element with this name has the focus."""
     name_of = "e => e === document.body ? '' : e.getAttribute('aria-label') || e.innerText"
     focused = f"({name_of})(document.activeElement.closest('[role=slider]') || document.activeElement)"
     for _ in range(60):
@@ -43,7 +43,7 @@ def tab_to(page: Any, name: str) -> None:
 
 
 def test_cuts(tmp_path: Path, serve: Any, tab: Any):
-    """One click repairs or cuts a copy, one in another tab takes it back; both tabs show this; the original stays."""
+    """One click repairs or cuts a copy, another tab reverts it, both tabs show this, and the original stays."""
     original = wrong_sign(tmp_path / "bench")
     before = (original / "imu.csv").read_bytes()
     served = serve(tmp_path / "bench")
@@ -76,7 +76,7 @@ def test_cuts(tmp_path: Path, serve: Any, tab: Any):
     page.goto(served.url + "tune")
     expect(page.get_by_role("combobox", name="monday", exact=True)).to_have_value("leave it out")
     page.get_by_text("Filter: planar5").wait_for()
-    page.bring_to_front()  # a list opens in the tab in front only
+    page.bring_to_front()  # a list opens only in the active tab
     page.get_by_role("combobox", name="Measurements").click()
     for name in ("lateral", "robust"):  # the list stays open
         option = page.get_by_role("option", name=name, exact=True)
@@ -87,7 +87,7 @@ def test_cuts(tmp_path: Path, serve: Any, tab: Any):
 
 
 def test_broken_log_and_faults(tmp_path: Path, serve: Any, tab: Any):
-    """A broken file is one line; a fault stands next to the column that it is about."""
+    """A broken file causes one line; a fault is shown next to the column that it concerns."""
     served = serve(tmp_path / "bench")
     page = tab(served.url)
     broken = tmp_path / "broken.csv"
@@ -100,14 +100,14 @@ def test_broken_log_and_faults(tmp_path: Path, serve: Any, tab: Any):
     frame.write_csv(file)
     drop(page, sorted(file.parent.iterdir()))
     row = page.locator(".column-row", has=page.get_by_text("gz", exact=True))
-    expect(row.locator(".wrong")).to_contain_text("gz")  # once, although the import states it, too
+    expect(row.locator(".wrong")).to_contain_text("gz")  # once, although the import reports it, too
     page.evaluate("scrollTo(0, document.body.scrollHeight)")
     expect(page.locator(".message.bad")).to_be_in_viewport()
     expect(page.get_by_role("button", name="Make the drive")).to_be_disabled()
 
 
 def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any):
-    """Keys alone do all five steps; the checker objects to nothing on any page."""
+    """All five steps work with the keyboard only; the checker finds no violation on any page."""
     drive = make_drive(duration=DURATION, gps_rate=5.0, seed=3, name="monday")
     assert drive.truth is not None
     turned = replace(drive.truth, theta=drive.truth.theta + 8 * np.pi)
@@ -147,7 +147,7 @@ def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any):
     page.get_by_role("cell", name="log", exact=True).wait_for()
     page.set_viewport_size({"width": 390, "height": 844})
     cells = page.locator("table.stacks td").all()
-    assert len({cell.bounding_box()["x"] for cell in cells}) == 1  # one below the other
+    assert len({cell.bounding_box()["x"] for cell in cells}) == 1  # the cells form one column
     assert contrast_of(page) == []
     page.set_viewport_size({"width": 1280, "height": 900})
     for step, name, do, done in (
@@ -166,7 +166,7 @@ def test_keyboard_alone_and_contrast(tmp_path: Path, serve: Any, tab: Any):
 
 
 def test_envelope_keeps_all_peaks():
-    """An hour of 100 Hz is a few points per pixel, and no peak is lost."""
+    """An hour at 100 Hz is drawn with a few points per pixel, and no peak is lost."""
     from sigmaswarm.workbench import plots
 
     time = np.arange(360_000) / 100.0

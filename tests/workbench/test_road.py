@@ -1,4 +1,4 @@
-"""All steps in a real browser: from a dropped log to a compiled C filter."""
+"""All steps in a real browser: from an uploaded log to a compiled C filter."""
 
 import shlex
 import shutil
@@ -21,11 +21,11 @@ expect = pytest.importorskip("playwright.sync_api").expect
 expect.set_options(timeout=60_000)
 DURATION = 60.0
 LOCATION = {"altitude": 100.0, "horizontalAccuracy": 2.0, "speed": -1.0, "bearing": -1.0}
-"""Columns of the fixes; negative ones are unknown."""
+"""Columns of the fixes; negative values mean unknown."""
 
 
 def six_axes() -> Drive:
-    """A drive in degrees with all axes of the IMU."""
+    """Simulate a drive with all axes of the IMU."""
     return sigmaswarm.simulate("urban", gps="white-1m", duration=DURATION)
 
 
@@ -38,7 +38,7 @@ def degrees(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
 
 
 def odd_csv(folder: Path) -> list[Path]:
-    """Columns whose names say nothing of the IMU, in g and deg/s; the fixes in a file of their own."""
+    """Write IMU columns with unknown names, in g and deg/s, and the fixes in a separate file."""
     drive = make_drive(duration=DURATION, gps_rate=5.0, seed=3)
     folder.mkdir()
     imu, (lat, lon) = drive.imu, degrees(drive)
@@ -54,7 +54,7 @@ def odd_csv(folder: Path) -> list[Path]:
 
 
 def phone(folder: Path) -> list[Path]:
-    """Sensor Logger's export: screen up, top edge forward."""
+    """Write an export of Sensor Logger: screen up, top edge forward."""
     drive, ns = six_axes(), 1_700_000_000 * 10**9
     folder.mkdir()
     lat, lon = degrees(drive)
@@ -78,7 +78,7 @@ def phone(folder: Path) -> list[Path]:
 
 
 def bag(folder: Path) -> list[Path]:
-    """A ROS 2 bag."""
+    """Write a ROS 2 bag."""
     bags = pytest.importorskip("importing.bags")
     drive = six_axes()
     lat, lon = degrees(drive)
@@ -93,14 +93,14 @@ def bag(folder: Path) -> list[Path]:
 
 
 def drop(page: Any, files: list[Path]) -> None:
-    """Choose files as with the + of the drop zone, and wait until they have been read."""
+    """Choose files with the + of the drop zone, and wait until they have been read."""
     page.locator("input[type=file]").first.set_input_files(files)
     page.get_by_text("Contents of the log").wait_for()
     settle(page)
 
 
 def settle(page: Any) -> None:
-    """Until nothing is being read or written."""
+    """Wait until all files are read and written."""
     page.wait_for_timeout(400)
     page.wait_for_function("!document.querySelector('.message.wait')")
 
@@ -118,7 +118,7 @@ ODD = (
 
 
 def name_columns(page: Any) -> None:
-    """Say what the odd columns are."""
+    """Select the meaning of the columns."""
     command = page.locator("pre")
     for column, target, use, unit in ODD:
         pick(page, f"Use of {column}", use)
@@ -129,7 +129,7 @@ def name_columns(page: Any) -> None:
 
 
 def find_mounting(page: Any) -> None:
-    """Follow the note."""
+    """Press the button that the note names."""
     page.get_by_text("press 'Find the mounting in the log'").wait_for()
     page.get_by_role("button", name="Find the mounting in the log").click()
     page.get_by_text("deg was estimated from the log").wait_for()
@@ -137,7 +137,7 @@ def find_mounting(page: Any) -> None:
 
 
 def set_offset(page: Any) -> None:
-    """Leave the reading of the log with this choice unfinished."""
+    """Enter a value, and leave the page before the log is read again with it."""
     page.get_by_text("More settings").click()
     page.get_by_label("Seconds to add").fill("0.02")
 
@@ -146,7 +146,7 @@ SIZES = {"particles": 8, "generations": 3, "seed": 5}
 
 
 def tune_and_export(page: Any, folder: Path) -> None:
-    """From a checked drive to a built C filter that has run."""
+    """From a checked drive, tune, evaluate, export, and run a compiled C filter."""
     page.get_by_role("link", name="Next: tune a filter").click()
     page.get_by_text("Filter: planar5").wait_for()
     for name, size in SIZES.items():  # without a pause
@@ -181,7 +181,7 @@ def tune_and_export(page: Any, folder: Path) -> None:
     ),
 )
 def test_road(write: Any, prepare: Any, onward: int, tmp_path: Path, serve: Any, tab: Any):
-    """To a drive that the shown command makes, too, and ``onward`` to a filter in C."""
+    """The shown command makes the same drive; ``onward`` continues to a filter in C."""
     files = write(tmp_path / "log")
     served = serve(tmp_path / "bench")
     page = tab(served.url)
@@ -208,7 +208,7 @@ def test_road(write: Any, prepare: Any, onward: int, tmp_path: Path, serve: Any,
 
 
 def test_killed_server_and_two_tabs(tmp_path: Path, serve: Any, tab: Any):
-    """Both tabs see one tuning; after a kill it is resumed with the bits of one that was never interrupted."""
+    """Both tabs show one tuning; after a kill, it is resumed with the bits of an uninterrupted tuning."""
     options = {"model": "planar5", "particles": 8, "generations": 40}
     drive = make_drive(duration=DURATION, gps_rate=5.0, seed=3, name="monday")
     sigmaswarm.write_drive(drive, tmp_path / "bench" / "drives" / "monday")
