@@ -1,4 +1,4 @@
-"""The filter bank: its lanes are filters, its estimate is their mixture, and equal samples give equal bits."""
+"""The filter bank: each lane is a filter, its estimate is their mixture, and equal samples give equal bits."""
 
 import math
 import pickle
@@ -60,13 +60,13 @@ def made(cls, p: FilterParameters, **more):
 
 
 def events(late: float = 0.0) -> list[tuple[float, bool, int]]:
-    """IMU samples and fixes as they come, fixes ``late`` s after their time."""
+    """Return IMU samples and fixes in the order of arrival; fixes arrive ``late`` s after their time."""
     samples = [(t, True, i) for i, t in enumerate(drive().imu.time)]
     return sorted(samples + [(t + late, False, i) for i, t in enumerate(drive().gps.time)])
 
 
 def feed(filter: LiveFilter, stream: list[tuple[float, bool, int]]) -> Iterator[float]:
-    """Give a filter what comes; the times of the samples, after each."""
+    """Feed a filter with a stream; yield the time after each IMU sample."""
     imu, gps = drive().imu, drive().gps
     axes = MODELS[filter.parameters.model].imu
     for t, is_imu, i in stream:
@@ -87,12 +87,12 @@ def fed(cls, p: FilterParameters, late: float = 0.0, **more):
 
 @cache
 def whole() -> LiveFilterBank:
-    """A swarm that has had the whole drive."""
+    """Return a bank after the whole drive."""
     return fed(LiveFilterBank, parameters("planar8", **ALL))
 
 
 def everything(of: LiveFilterBank) -> bytes:
-    """All numbers of the lanes, and what they differ in."""
+    """Return all numbers of the lanes, their offsets and the population of the search as bytes."""
     return of._numbers[: swarm.N_CHECKPOINT].tobytes() + of.offsets.tobytes() + of._population.tobytes()
 
 
@@ -117,7 +117,7 @@ def test_fixes_older_than_the_history_are_left_out_and_counted():
         lambda model, option, late: late > 0 and option == WEIGHED["both"],
     ),
 )
-def test_lane_0_is_the_tuning_by_itself(model: str, option: dict[str, float], late: float):
+def test_lane_0_equals_the_live_filter_of_the_tuning(model: str, option: dict[str, float], late: float):
     if model == "tilted12" and drive().imu.az is None:
         pytest.skip("the drive has three axes")
     p = parameters(model, **option)
@@ -130,7 +130,7 @@ def test_lane_0_is_the_tuning_by_itself(model: str, option: dict[str, float], la
 
 
 @pytest.mark.parametrize("option", quickly([("all",), ("both",)], lambda option: option == "both"))
-def test_late_fixes_change_no_bit_of_what_it_settles_on(option: str):
+def test_late_fixes_change_no_bit_of_the_settled_parameters(option: str):
     p = parameters("planar8", **{**OPTIONS, **WEIGHED}[option])
     in_time, late = fed(LiveFilterBank, p), fed(LiveFilterBank, p, 0.31)
     for filter in (in_time, late):
@@ -141,8 +141,8 @@ def test_late_fixes_change_no_bit_of_what_it_settles_on(option: str):
     assert everything(fed(LiveFilterBank, p, seed=1)) != everything(in_time)
 
 
-def test_what_is_watched_does_not_change_it():
-    """Asking for the state, at whatever moments, changes nothing; nor does how fast the search is."""
+def test_reading_the_state_changes_no_bit():
+    """The result depends neither on when the state is read nor on when a search ends."""
     p = parameters("planar8", **ALL)
     asked = made(LiveFilterBank, p)
     for k, _ in enumerate(feed(asked, events())):
@@ -153,7 +153,7 @@ def test_what_is_watched_does_not_change_it():
     assert everything(asked) == everything(whole())
 
 
-def test_a_lane_that_is_replaced_goes_where_it_heads():
+def test_a_replaced_lane_uses_its_new_heading():
     among = made(LiveFilterBank, parameters("planar5"))
     steps = [(start().time + 0.01 * k, (1.0, 0.0, 0.0)) for k in range(1, 5)]
     for t, seen in steps[:3]:
@@ -167,8 +167,8 @@ def test_a_lane_that_is_replaced_goes_where_it_heads():
 
 
 @pytest.mark.parametrize("option", quickly([("all",), ("both",)], lambda option: option == "both"))
-def test_each_lane_is_a_filter_and_the_mixture_theirs(option: str):
-    """Without a search: against one run of each lane's parameters, and the mixture in plain NumPy."""
+def test_lanes_are_filters_and_the_estimate_is_their_mixture(option: str):
+    """Without a search: compare with one run per lane, and with a mixture in plain NumPy."""
     p = parameters("planar8", **{**OPTIONS, **WEIGHED}[option])
     seen = replace(
         drive(),
@@ -211,14 +211,14 @@ def test_each_lane_is_a_filter_and_the_mixture_theirs(option: str):
     assert states.shape[1] == LANES
 
 
-def test_the_heading_of_a_mixture_goes_around_the_circle():
+def test_the_mean_heading_of_a_mixture_is_a_circular_mean():
     p = parameters("planar5")
     states = np.zeros((1, 20, LANES))
     states[0, 4] = np.where(np.arange(LANES) % 2, math.pi - 0.1, -math.pi + 0.1)
     mixed = Mixture.of(states, np.full((1, LANES), 1 / LANES), p.model)
     assert abs(wrap_angle(mixed.mean[0, 4] - math.pi)) < 1e-12
     assert mixed.covariance[0, 4, 4] == pytest.approx(0.01)
-    states[0, :, 3] = np.nan  # a lane that failed counts nothing
+    states[0, :, 3] = np.nan  # a failed lane has no weight
     weights = np.full((1, LANES), 1 / (LANES - 1))
     weights[0, 3] = 0.0
     assert np.isfinite(Mixture.of(states, weights, p.model).mean).all()
@@ -243,9 +243,9 @@ def resumed(saved: bytes, stream: list[tuple[float, bool, int]]) -> bytes:
     return everything(filter) + filter.state.mean.tobytes()
 
 
-def test_a_saved_copy_and_what_was_copied_go_on_with_the_same_bits():
+def test_a_pickled_bank_and_the_original_continue_with_the_same_bits():
     filter, stream = made(LiveFilterBank, parameters("planar8", **ALL)), events()
-    cut = next(k for k, e in enumerate(stream) if e[0] > start().time + 20.5)  # a search is under way
+    cut = next(k for k, e in enumerate(stream) if e[0] > start().time + 20.5)  # a search is running
     for _ in feed(filter, stream[:cut]):
         pass
     assert filter._pending is not None
@@ -284,7 +284,7 @@ Path("end").write_bytes(everything(filter) + filter.state.mean.tobytes())
 """
 
 
-def test_a_process_that_is_killed_goes_on_from_what_it_saved_with_the_same_bits(
+def test_a_killed_process_resumes_from_its_last_save_with_the_same_bits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.chdir(tmp_path)
@@ -298,7 +298,7 @@ def test_a_process_that_is_killed_goes_on_from_what_it_saved_with_the_same_bits(
     assert Path("end").read_bytes() == everything(whole()) + whole().state.mean.tobytes()
 
 
-def test_a_search_finds_what_loses_less_and_the_same_each_time():
+def test_a_search_finds_better_offsets_and_is_reproducible():
     p = parameters("planar8", **ALL)
     filter = fed(LiveFilterBank, p, searches=False)
     logged = filter._logged_steps(0, int(filter._numbers[swarm.LOGGED]))
@@ -310,7 +310,7 @@ def test_a_search_finds_what_loses_less_and_the_same_each_time():
     population = filter.prior.first(np.random.default_rng(1))
 
     def evidence_of(offsets: np.ndarray) -> float:
-        """As a swarm has it that began with these offsets."""
+        """Return the evidence of lane 8 in a bank that starts with these offsets."""
         own = made(LiveFilterBank, p, searches=False)
         own.offsets[8] = offsets
         own._start_lanes(start(), slice(None))
@@ -323,7 +323,7 @@ def test_a_search_finds_what_loses_less_and_the_same_each_time():
 
     first, again = found(), found()
     assert first is not None and again is not None
-    assert first.known.evidence > evidence_of(wrong) + 10.0  # a hundred times R
+    assert first.known.evidence > evidence_of(wrong) + 10.0  # ``wrong`` multiplies R by 100
     assert abs(first.offsets[filter.prior.names.index(R)]) < 1.0
     assert first.offsets.tobytes() == again.offsets.tobytes()
     assert first.lane.tobytes() == again.lane.tobytes()
@@ -341,7 +341,7 @@ def test_the_fixed_lanes_stay(kind: str):
     first, last = made(LiveFilterBank, p), fed(LiveFilterBank, p)
     assert last.n_searches >= 2
     states = Mixture.of(last.lanes()[0][np.newaxis].repeat(LANES, 0), np.eye(LANES), p.model)
-    for lane in range(len(FIXED_OFFSETS)):  # what goes on beside them does not touch them
+    for lane in range(len(FIXED_OFFSETS)):  # searches do not change these lanes
         alone = run_filter(drive(), last.prior.parameters(last.offsets[lane]), initial=start())
         np.testing.assert_allclose(wrap_angle(states.mean[lane] - alone.mean[-1]), 0.0, atol=1e-9)
         np.testing.assert_allclose(states.covariance[lane], alone.covariance[-1], rtol=1e-7, atol=1e-13)
@@ -351,8 +351,8 @@ def test_the_fixed_lanes_stay(kind: str):
     assert (last.offsets[len(FIXED_OFFSETS) :, last.prior.names.index(START)] == 0.0).any()
 
 
-def test_it_says_that_the_receiver_is_another_one():
-    """A filter that was tuned for errors of 0.5 m, on a receiver with 4 m."""
+def test_a_different_receiver_is_reported():
+    """A filter that was tuned for errors of 0.5 m is used with a receiver with errors of 4 m."""
     seen = make_drive(duration=90.0, gps_std=4.0, seed=3)
     p = parameters("planar8", lateral_noise=0.01, rear_axle=0.0)
     run = BankRun(whole_pass(seen), p, recover=True)
@@ -363,13 +363,13 @@ def test_it_says_that_the_receiver_is_another_one():
     rmse = {name: float(np.sqrt(np.square(of - true).sum(axis=1).mean())) for name, of in error.items()}
     assert rmse["swarm"] < 0.75 * rmse["tuning"]
     r = run.log.settled[run.bank.prior.names.index(R)] + run.log.settled[run.bank.prior.names.index("scale")]
-    assert 0.8 < r < 2.6  # 4 m is 1.75 decades of 0.5 m to 0.6 m
+    assert 0.8 < r < 2.6  # log10(4^2 / 0.5^2) = 1.8; log10(4^2 / 0.6^2) = 1.65
     assert any("a different receiver" in sentence for sentence in run.bank.prior.warnings(run.log.settled))
     nis = {"swarm": run.innovations.nis.mean(), "tuning": run_innovations(seen, p).nis.mean()}
     assert abs(math.log(nis["swarm"] / 2)) < 0.5 * abs(math.log(nis["tuning"] / 2))
 
 
-def test_a_run_is_the_stream():
+def test_run_bank_equals_the_live_bank():
     p = parameters("planar8", lateral_noise=0.05)
     run = run_bank(prepare_drive(drive(), start()), p)
     filter = made(LiveFilterBank, p)
@@ -381,7 +381,7 @@ def test_a_run_is_the_stream():
     assert run.covariance.shape == (len(means), 8, 8)
 
 
-@pytest.mark.parametrize(  # before, in and after a search
+@pytest.mark.parametrize(  # before, during and after a search
     "at", quickly([(11.9,), (13.2,), (13.9,), (15.1,), (15.9,), (17.0,)], lambda at: at == 13.2)
 )
 def test_a_failure_of_all_lanes_is_reported_at_once_and_the_bank_is_reset(at: float):
@@ -393,7 +393,7 @@ def test_a_failure_of_all_lanes_is_reported_at_once_and_the_bank_is_reset(at: fl
             assert filter.state.failed
         if t > at:
             failed.append(filter.state.failed)
-    assert not failed[-1]  # it found itself from the fixes
+    assert not failed[-1]  # the bank was aligned with fixes
     true = np.array([drive().truth.x[-1], drive().truth.y[-1]])
     assert np.linalg.norm(filter.state.mean[:2] - true) < 5.0
     assert filter.state.covariance[0, 0] < 4.0
@@ -404,15 +404,15 @@ BIAS = 0.25
 
 @cache
 def biased() -> Drive:
-    """A drive whose gyro is as it comes from the factory, rad/s off."""
+    """Return a drive with a gyro bias of BIAS rad/s, as in an uncalibrated gyro."""
     made = simulate("urban", seed=4, duration=60.0, gps="white-1m")
     return replace(made, imu=replace(made.imu, gz=made.imu.gz + BIAS))
 
 
 def biases(turned_at: float = math.inf, held_at: float = math.inf) -> tuple[LiveFilterBank, np.ndarray]:
-    """A swarm on that drive; times, and the bias as most lanes say.
+    """Run a bank on that drive; return it, and times with the median gyro bias of its lanes.
 
-    All headings are turned at a moment, or all lanes are told that they are lost.
+    At one time, all headings are turned, or both monitors are set to diverged.
     """
     p = parameters("planar8", lateral_noise=0.05, rear_axle=1.5, bias_std=(0.5, 0.3))
     imu, gps = biased().imu, biased().gps
@@ -438,7 +438,7 @@ def biases(turned_at: float = math.inf, held_at: float = math.inf) -> tuple[Live
 @pytest.mark.long
 def test_a_gyro_bias_that_the_bank_estimates_causes_no_reset():
     filter, found = biases()
-    assert not filter.restarts  # nor has the tuning by itself, whose start sees the bias
+    assert not filter.restarts  # nor is the live filter, whose alignment estimates the bias
     assert not filter.bank_restarts
     assert abs(found[-1, 1] - BIAS) < 0.02
 
@@ -459,7 +459,7 @@ def test_estimated_biases_are_kept_while_the_bank_is_lost():
     assert abs(after - BIAS).max() < 0.05
 
 
-def test_while_it_is_lost_the_biases_are_the_last_sound_ones():
+def test_while_it_is_lost_the_biases_are_the_last_valid_ones():
     filter = made(LiveFilterBank, parameters("planar8"))
     sound, variance = np.arange(8.0), np.diag(np.arange(1.0, 9.0)) + 0.1
     known = filter._with_sound_biases(False, sound.copy(), variance.copy())
@@ -475,7 +475,7 @@ def test_while_it_is_lost_the_biases_are_the_last_sound_ones():
     ("taken", "variance", "kept"),
     [(None, 1.0, True), (0.2, 1.0, True), (0.2, 1e-6, False), (0.3, 1.0, False)],
 )
-def test_a_new_start_takes_the_bias_of_an_alignment_that_is_surer_or_contradicts(
+def test_a_reset_takes_the_bias_of_an_alignment_that_is_more_certain_or_contradicts(
     taken: float | None, variance: float, kept: bool
 ):
     filter = made(LiveFilterBank, parameters("planar8"))
@@ -494,7 +494,7 @@ def test_a_new_start_takes_the_bias_of_an_alignment_that_is_surer_or_contradicts
         np.testing.assert_array_equal(rows[layout.at(i, i)][changed], 0.01)
 
 
-def test_a_fix_beyond_all_bounds_is_one_fix():
+def test_a_fix_with_an_overflowing_position_causes_no_failure():
     p = parameters("planar8", gate=6.0)
     alone, among = made(LiveFilter, p), made(LiveFilterBank, p)
     for filter in (alone, among):
@@ -506,7 +506,7 @@ def test_a_fix_beyond_all_bounds_is_one_fix():
     assert among.n_searches >= 2
 
 
-def test_a_copy_is_another_swarm():
+def test_a_deep_copy_is_independent():
     filter, stream = made(LiveFilterBank, parameters("planar8", **ALL)), events()
     for _ in feed(filter, stream[:2000]):
         pass
@@ -519,10 +519,10 @@ def test_a_copy_is_another_swarm():
 
 
 @pytest.mark.long
-def test_a_forked_child_goes_on():
+def test_a_forked_child_continues_with_the_same_bits():
     p, stream = parameters("planar8", **ALL), events()
     filter = made(LiveFilterBank, p)
-    cut = next(k for k, e in enumerate(stream) if e[0] > start().time + 20.5)  # a search is under way
+    cut = next(k for k, e in enumerate(stream) if e[0] > start().time + 20.5)  # a search is running
     for _ in feed(filter, stream[:cut]):
         pass
     with ProcessPoolExecutor(1, mp_context=get_context("fork")) as pool:
@@ -530,7 +530,7 @@ def test_a_forked_child_goes_on():
     assert child == everything(whole()) + whole().state.mean.tobytes()
 
 
-def test_a_drive_with_a_long_silence_has_no_stale_estimate():
+def test_after_a_long_gap_of_the_imu_the_estimate_is_not_stale():
     imu = drive().imu
     heard = (imu.time < 20.0) | (imu.time > 32.5)
     silent = replace(drive(), imu=imu.select(heard))
@@ -540,12 +540,12 @@ def test_a_drive_with_a_long_silence_has_no_stale_estimate():
     assert apart.max() < 5.0
 
 
-def test_what_it_settles_on_starts_as_the_tuning_does():
+def test_the_settled_parameters_keep_the_initial_bias_deviation():
     assert whole().settled.bias_std == whole().parameters.bias_std
     assert whole().settled.process_noise != whole().parameters.process_noise
 
 
-def test_what_all_variances_have_in_common_is_said_once():
+def test_a_common_factor_of_all_variances_is_reported_once():
     prior = OffsetPrior(parameters("planar8", **ALL))
     by = dict.fromkeys(prior.names, 0.0)
 
@@ -562,14 +562,14 @@ def test_what_all_variances_have_in_common_is_said_once():
     assert axle == "the rear axle is 1.2 m farther back than in the tuning"
 
 
-def test_one_lane_that_fails_counts_nothing_and_goes_on_from_the_best():
+def test_a_failed_lane_has_no_weight_and_restarts_from_the_best_lane():
     p, filter = parameters("planar8", **ALL), None
     filter = made(LiveFilterBank, p)
     for k, _ in enumerate(feed(filter, events())):
         if k == 1000:
             filter._rows_of(filter._numbers)[:, [2, 9]] = np.nan
             assert not filter.state.failed  # before the next fix
-        if k == 1100:  # fixes have come since
+        if k == 1100:  # after several fixes
             assert (filter.weights[[2, 9]] == 0.0).all()
             assert not filter.state.failed
     assert (filter.weights[[2, 9]] > 0.0).all()  # after the next search
@@ -595,5 +595,5 @@ def test_memory_stays_flat():
     run(14_000, 20_000)
     growth = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
-    assert growth < 2_000_000  # a search that is under way holds its steps
+    assert growth < 2_000_000  # steps are stored while a search is running
     assert not filter.state.failed

@@ -27,24 +27,24 @@ from sigmaswarm.filters.passes import FilterPass, Targets
 from sigmaswarm.geodesy import wrap_angle
 from support import quickly, timeline_of
 
-EARLY = 12  # IMU samples after the start, where the initial covariance still counts
+EARLY = 12  # IMU samples after the start, where the initial covariance still has an effect
 STATES = {"planar5": 5, "planar8": 8, "tilted12": 12}
 
 
 def band(freedom: int) -> np.ndarray:
-    """Where 95% of the means of chi-square variables lie, relative to what is expected; ``freedom`` of all together."""
+    """Return the 95% interval of a chi-square variable divided by its expectation, ``freedom``."""
     return chi2.ppf([0.025, 0.975], freedom) / freedom
 
 
 def chance_to_see(off: float, freedom: int) -> float:
-    """The chance that errors ``off`` times as large (squared) as they should be leave the band."""
+    """Return the probability that squared errors that are ``off`` times too large are outside the interval."""
     low, high = band(freedom) / off
     return float(chi2.cdf(low * freedom, freedom) + chi2.sf(high * freedom, freedom))
 
 
 @cache
 def runs_needed(n: int) -> int:
-    """So many runs show a covariance that is 10% off, either way, with a chance of 95%."""
+    """Return the number of runs that shows a covariance error of 10%, up or down, with a probability of 95%."""
     return next(k for k in range(100, 5000) if min(chance_to_see(x, k * n) for x in (1.1, 1 / 1.1)) > 0.95)
 
 
@@ -54,7 +54,7 @@ def model_parameters(model: str, kind: str) -> FilterParameters:
 
 
 def start(n: int) -> InitialState:
-    """A start with a covariance that is not diagonal."""
+    """Return an initial state with a covariance that is not diagonal."""
     rng = np.random.default_rng(5)
     mix = np.eye(n) + 0.2 * rng.standard_normal((n, n))
     covariance = mix @ mix.T
@@ -66,7 +66,7 @@ def start(n: int) -> InitialState:
 
 @cache
 def time_line() -> Timeline:
-    """12 s at about 10 Hz, 2 fixes a second between the samples, braking and turning across the seam of an angle."""
+    """Return 12 s at 10 Hz with 2 fixes per second between samples; the car brakes and its heading crosses pi."""
     rng = np.random.default_rng(1)
     time = np.arange(121) * 0.1
     time[1:-1] += rng.uniform(-0.03, 0.03, 119)
@@ -87,7 +87,7 @@ def time_line() -> Timeline:
 
 @cache
 def draw(p: FilterParameters, runs: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """True states at the ends of steps (k, runs, n), and fixes (f, runs, 2)."""
+    """Draw true states at the ends of steps (k, runs, n), and fixes (f, runs, 2)."""
     rng, line, initial = np.random.default_rng(seed), time_line(), start(p.n_states)
     s = rng.multivariate_normal(initial.mean, initial.covariance, runs)
     if p.model == "tilted12":
@@ -114,7 +114,7 @@ def draw(p: FilterParameters, runs: int, seed: int) -> tuple[np.ndarray, np.ndar
 
 
 def draw_tilted(p: FilterParameters, runs: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """The same of tilted12: what is drawn is an error of the state, which `tilted.plus` adds."""
+    """Draw the same for tilted12: the drawn values are errors of the state, which `tilted.plus` adds."""
     line, initial = time_line(), start(p.n_states)
     imu, antenna = line.imu(tilted.AXES), tilted.Antenna((line.lever[0], line.lever[1], line.lever[2]))
     std = np.sqrt(np.array(p.process_noise))
@@ -133,7 +133,7 @@ def draw_tilted(p: FilterParameters, runs: int, rng: np.random.Generator) -> tup
 
 @dataclass(frozen=True)
 class Consistency:
-    """Mean NEES and NIS, relative to what is expected, and of how many degrees of freedom they are."""
+    """Mean NEES and NIS divided by their expectation, and their degrees of freedom."""
 
     early: float
     late: float
@@ -143,7 +143,7 @@ class Consistency:
 
     @property
     def inside(self) -> dict[str, bool]:
-        """Whether each lies in its 95% band."""
+        """Whether each mean is inside its 95% interval."""
         nees, nis = band(self.nees_freedom), band(self.nis_freedom)
         values = {"early": (self.early, nees), "late": (self.late, nees), "nis": (self.nis, nis)}
         return {name: bool(low < value < high) for name, (value, (low, high)) in values.items()}
@@ -155,7 +155,7 @@ def consistency(
     """Run the compiled filter, with its Q, R and P0 scaled, over data of its unscaled model."""
     right, n = model_parameters(model, kind), STATES[model]
     runs, line, initial = runs_needed(n), time_line(), start(n)
-    states, fixes = draw(model_parameters(model, "ekf"), runs, seed=0)  # drawn once for all kinds
+    states, fixes = draw(model_parameters(model, "ekf"), runs, seed=0)  # the same data for all filter types
     truth = states[line.sampled]
     wrong = replace(
         right,
@@ -203,13 +203,13 @@ OFF = [("q", 1.25), ("q", 0.8), ("r", 1.25), ("r", 0.8), ("p0", 1.25), ("p0", 0.
         lambda model, kind, *off: model == ("planar5" if OFF.index((*off,)) % 2 else "planar8"),
     ),
 )
-def test_a_quarter_too_much_or_too_little_noise_is_seen(model: str, kind: str, name: str, factor: float):
+def test_noise_that_is_25_percent_wrong_is_detected(model: str, kind: str, name: str, factor: float):
     found = consistency(model, kind, **{name: factor})
     assert not all(found.inside.values()), found
 
 
 @pytest.mark.parametrize("n", STATES.values())
-def test_the_runs_are_enough_to_see_ten_percent(n: int):
+def test_the_number_of_runs_is_enough_to_detect_ten_percent(n: int):
     runs = runs_needed(n)
     assert 200 < runs < 600
     drawn = np.random.default_rng(0).chisquare(n, (2000, runs)).mean(axis=1) / n

@@ -1,4 +1,4 @@
-"""Dead reckoning, compared with Newton's equations in a loop, and with the truth for an exact IMU."""
+"""Dead reckoning, compared with Newton's equations in a loop, and with truth for an exact IMU."""
 
 import math
 from dataclasses import replace
@@ -13,7 +13,7 @@ from support import make_drive
 
 
 def loop(drive: Drive, initial: InitialState) -> np.ndarray:
-    """Step by step from sample to sample; fixes split steps, which a heading held over the step must show."""
+    """Integrate from sample to sample. Fixes split steps, and each part uses the heading at its start."""
     x, y, vx, vy, theta = initial.mean.tolist()
     now, states = initial.time, []
     fixes = [t for t in drive.gps.time if initial.time < t <= drive.imu.time[-1]]
@@ -33,7 +33,7 @@ def loop(drive: Drive, initial: InitialState) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_it_is_newton_s_equations(seed: int):
+def test_it_follows_newton_s_equations(seed: int):
     drive = make_drive(duration=15.0, jitter=0.3, seed=seed)
     estimate, expected = run_imu_only(drive), loop(drive, initial_state(drive))
     np.testing.assert_array_equal(estimate.time, drive.imu.time[drive.imu.time > initial_state(drive).time])
@@ -42,7 +42,7 @@ def test_it_is_newton_s_equations(seed: int):
     assert np.all((estimate.mean[:, 4] > -np.pi) & (estimate.mean[:, 4] <= np.pi))
 
 
-def test_an_exact_imu_from_a_true_start_stays_on_the_road():
+def test_with_an_exact_imu_and_a_true_start_it_follows_truth():
     drive = make_drive(duration=40.0, seed=2)
     t = drive.truth
     i = 500
@@ -50,11 +50,11 @@ def test_an_exact_imu_from_a_true_start_stays_on_the_road():
     estimate = run_imu_only(drive, initial=InitialState(true, np.eye(5), float(t.time[i])))
     after = t.select(slice(i + 1, None))
     error = np.hypot(estimate.mean[:, 0] - after.x, estimate.mean[:, 1] - after.y)
-    assert error.max() < 2.0  # of 300 m: each sample is held for one interval, 5 ms off its middle
+    assert error.max() < 2.0  # over 300 m: each sample applies to one interval, whose middle is 5 ms away
     assert estimate.initial.time == t.time[i]
 
 
-def test_no_fix_after_the_start_matters():
+def test_fixes_after_the_start_have_no_effect():
     drive = make_drive(duration=15.0)
     start = initial_state(drive)
     moved = replace(drive, gps=replace(drive.gps, x=drive.gps.x + 100.0 * (drive.gps.time > start.time)))

@@ -34,7 +34,7 @@ SET = FilterParameters(
     nominal_interval=0.01, bias_std=(0.98, 0.0074), lateral_noise=1e-3, rear_axle=0.1, standstill_noise=6.4e-3,
     gate=13.1,
 )  # fmt: skip
-"""Tuned on two KITTI drives by innovation-nll."""
+"""Tuned on two KITTI drives with innovation-nll."""
 TRUSTING = replace(SET, gate=None)
 TILTED = replace(
     tuned("tilted12", "ekf", 0.01, everything=False), lateral_noise=0.01, standstill_noise=6.4e-3, gate=13.1
@@ -51,7 +51,7 @@ def drive_of(name: str) -> Drive:
 
 
 def turned(drive: Drive) -> Planted:
-    """The start's heading and velocity turned by 120 degrees."""
+    """Turn the initial heading and velocity by 120 degrees."""
     start, angle = initial_state(drive), np.radians(120.0)
     turn = np.eye(5)
     turn[2:4, 2:4] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
@@ -60,14 +60,14 @@ def turned(drive: Drive) -> Planted:
 
 
 def aside(drive: Drive) -> Planted:
-    """60 s of fixes 200 m off, then right again."""
+    """Shift the fixes by 200 m for 60 s."""
     start, gps = initial_state(drive), drive.gps
     off = (gps.time >= start.time + 20) & (gps.time < start.time + 80)
     return replace(drive, gps=replace(gps, x=gps.x + 120.0 * off, y=gps.y + 160.0 * off)), start
 
 
 def silent(drive: Drive) -> Planted:
-    """The IMU silent for 20 s, in which the car turns more than in any other."""
+    """Remove the 20 s of IMU samples in which the car turns most."""
     start, imu = initial_state(drive), drive.imu
     heading = np.append(0.0, np.cumsum(imu.gz[1:] * np.diff(imu.time)))
     tried = np.arange(start.time + 15, imu.time[-1] - 60, 1.0)
@@ -85,7 +85,7 @@ def rmse(truth: Truth, time: np.ndarray, x: np.ndarray, y: np.ndarray) -> float:
 
 
 def after(drive: Drive, estimate: Estimate, restart: float) -> tuple[float, float]:
-    """RMSE of the estimate and of the fixes in the 10 s after a restart, m."""
+    """Return the RMSE of the estimate and of the fixes in the 10 s after a restart, m."""
     assert drive.truth is not None
     part, gps = (estimate.time >= restart) & (estimate.time <= restart + 10), drive.gps
     fixes = (gps.time >= restart) & (gps.time <= restart + 10)
@@ -98,15 +98,15 @@ def check_planted(name: str, plant: str, p: FilterParameters) -> None:
     estimate = run_filter(drive, p, initial=start)
     lost = run_filter(drive, p, initial=start, recover=False)
     silence = float(estimate.time[np.argmax(np.diff(estimate.time)) + 1])
-    if plant == "silent" and not estimate.restarts:  # it knows of the gap, and need not be lost
+    if plant == "silent" and not estimate.restarts:  # the filter accounts for the gap and need not diverge
         own, raw = after(drive, estimate, silence + MAX_DURATION)
         assert own <= raw
         return
-    assert estimate.restarts, "it is lost, and does not notice"
+    assert estimate.restarts, "the divergence is not detected"
     assert estimate.failure is None
     for restart in estimate.restarts:
         own, raw = after(drive, estimate, restart)
-        assert own <= raw * (1.001 if raw > 100 else 1.0), restart  # beside what is planted, 0.1% is noise
+        assert own <= raw * (1.001 if raw > 100 else 1.0), restart  # 0.1% of a large error is noise
     assert lost.restarts == ()
     before = estimate.time < estimate.restarts[0]
     np.testing.assert_array_equal(estimate.mean[before], lost.mean[before])
@@ -121,11 +121,11 @@ def check_planted(name: str, plant: str, p: FilterParameters) -> None:
         product(["turned", "silent"], [SET, TRUSTING]), lambda plant, p: (plant == "turned") == (p is SET)
     ),
 )
-def test_what_is_planted_in_a_simulated_drive_is_found(plant: str, p: FilterParameters):
+def test_planted_divergence_in_a_simulated_drive_is_detected(plant: str, p: FilterParameters):
     check_planted("simulated", plant, p)
 
 
-def test_what_is_planted_is_found_by_a_tilted_filter():
+def test_planted_divergence_is_detected_by_a_tilted_filter():
     check_planted("simulated", "turned", TILTED)
 
 
@@ -138,7 +138,7 @@ def test_what_is_planted_is_found_by_a_tilted_filter():
         lambda _, plant: plant == "aside",
     ),
 )
-def test_what_is_planted_in_a_recording_is_found(name: str, plant: str):
+def test_planted_divergence_in_a_recording_is_detected(name: str, plant: str):
     check_planted(name, plant, SET)
 
 
@@ -153,7 +153,7 @@ ROADS = ["urban", "turns", "cruise", "brake", "outages"]
         lambda *case: case in (("turns", "f9p-rtk"), ("outages", "ublox-m8")),
     ),
 )
-def test_no_sound_filter_is_reset_on_a_simulated_drive(maneuver: str, gps: str):
+def test_a_sound_filter_is_not_reset_on_a_simulated_drive(maneuver: str, gps: str):
     drive = sigmaswarm.simulate(maneuver, run=2, gps=gps)
     for p in (SET, TRUSTING):
         estimate = run_filter(drive, p)
@@ -181,13 +181,13 @@ def test_no_sound_filter_is_reset_on_a_simulated_drive(maneuver: str, gps: str):
         lambda name: name == "colorado-1",
     ),
 )
-def test_no_sound_filter_is_reset_on_a_recording(name: str):
+def test_a_sound_filter_is_not_reset_on_a_recording(name: str):
     for p in (SET, TRUSTING):
         assert run_filter(drive_of(name), p).restarts == ()
 
 
 def test_a_large_gyro_bias_that_the_filter_estimates_causes_no_reset():
-    """The alignment takes such a bias only for certain where fixes contradict it far beyond their noise."""
+    """The alignment subtracts the bias only if fixes contradict a gyro without bias far beyond their noise."""
     drive = sigmaswarm.simulate("urban", duration=200.0, gps="white-1m", seed=5)
     off = replace(drive, imu=replace(drive.imu, gz=drive.imu.gz + 0.3))
     noise = (1e-6, 1e-6, 1e-4, 1e-4, 1e-7, 1e-8, 1e-8, 1e-10)
@@ -198,7 +198,7 @@ def test_a_large_gyro_bias_that_the_filter_estimates_causes_no_reset():
 
 
 @pytest.mark.parametrize("samples", [1, 333, 10_000])
-def test_looking_changes_no_bit(samples: int):
+def test_the_monitor_changes_no_bit(samples: int):
     from sigmaswarm.filters.filter_run import FilterRun
     from sigmaswarm.filters.run import whole_pass
 
@@ -212,7 +212,7 @@ def test_looking_changes_no_bit(samples: int):
     np.testing.assert_array_equal(plain.innovations.innovation, watched.innovations.innovation)
 
 
-def test_a_restart_does_not_depend_on_the_pieces():
+def test_restarts_do_not_depend_on_the_length_of_pieces():
     from sigmaswarm.filters.filter_run import FilterRun
     from sigmaswarm.filters.run import whole_pass
 
@@ -233,7 +233,7 @@ def test_no_filter_is_reset_during_tuning():
 
 
 def stops_and_goes() -> tuple[Drive, InitialState]:
-    """A car that drives, stands from 40 to 80 s, and drives on; its fixes are 200 m aside from 45 s on."""
+    """Return a drive with a stop from 40 to 80 s; the fixes are shifted by 200 m from 45 s on."""
     rng = np.random.default_rng(0)
     time = np.arange(14001) / 100
     accelerates = 2.0 * (time < 5) - 2.0 * ((time > 35) & (time < 40)) + 2.0 * ((time > 80) & (time < 85))
@@ -260,8 +260,8 @@ def test_while_it_can_not_align_the_estimate_is_the_last_fix_and_is_marked():
     assert estimate.lost is not None
     (restart,) = estimate.restarts
     lost = estimate.time[estimate.lost]
-    assert 55 < lost[0] < 58, "10 s after the fixes moved"
-    assert 83 < restart < 92, "4 s and 20 m after the car drove off"
+    assert 55 < lost[0] < 58, "about 10 s after the fixes jump"
+    assert 83 < restart < 92, "about 4 s and 20 m after the car departs"
     assert lost[-1] < restart
     assert estimate.lost.sum() == np.count_nonzero((estimate.time >= lost[0]) & (estimate.time < restart))
     for t in lost[::100]:
@@ -277,7 +277,7 @@ def test_while_it_can_not_align_the_estimate_is_the_last_fix_and_is_marked():
 def live(
     drive: Drive, start: InitialState, late: float = 0.0, p: FilterParameters = SET
 ) -> tuple[LiveFilter, np.ndarray, np.ndarray]:
-    """The filter, its means after each sample and where it was lost; fixes come ``late`` s after their time."""
+    """Return the filter, its means after each sample and whether it was lost; fixes arrive ``late`` s late."""
     lever = [*drive.lever_arm, drive.antenna_height]
     filter = LiveFilter(p, start, nominal_interval=drive.nominal_interval, lever_arm=lever)
     gps, imu = drive.gps, drive.imu
@@ -329,19 +329,19 @@ LIVE = {plant: (plant, SET) for plant in PLANTS} | {"turned-tilted12": ("turned"
 @pytest.mark.parametrize(
     ("plant", "p"), quickly(LIVE.values(), lambda plant, p: plant == "turned" and p is SET), ids=LIVE
 )
-def test_live_is_the_run(plant: str, p: FilterParameters):
+def test_the_live_filter_equals_the_run(plant: str, p: FilterParameters):
     drive, start = PLANTS[plant](drive_of("simulated"))
     run = run_filter(drive, p, initial=start)
     filter, means, lost = live(drive, start, p=p)
     assert filter.restarts == list(run.restarts)
-    gap = np.flatnonzero(np.diff(run.time) > 10)  # where one sample waits for the next to say the same
+    gap = np.flatnonzero(np.diff(run.time) > 10)  # after a gap, the live filter resets one sample later
     there = ~np.isin(np.arange(len(run.time)), gap + 1)
     np.testing.assert_allclose(means[there], run.mean[there], rtol=0, atol=1e-9)
     np.testing.assert_array_equal(lost, run.lost)
 
 
 @pytest.mark.long
-def test_live_is_the_run_while_nothing_can_be_aligned():
+def test_the_live_filter_equals_the_run_while_no_alignment_is_possible():
     drive, start = stops_and_goes()
     run = run_filter(drive, SET, initial=start)
     filter, means, lost = live(drive, start)
@@ -352,7 +352,7 @@ def test_live_is_the_run_while_nothing_can_be_aligned():
 
 
 @pytest.mark.parametrize("late", quickly([(0.1,), (0.5,)], lambda late: late == 0.5))
-def test_fixes_that_come_late_are_looked_at(late: float):
+def test_late_fixes_are_checked_for_divergence(late: float):
     drive, start = turned(drive_of("simulated"))
     (at,) = run_filter(drive, SET, initial=start).restarts
     filter, means, _ = live(drive, start, late)
@@ -385,7 +385,7 @@ def test_a_fix_from_before_a_restart_comes_too_late():
 
 
 def seen(time: float, *, heading: float = 0.0, off: float = 0.0, aligns: bool = True) -> StateCheck:
-    """A filter that says it drives east at 10 m/s; the fixes say something else."""
+    """Return a check of a filter that estimates 10 m/s to the east; fixes contradict it by these amounts."""
     alignment = InitialState(np.array([0, 0, 10, 0, heading]), 1e-4 * np.eye(5), time)
     return StateCheck(
         time=time, mean=np.array([0.0, off, 10.0, 0.0, 0.0]), covariance=1e-4 * np.eye(5), fix_time=time,
@@ -396,7 +396,7 @@ def seen(time: float, *, heading: float = 0.0, off: float = 0.0, aligns: bool = 
 
 
 @pytest.mark.parametrize("taken", [None, 0.2])
-def test_a_reset_takes_the_alignment_through_the_steps_since_without_the_gyro_s_bias(taken: float | None):
+def test_a_reset_propagates_the_alignment_to_the_present_without_gyro_bias(taken: float | None):
     gyro = None if taken is None else GyroBiasEvidence(np.zeros(3), np.ones(3), taken, np.zeros(5))
     aligned = InitialState(np.array([0.0, 0.0, 10.0, 0.0, 0.0]), np.eye(5), 5.0, gyro)
     steps = np.tile([0.01, 0.0, 0.0, 0.5], (100, 1))
@@ -406,26 +406,26 @@ def test_a_reset_takes_the_alignment_through_the_steps_since_without_the_gyro_s_
 
 
 @pytest.mark.parametrize("wrong", [{"heading": 0.36}, {"off": 20.5}])
-def test_it_is_lost_after_ten_seconds_of_contradiction_without_a_break(wrong: dict):
+def test_it_is_lost_after_ten_seconds_of_uninterrupted_contradiction(wrong: dict):
     monitor = DivergenceMonitor()
     assert all(monitor.take(seen(t, **wrong)) is None for t in np.arange(0.0, 10.0))
-    assert monitor.take(seen(10.0)) is None  # they agree again
+    assert monitor.take(seen(10.0)) is None  # the fixes agree once
     assert all(monitor.take(seen(t, **wrong)) is None for t in np.arange(11.0, 21.0))
     found = monitor.take(seen(21.0, **wrong))
     assert found is not None
     assert monitor.restarts == [21.0] == [found.time]
-    assert all(monitor.take(seen(t, **wrong)) is None for t in np.arange(22.0, 32.0))  # it counts anew
+    assert all(monitor.take(seen(t, **wrong)) is None for t in np.arange(22.0, 32.0))  # the 10 s start again
 
 
 @pytest.mark.parametrize("right", [{"heading": 0.34}, {"off": 19.5}, {}])
-def test_less_is_no_loss(right: dict):
+def test_smaller_deviations_are_no_divergence(right: dict):
     monitor = DivergenceMonitor()
     assert all(monitor.take(seen(t, **right)) is None for t in np.arange(0.0, 100.0))
     assert monitor.restarts == []
     assert not monitor.lost
 
 
-def test_what_the_filter_allows_for_is_no_contradiction():
+def test_deviations_within_the_covariance_are_no_contradiction():
     monitor = DivergenceMonitor()
     wide = np.diag([16.0, 25.0, 1.0, 1.0, 0.04])  # 5 m, 0.2 rad
     for t in np.arange(0.0, 100.0):
@@ -433,14 +433,14 @@ def test_what_the_filter_allows_for_is_no_contradiction():
     assert monitor.restarts == []
 
 
-def test_looks_without_alignment_are_no_break_and_no_news():
+def test_checks_without_alignment_neither_interrupt_nor_prove_a_contradiction():
     monitor = DivergenceMonitor()
     for t in np.arange(0.0, 60.0):
         assert monitor.take(seen(t, heading=1.0, aligns=t < 5)) is None
     assert monitor.take(seen(60.0, heading=1.0)) is not None
 
 
-def test_few_looks_are_not_enough():
+def test_few_checks_are_not_enough():
     monitor = DivergenceMonitor()
     assert [monitor.take(seen(t, off=50.0)) for t in (0.0, 5.0, 10.0, 15.0)] == [None] * 4
     assert monitor.take(seen(20.0, off=50.0)) is not None
@@ -455,7 +455,7 @@ def test_without_alignment_it_is_lost_until_there_is_one():
     assert not monitor.lost
 
 
-def test_a_filter_that_failed_is_not_looked_at():
+def test_a_failed_filter_is_not_checked():
     monitor = DivergenceMonitor()
     broken = [replace(seen(t, off=50.0), mean=np.full(5, np.nan)) for t in np.arange(0.0, 30.0)]
     assert [monitor.take(one) for one in broken] == [None] * 30
@@ -463,11 +463,11 @@ def test_a_filter_that_failed_is_not_looked_at():
 
 
 RUNS = st.tuples(st.integers(1, 12), st.floats(0.3, 4.0), st.sampled_from("tfn"), st.sampled_from("tf"))
-"""So many looks, s apart, that say of the heading and of the position what contradicts; n: nothing."""
+"""Runs of checks: number, interval in s, heading (t contradicts, f agrees, n no alignment), position (t or f)."""
 
 
 @given(st.lists(RUNS, max_size=8), st.data())
-def test_looking_back_finds_what_looking_at_each_moment_finds(
+def test_checks_of_a_batch_equal_checks_one_by_one(
     runs: list[tuple[int, float, str, str]], data: st.DataObject
 ):
     said = [look for n, *look in runs for _ in range(n)]
@@ -503,7 +503,7 @@ def test_a_reset_during_a_drive_compiles_nothing():
     subprocess.run([sys.executable, "-c", READY], check=True)
 
 
-def test_hardly_any_look_at_a_sound_filter_is_taken():
+def test_most_checks_of_a_sound_filter_are_skipped():
     times, asked = np.arange(0.0, 100.0).tolist(), list[int]()
 
     def at(k: int) -> StateCheck:
@@ -514,7 +514,7 @@ def test_hardly_any_look_at_a_sound_filter_is_taken():
     assert len(set(asked)) <= 11
 
 
-def test_the_looks_are_once_a_second_after_fixes_and_at_samples():
+def test_checks_are_once_a_second_at_samples_after_fixes():
     line = prepare_drive(make_drive(duration=30.0, seed=0, gps_rate=5.0, jitter=0.2)).timeline()
     step, fix = check_times(line)
     assert line.sampled[step].all()

@@ -34,14 +34,14 @@ def drive() -> Drive:
 
 
 def planted(field: str, i: int, value: float) -> FilterParameters:
-    """Sound parameters but for one variance."""
+    """Return sound parameters with one changed variance."""
     variances = list(getattr(SOUND, field))
     variances[i] = value
     return replace(SOUND, **{field: tuple(variances)})
 
 
 def with_nan(sensor: str, column: str, after: float) -> tuple[Drive, float]:
-    """The drive with one value of a sensor lost, and when."""
+    """Return the drive with one value of a sensor replaced by NaN, and its time."""
     table = getattr(drive(), sensor)
     row = int(np.searchsorted(table.time, after))
     values = getattr(table, column).copy()
@@ -52,16 +52,16 @@ def with_nan(sensor: str, column: str, after: float) -> tuple[Drive, float]:
 # --- One lane ----------------------------------------------------------------------------------------------
 
 
-# -1 soon ends in a NaN; -0.01 leaves numbers that look like numbers.
+# A variance of -1 soon leads to NaN; -0.01 leaves finite numbers.
 @pytest.mark.parametrize("value", [-1.0, -0.01])
 @EACH_VARIANCE
-def test_a_negative_variance_costs_inf_and_leaves_the_others_bits(field: str, i: int, value: float):
+def test_a_negative_variance_costs_inf_and_changes_no_bit_of_other_sets(field: str, i: int, value: float):
     table = box_table(32 + 20, seed=4)[32:]
     company = [FilterParameters(*map(float, row[:3]), tuple(row[3:8]), tuple(row[8:])) for row in table]
     alone = run_batch(drive(), company)
     assert not alone.failed.any()
     mixed = list(company)
-    mixed[3] = mixed[17] = planted(field, i, value)  # one in each chunk of lanes
+    mixed[3] = mixed[17] = planted(field, i, value)  # one in each block of lanes
     result = run_batch(drive(), mixed)
     others = np.setdiff1d(np.arange(20), [3, 17])
     assert result.failed[[3, 17]].all()
@@ -70,7 +70,7 @@ def test_a_negative_variance_costs_inf_and_leaves_the_others_bits(field: str, i:
     assert np.isnan(result.scores[3][0].position_rmse)
     assert not result.failed[others].any()
     assert result.costs[others].tobytes() == alone.costs[others].tobytes()
-    # repr, since an outage drift that was not asked for is NaN
+    # repr, since an outage drift that is not computed is NaN
     assert [repr(result.scores[j]) for j in others] == [repr(alone.scores[j]) for j in others]
 
 
@@ -81,13 +81,13 @@ def test_textbook_filter_fails_too(field: str, i: int):
     assert "the filter failed at t = " in str(estimate.failure)
     failed = np.isnan(estimate.mean).all(axis=1)
     assert failed.any()
-    assert not np.any(failed[:-1] & ~failed[1:])  # from a failure on
+    assert not np.any(failed[:-1] & ~failed[1:])  # after a failure, all rows are NaN
     assert np.isnan(estimate.covariance[failed]).all()
     assert np.isfinite(estimate.covariance[~failed]).all()
 
 
-def test_a_covariance_that_is_indefinite_for_most_of_the_drive_is_noticed():
-    # Each fix leaves a negative variance of the position negative; so little that S stays positive.
+def test_a_covariance_that_is_indefinite_for_most_of_the_drive_is_a_failure():
+    # Each fix leaves a negative variance of the position negative, but so small that S stays positive.
     initial = initial_state(drive())
     timeline = timeline_of(drive(), initial.time)
     sets = [replace(SOUND, process_noise=(*q, 1e-5, 1e-5, 1e-5), measurement_noise=(10.0, 10.0))
@@ -97,7 +97,7 @@ def test_a_covariance_that_is_indefinite_for_most_of_the_drive_is_noticed():
     assert run_passes([FilterPass(timeline, initial, Targets.none(timeline))], sets).failed.all()
 
 
-def test_a_start_from_an_indefinite_covariance_is_noticed_without_any_nan():
+def test_an_indefinite_initial_covariance_is_a_failure_without_any_nan():
     initial = initial_state(drive())
     timeline = timeline_of(drive(), initial.time)
     quiet = replace(SOUND, process_noise=(1e-9,) * 5, measurement_noise=(10.0, 10.0))
@@ -114,7 +114,7 @@ def test_a_start_from_an_indefinite_covariance_is_noticed_without_any_nan():
 @pytest.mark.parametrize(
     ("sensor", "column"), [("imu", "ax"), ("imu", "ay"), ("imu", "gz"), ("gps", "x"), ("gps", "y")]
 )
-def test_nan_in_the_data_is_noticed_and_its_time_said(sensor: str, column: str):
+def test_nan_in_the_data_is_a_failure_with_its_time(sensor: str, column: str):
     spoiled, when = with_nan(sensor, column, after=20.0)
     result = run_batch(spoiled, [SOUND, SOUND])
     assert result.failed.all()
@@ -122,7 +122,7 @@ def test_nan_in_the_data_is_noticed_and_its_time_said(sensor: str, column: str):
 
     estimate = run_filter(spoiled, SOUND)
     assert estimate.failure is not None
-    first = estimate.time[np.searchsorted(estimate.time, when)]  # the first sample that knows of it
+    first = estimate.time[np.searchsorted(estimate.time, when)]  # the first sample after the NaN
     assert f"t = {first:.3f} s" in estimate.failure
     assert spoiled.name in estimate.failure
     failed = estimate.time >= first
@@ -140,8 +140,8 @@ def test_nan_on_one_drive_fails_the_set_but_not_its_other_scores():
     assert repr(both.scores[0][0]) == repr(good.scores[0][0])
 
 
-def test_nan_in_the_last_sample_is_noticed():
-    # No fix looks at it any more, nothing is compared with truth, and the covariance does not know the yaw rate.
+def test_nan_in_the_last_sample_is_a_failure():
+    # No later fix reads the state, nothing is compared with truth, and the covariance is independent of the yaw rate.
     spoiled, _ = with_nan("imu", "gz", after=float(drive().imu.time[-1]))
     initial = initial_state(spoiled)
     timeline = timeline_of(spoiled, initial.time)
@@ -149,7 +149,7 @@ def test_nan_in_the_last_sample_is_noticed():
     assert run_passes([FilterPass(timeline, initial, Targets.none(timeline))], [SOUND]).failed.all()
 
 
-def test_failure_of_a_negative_variance_is_said():
+def test_the_failure_of_a_negative_variance_names_variances():
     estimate = run_filter(drive(), planted("measurement_noise", 0, -1.0))
     assert estimate.failure is not None
     first = estimate.time[np.flatnonzero(np.isnan(estimate.mean[:, 0]))[0]]
@@ -157,14 +157,14 @@ def test_failure_of_a_negative_variance_is_said():
     assert "variances are positive" in estimate.failure
 
 
-def test_a_sound_filter_says_nothing():
+def test_a_sound_filter_reports_no_failure():
     estimate = run_filter(drive(), SOUND)
     assert estimate.failure is None
     assert np.isfinite(estimate.mean).all()
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([-1e-3, -1e-8, 1e-8, 1e-3]))
-def test_definite_is_what_the_eigenvalues_of_the_correlation_say(seed, smallest):
+def test_definite_agrees_with_the_eigenvalues_of_the_correlation(seed, smallest):
     rng = np.random.default_rng(seed)
     turn = np.linalg.qr(rng.normal(size=(5, 5)))[0]
     p = (turn * np.array([smallest, *rng.uniform(0.5, 2.0, 4)])) @ turn.T

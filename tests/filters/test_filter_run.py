@@ -1,4 +1,4 @@
-"""A run in pieces: the bits of the whole run, and sums that agree with the recorded estimates."""
+"""A run in pieces gives the bits of the whole run, and sums that agree with the recorded estimates."""
 
 import tracemalloc
 from dataclasses import replace
@@ -52,7 +52,7 @@ def as_bits(recording: FilterRun) -> dict[str, bytes]:
         ),
     ),
 )
-def test_pieces_of_any_length_give_the_whole_runs_bits(model: str, kind: str, option: str):
+def test_pieces_of_any_length_give_the_bits_of_the_whole_run(model: str, kind: str, option: str):
     p = parameters(model, kind=kind, **OPTIONS[option])
     for drive_pass, lengths in (
         (pass_of(equipped), (1, -1)),
@@ -69,7 +69,7 @@ def test_pieces_of_any_length_give_the_whole_runs_bits(model: str, kind: str, op
 
 
 @pytest.mark.parametrize("option", OPTIONS)
-def test_run_filter_and_run_innovations_are_its_pieces(option: str):
+def test_run_filter_and_run_innovations_join_the_pieces(option: str):
     p, drive = parameters("planar8", **OPTIONS[option]), equipped()
     recording = FilterRun(pass_of(equipped), p, samples=300)
     whole, estimate, said = recording.whole(), run_filter(drive, p), run_innovations(drive, p)
@@ -81,7 +81,7 @@ def test_run_filter_and_run_innovations_are_its_pieces(option: str):
 
 
 @pytest.mark.parametrize("samples", [1, 7, 100_000])
-def test_a_failure_in_one_piece_is_one_in_all_that_follow(samples: int):
+def test_after_a_failure_all_pieces_are_marked_as_failed(samples: int):
     drive = make_drive(duration=24, seed=2)
     ax = drive.imu.ax.copy()
     ax[2000] = np.nan
@@ -108,12 +108,12 @@ def test_sums_of_an_unfinished_recording_are_refused():
 
 
 def peak_of_pieces(drive: Drive) -> int:
-    """Bytes that a recording asks for beyond its pass."""
+    """Return the bytes that a recording allocates in addition to its pass."""
     start = initial_state(drive)
     line = timeline_of(drive, start.time)
     drive_pass, p = FilterPass(line, start, Targets.none(line)), parameters("planar8")
     drive_pass.arrays(frozenset())
-    for _ in FilterRun(drive_pass, p, samples=500):  # compiled, and all that is kept is there
+    for _ in FilterRun(drive_pass, p, samples=500):  # compile, and fill the caches
         pass
     tracemalloc.start()
     for _ in FilterRun(drive_pass, p, samples=500):
@@ -125,15 +125,15 @@ def peak_of_pieces(drive: Drive) -> int:
 
 def test_memory_does_not_grow_with_the_drive():
     short, long = (peak_of_pieces(make_drive(duration=duration, gps_rate=1.0)) for duration in (60, 600))
-    # Innovations, 40 bytes a fix, and the ends of pieces, 8 bytes a sample: 72 and 430 kB; estimates would be 35 MB.
+    # Innovations need 40 bytes per fix and the ends of pieces 8 bytes per sample: 72 and 430 kB; estimates need 35 MB.
     assert long < short + 2e6
 
 
-# --- What is recorded beside what is summed --------------------------------------------------------------------
+# --- Recorded values and sums ----------------------------------------------------------------------------------
 
 
 def residuals(nu: np.ndarray, s: np.ndarray, p: FilterParameters) -> np.ndarray:
-    """R S^-1 nu of each fix that was absorbed, nu of one that was turned away; constant R, unstretched S."""
+    """Return R S^-1 nu of each absorbed fix and nu of each rejected fix, for constant R and S without scaling."""
     left = np.array(
         [np.diag(p.measurement_noise) @ np.linalg.solve(v, n) for n, v in zip(nu, s, strict=True)]
     )
@@ -148,7 +148,7 @@ def residuals(nu: np.ndarray, s: np.ndarray, p: FilterParameters) -> np.ndarray:
 
 @pytest.mark.parametrize(("model", "kind", "option"), EVERY_FILTER)
 @pytest.mark.parametrize("of", [tracking_pass, forecasts], ids=["tracking", "forecast"])
-def test_what_is_recorded_adds_up_to_the_sums(model: str, kind: str, option: str, of):
+def test_recorded_values_add_up_to_the_sums(model: str, kind: str, option: str, of):
     p, drive_pass = parameters(model, kind=kind, **OPTIONS[option]), pass_of(equipped, of)
     recording = FilterRun(drive_pass, p, samples=100)
     whole, line, targets = recording.whole(), drive_pass.timeline, drive_pass.targets

@@ -25,7 +25,7 @@ from support import DRIVES, make_drive, needs_shared, quickly, sparse, timeline_
 
 
 def difference(a: Estimate, b: Estimate) -> float:
-    """The largest relative difference of means and covariances."""
+    """Return the largest difference of means and relative difference of covariances."""
     std = np.sqrt(np.diagonal(b.covariance, axis1=1, axis2=2))
     covariance = np.abs(a.covariance - b.covariance) / (std[:, :, None] * std[:, None, :])
     return max(float(np.max(np.abs(a.mean - b.mean))), float(np.max(covariance)))
@@ -35,7 +35,7 @@ def difference(a: Estimate, b: Estimate) -> float:
     ("model", "kind", "option"),
     quickly(product(("planar5", "planar8"), KINDS, OPTIONS), stands_for_all),
 )
-def test_compiled_is_the_textbook_s(model: str, kind: str, option: str):
+def test_the_compiled_filter_agrees_with_the_textbook(model: str, kind: str, option: str):
     p, drive = parameters(model, kind=kind, **OPTIONS[option]), sparse(equipped(), 8)
     assert difference(run_filter(drive, p), run_textbook(drive, p)) < 1e-9
 
@@ -47,14 +47,14 @@ def test_compiled_is_the_textbook_s(model: str, kind: str, option: str):
         lambda *case: case in (("planar8", "ekf"), ("planar8", "adaptive-ukf"), ("planar5", "ukf")),
     ),
 )
-def test_compiled_is_the_textbook_s_with_two_receivers(model: str, kind: str):
+def test_the_compiled_filter_agrees_with_the_textbook_for_two_receivers(model: str, kind: str):
     p, initial = parameters(model, kind=kind, **OPTIONS["all"]), initial_state(equipped())
     drive = sparse(two_receivers(), 8)
     compiled, textbook = (run(drive, p, initial=initial) for run in (run_filter, run_textbook))
     assert difference(compiled, textbook) < 1e-9
 
 
-def test_the_options_matter():
+def test_each_option_changes_the_estimate():
     plain = run_filter(equipped(), parameters("planar8"))
     for name, option in OPTIONS.items():
         if name != "plain":
@@ -66,13 +66,13 @@ def test_the_options_matter():
 @pytest.mark.long
 @needs_shared
 @pytest.mark.parametrize("kind", quickly([(kind,) for kind in KINDS], lambda kind: kind == "ukf"))
-def test_compiled_is_the_textbook_s_on_a_real_drive(kind: str):
-    drive = clip(read_drive(DRIVES / "colorado-1"), 0.0, 75.0)  # with the standstill before it departs
+def test_the_compiled_filter_agrees_with_the_textbook_on_a_real_drive(kind: str):
+    drive = clip(read_drive(DRIVES / "colorado-1"), 0.0, 75.0)  # with the standstill before departure
     p = parameters("planar8", kind=kind, lateral_noise=0.05, rear_axle=1.2, standstill_noise=1e-3, gate=12.0)
     assert difference(run_filter(drive, p), run_textbook(drive, p)) < 1e-9
 
 
-def test_the_extended_filter_is_filterpy_s():
+def test_the_extended_filter_agrees_with_filterpy():
     drive, p = make_drive(duration=20, seed=2), parameters("planar5", kind="ekf")
     initial = initial_state(drive)
     line = timeline_of(drive, initial.time)
@@ -102,19 +102,19 @@ def test_the_extended_filter_is_filterpy_s():
     assert np.max(np.abs(run_filter(drive, p).mean - wrapped)) < 1e-10
 
 
-def test_planar8_that_knows_its_biases_is_planar5():
+def test_planar8_with_known_biases_equals_planar5():
     drive = make_drive(duration=20, seed=4)
     five = FilterParameters(0.5, 2.0, 3.0, (1e-4,) * 5, (1.0, 1.0))
     eight = FilterParameters(
         0.5, 2.0, 0.0, (1e-4,) * 5 + (0.0,) * 3, (1.0, 1.0), "planar8", bias_std=(1e-10, 1e-10)
     )
-    start = replace(initial_state(drive), gyro=None)  # else it allows for a gyro that it was not tuned for
+    start = replace(initial_state(drive), gyro=None)  # otherwise, the bias has an uncertainty
     a, b = run_filter(drive, five, initial=start), run_filter(drive, eight, initial=start)
     assert np.max(np.abs(a.mean - b.mean[:, :5])) < 1e-9
     assert np.max(np.abs(b.mean[:, 5:])) < 1e-9
 
 
-def test_planar8_finds_the_biases():
+def test_planar8_estimates_the_biases():
     drive = make_drive(duration=120, gps_std=0.3, seed=6)
     biases = np.array([0.2, -0.1, 0.01])
     imu = replace(drive.imu, ax=drive.imu.ax + 0.2, ay=drive.imu.ay - 0.1, gz=drive.imu.gz + 0.01)
@@ -128,7 +128,7 @@ def test_planar8_finds_the_biases():
     assert np.all(std < [0.05, 0.05, 0.002])
 
 
-def test_strong_tracking_follows_what_its_noise_does_not_allow():
+def test_strong_tracking_corrects_for_a_bias_that_q_does_not_model():
     drive = make_drive(duration=60, gps_std=0.5, seed=1)
     stiff = FilterParameters(0.5, 2.0, 1.0, (1e-9,) * 5, (0.25, 0.25))
     biased = replace(drive, imu=replace(drive.imu, ax=drive.imu.ax + 1.0))
@@ -148,7 +148,7 @@ FUZZY = FilterParameters(
 )
 
 
-def test_a_fuzzy_filter_whose_rules_say_nothing_is_the_unscented_one():
+def test_a_fuzzy_filter_without_gains_equals_the_unscented_filter():
     drive, silent = make_drive(duration=30, gps_std=2.0, seed=1), replace(FUZZY, fuzzy_gains=(1.0, 1.0))
     plain, fuzzy = run_filter(drive, replace(silent, kind="ukf")), run_filter(drive, silent)
     assert fuzzy.mean.tobytes() == plain.mean.tobytes()
@@ -160,20 +160,20 @@ def test_a_fuzzy_filter_whose_rules_say_nothing_is_the_unscented_one():
     [
         (1.0, 1.0, 1.0, 1.0),  # as expected
         (1e-9, 1.0, 1 / 4, 1 / 9),  # small
-        (9.0, 9.0, 4.0, 9.0),  # large, and lasting
-        (9.0, 1.0, 4.0, 1.0),  # large, and rising
-        (9.0, 1e9, 4.0, 9.0),  # large, and falling
+        (9.0, 9.0, 4.0, 9.0),  # large and lasting
+        (9.0, 1.0, 4.0, 1.0),  # large and rising
+        (9.0, 1e9, 4.0, 9.0),  # large and falling
         (1.5, 1.5, 1 + 3 * 0.4, 1 + 8 * 0.4),  # 0.2 / 0.5 of the way to large
         (9.0, 6.0, 4.0, 9 - 8 * 0.4),  # 0.2 / 0.5 of the way to rising
     ],
 )
-def test_fuzzy_rules_say_what_their_table_says(ratio: float, trend: float, times_r: float, times_q: float):
+def test_fuzzy_rules_agree_with_their_table(ratio: float, trend: float, times_r: float, times_q: float):
     noise = FuzzyNoise(np.ones(5), np.ones(2), 0.9, (0.5, 0.5), (4.0, 9.0), quick=ratio, slow=trend)
     assert noise.factors() == pytest.approx((times_r, times_q), rel=1e-6)
 
 
 def factors(drive: Drive, p: FilterParameters) -> tuple[np.ndarray, np.ndarray]:
-    """By how much a fuzzy filter has multiplied R and Q after each step."""
+    """Return the factors of R and Q of a fuzzy filter after each step."""
     car = TextbookCar(timeline_of(drive, initial_state(drive).time), p, initial_state(drive))
     assert car.fuzzy is not None
     found = []
@@ -193,13 +193,13 @@ def test_fuzzy_rules_increase_r_for_an_outlier_and_q_for_lasting_errors():
     r, q = factors(replace(drive, gps=replace(drive.gps, x=x)), p)
     at = np.searchsorted(timeline_of(drive, initial_state(drive).time).end, after)
     assert r[at] > 1.5 * r[at - 1]
-    assert q[at] < 1.5  # rising: a fix is wrong sooner than the car
+    assert q[at] < 1.5  # a rising error indicates a wrong fix
     biased = replace(drive, imu=replace(drive.imu, ax=drive.imu.ax + 1.0))
     r, q = factors(biased, p)
     assert np.mean(q[at:]) > 2
 
 
-def test_a_fuzzy_filter_follows_what_its_noise_does_not_allow():
+def test_a_fuzzy_filter_corrects_for_a_bias_that_q_does_not_model():
     drive = make_drive(duration=60, gps_std=0.5, seed=1)
     biased = replace(drive, imu=replace(drive.imu, ax=drive.imu.ax + 0.5))
     truth, errors = biased.truth, {}
@@ -211,7 +211,7 @@ def test_a_fuzzy_filter_follows_what_its_noise_does_not_allow():
     assert errors["fuzzy-ukf"] < 0.5 * errors["ukf"]
 
 
-def test_strong_tracking_stays_sound_on_a_sound_drive():
+def test_strong_tracking_stays_stable_on_a_drive_without_faults():
     drive = make_drive(duration=60, seed=2)
     p = FilterParameters(
         0.5, 2.0, 1.0, (1e-4, 1e-4, 1e-3, 1e-3, 1e-5), (1.0, 1.0), kind="strong-tracking-ukf"
@@ -233,7 +233,7 @@ def test_strong_tracking_stays_sound_on_a_sound_drive():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_gate_turns_an_outlier_away_and_lets_a_lost_filter_back(kind: str):
+def test_the_gate_rejects_an_outlier_and_lets_a_diverged_filter_recover(kind: str):
     drive = make_drive(duration=40, gps_std=0.5, seed=3)
     x = drive.gps.x.copy()
     x[100] += 60.0
@@ -242,10 +242,10 @@ def test_the_gate_turns_an_outlier_away_and_lets_a_lost_filter_back(kind: str):
     clean, gated = run_filter(drive, p), run_filter(outlier, p)
     missed = replace(drive, gps=drive.gps.select(np.arange(len(drive.gps)) != 100))
     assert np.max(np.abs(gated.mean - clean.mean)) < 1.0
-    # but for the step that the fix splits in two, and the time since the last fix
+    # except for the step that the fix splits in two, and the time since the last fix
     assert difference(gated, run_filter(missed, p)) < (0.1 if kind == "adaptive-ukf" else 1e-3)
     lost = x.copy()
-    lost[100:] += 500.0  # all fixes from now on
+    lost[100:] += 500.0  # all later fixes
     back = run_filter(replace(drive, gps=replace(drive.gps, x=lost)), p)
     assert np.max(np.abs(back.mean[-200:, 0] - clean.mean[-200:, 0] - 500)) < 20
 
@@ -266,7 +266,7 @@ def test_jacobians_are_exact():
 @pytest.mark.parametrize(
     "name", ["colorado-1", "kingston-1", "kitti-09-30-0033", "kitti-09-26-0101", "comma2k19"]
 )
-def test_standstill_is_told_from_driving(name: str):
+def test_standstill_is_detected(name: str):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         drive = read_drive(DRIVES / name)

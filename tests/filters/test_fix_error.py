@@ -55,8 +55,8 @@ def filter_of(
     return parameters(model, **{"kind": kind, **ERROR, **OPTIONS[option], **more})
 
 
-def test_textbook_takes_the_steps_of_an_ekf_with_ten_states_written_down():
-    """No code in common but planar8's process: states, start, aging and every H stand here once more."""
+def test_the_textbook_agrees_with_a_separate_ekf_with_ten_states():
+    """The EKF shares only planar8's process with the code; states, start, time constant and every H are repeated."""
     drive = straying()
     p = filter_of(accuracy_scale=0.4, **ALONG)
     line, start = prepare_drive(drive).timeline(), initial_state(drive)
@@ -102,7 +102,7 @@ def test_textbook_takes_the_steps_of_an_ekf_with_ten_states_written_down():
             x, P = updated(x, P, imu[2:] - x[7:8], np.eye(n)[7:8], np.radians(0.5) ** 2 * np.eye(1))
         np.testing.assert_allclose(car.filter.mean, x, rtol=0, atol=1e-10)
         np.testing.assert_allclose(car.filter.covariance, P, rtol=0, atol=1e-11 * P.max())
-    assert k > 1000 and np.abs(x[8:]).max() > 0.1  # b has something to estimate
+    assert k > 1000 and np.abs(x[8:]).max() > 0.1  # the error states are not zero
 
 
 def updated(x: np.ndarray, P: np.ndarray, nu: np.ndarray, H: np.ndarray, R: np.ndarray):
@@ -116,7 +116,7 @@ def test_compiled_filter_agrees_with_the_textbook(model: str, kind: str, option:
     p = filter_of(model, kind, option)
     compiled, textbook = run_filter(drive, p, recover=False), run_textbook(drive, p)
     assert compiled.failure is None and textbook.failure is None
-    assert compiled.mean.shape[1] == len(MODELS[model].states)  # users see the model's own states
+    assert compiled.mean.shape[1] == len(MODELS[model].states)  # the result has the model's states only
     assert relative(compiled, textbook) < 1e-9
 
 
@@ -131,7 +131,7 @@ def test_compiled_smoother_agrees_with_the_textbook(model: str, kind: str, optio
 
 
 def relative(a: Any, b: Any) -> float:
-    """The largest difference, of means in m and of covariances relative to their largest element."""
+    """Return the largest difference of means in m, and of covariances relative to their largest element."""
     scale = np.abs(b.covariance).max(axis=(1, 2), keepdims=True)
     return max(np.abs(a.mean - b.mean).max(), (np.abs(a.covariance - b.covariance) / scale).max())
 
@@ -162,14 +162,14 @@ def test_live_filter_gives_the_estimates_of_a_run(model: str, option: str):
     np.testing.assert_allclose(covariances, whole.covariance, rtol=1e-6, atol=1e-12)
 
 
-def test_a_hidden_fix_is_forecast_with_the_aged_error_and_leaves_the_filter_alone():
+def test_a_hidden_fix_is_forecast_with_the_decayed_error_and_changes_no_state():
     drive, p = straying(), filter_of()
     ready = prepare_drive(drive)
     hidden = (drive.gps.time > 14.0) & (drive.gps.time < 16.0)
     line = ready.timeline(hidden)
     moved = replace(line, fixes=line.fixes.copy())
     at = np.isin(line.fix_time, drive.gps.time[hidden])
-    moved.fixes[at] += 3.0  # its stated variance, too
+    moved.fixes[at] += 3.0  # the columns of the stated variance, too
     ends = []
     for each in (line, moved):
         drive_pass, array = FilterPass(each, ready.initial, Targets.none(each)), KernelArray([p])
@@ -185,13 +185,13 @@ def test_a_hidden_fix_is_forecast_with_the_aged_error_and_leaves_the_filter_alon
 
 
 @pytest.mark.parametrize("kind", ["adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"])
-def test_filters_that_adapt_their_noise_refuse_it(kind: str):
+def test_filter_types_that_adapt_their_noise_reject_it(kind: str):
     with pytest.raises(ValueError, match=f"fix-error can't be combined with {kind}"):
         filter_of(kind=kind)
 
 
 def wandering(seed: int) -> Drive:
-    """A drive whose fixes err by a Gauss-Markov process of 1 m and 8 s, and by 0.1 m of white noise."""
+    """Return a drive whose fixes have a Gauss-Markov error of 1 m and 8 s, and white noise of 0.1 m."""
     from support import make_drive
 
     drive, rng = make_drive(duration=120.0, gps_std=0.1, seed=seed), np.random.default_rng(seed)
@@ -204,7 +204,7 @@ def wandering(seed: int) -> Drive:
     return replace(drive, gps=gps)
 
 
-def test_it_is_consistent_where_errors_last_and_white_noise_is_far_too_sure():
+def test_it_is_consistent_for_correlated_errors_and_white_noise_is_overconfident():
     q = (1e-8, 1e-8, 1e-5, 1e-5, 1e-7, 1e-9, 1e-9, 1e-11)
     white = FilterParameters(1.0, 0.0, 0.0, q, (0.01, 0.01), "planar8", kind="ekf", bias_std=(0.05, 0.005))
     nees: dict[bool, list[float]] = {False: [], True: []}
@@ -241,12 +241,12 @@ def test_c_library_gives_the_estimates_of_a_run(model: str, kind: str, option: s
 
 
 @pytest.mark.parametrize("target", ["filterpy", "robot_localization"])
-def test_other_exports_refuse_it_in_one_line(target: str):
+def test_other_exports_reject_it_with_one_line(target: str):
     with pytest.raises(InputError, match=f"{target} does not support fix-error; tune without fix-error"):
         export_texts(filter_of(nominal_interval=0.01), target)
 
 
-def test_planar5_has_its_fix_error_where_planar8_has_a_bias():
+def test_fix_errors_of_planar5_use_the_rows_of_planar8_s_biases():
     model = FILTERS["planar5+fix-error"]
     assert (model.accel_bias, model.gyro_bias) == (None, None)
     state = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 7.0, 7.0])

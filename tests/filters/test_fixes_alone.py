@@ -27,8 +27,8 @@ def drive() -> Drive:
 
 
 @pytest.mark.parametrize("stated", quickly([(True,), (False,)], lambda stated: stated))
-def test_it_is_the_filter_of_filterpy(drive: Drive, stated: bool):
-    """Position, velocity and covariance at every IMU sample, between fixes and at them."""
+def test_it_agrees_with_filterpy(drive: Drive, stated: bool):
+    """Compare position, velocity and covariance at every IMU sample, between fixes and at fixes."""
     gps = drive.gps if stated else replace(drive.gps, std_x=None, std_y=None)
     ready = PreparedDrive(replace(drive, gps=gps))
     drive_pass = tracking_pass(ready)
@@ -64,7 +64,7 @@ def test_it_is_the_filter_of_filterpy(drive: Drive, stated: bool):
 
 
 @pytest.mark.parametrize("sigma", [0.5, 2.0])
-def test_the_fit_finds_the_noise_of_the_fixes(sigma: float):
+def test_the_fit_estimates_the_noise_of_the_fixes(sigma: float):
     rng = np.random.default_rng(3)
     t = np.arange(0.0, 400.0, 0.5)
     v = np.cumsum(rng.normal(0, np.sqrt(0.5 * 0.5), (len(t), 2)), axis=0)
@@ -85,8 +85,8 @@ def test_the_noise_of_several_drives_is_their_median():
     assert (found.acceleration, found.fix) == (pytest.approx(0.4), pytest.approx(2.0))
 
 
-def test_during_an_outage_it_goes_straight_on(drive: Drive):
-    """Hidden fixes do not move it: the velocity stays what it was."""
+def test_during_an_outage_the_velocity_is_constant(drive: Drive):
+    """Hidden fixes do not change the estimate."""
     drive_pass = outage_pass(PreparedDrive(drive), length=5.0)
     found = join_chunks(FixesAlone(drive_pass, NOISE))
     gaps = np.flatnonzero(np.diff(drive_pass.timeline.fix_time) > 4.5)
@@ -98,7 +98,7 @@ def test_during_an_outage_it_goes_straight_on(drive: Drive):
         assert np.ptp(found.mean[inside, 2:4], axis=0).max() == 0.0
 
 
-def test_every_evaluation_has_its_row_also_without_truth(drive: Drive):
+def test_every_evaluation_contains_it_also_without_truth(drive: Drive):
     parameters = baseline(drive)
     with_truth, blind = evaluate(drive, parameters), evaluate(replace(drive, truth=None), parameters)
     scores = with_truth.scores[drive.name]
@@ -108,7 +108,7 @@ def test_every_evaluation_has_its_row_also_without_truth(drive: Drive):
 
 
 @pytest.mark.long
-def test_an_evaluation_takes_the_noise_of_the_training_drives(drive: Drive):
+def test_an_evaluation_uses_the_noise_of_the_training_drives(drive: Drive):
     own, tuned = evaluate(drive, baseline(drive)), evaluate(drive, baseline(drive), fixes_alone=NOISE)
     assert own.setup.fixes_alone is None and tuned.setup.fixes_alone == NOISE
     assert any("are fitted to each drive" in said for said in own.view.explanations())

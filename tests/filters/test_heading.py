@@ -54,7 +54,7 @@ def filter_of(
 
 
 def with_heading(drive: Drive) -> Drive:
-    """a drive whose receiver reports the heading to 1 degree; four are 57 degrees off, ten are not found."""
+    """Return a drive with headings to 1 degree; four are 57 degrees off, ten are absent."""
     gps, truth, rng = drive.gps, drive.truth, np.random.default_rng(0)
     assert truth is not None
     theta = np.interp(gps.time, truth.time, np.unwrap(truth.theta)) + rng.normal(0, np.radians(1.0), len(gps))
@@ -76,12 +76,12 @@ def hilly() -> Drive:
 
 
 def thinned(drive: Drive, model: str, kind: str) -> Drive:
-    """The drive with less IMU; the textbook takes 25 sigma points through each step of tilted12."""
+    """Return the drive with less IMU, since the textbook takes 25 sigma points of tilted12 through each step."""
     return sparse(drive, 16 if (model, kind) == ("tilted12", "ukf") else 8)
 
 
 def relative(a: Any, b: Any) -> float:
-    """The largest difference, of means (headings wrapped) and of covariances relative to their largest element."""
+    """Return the largest difference of means (headings wrapped), and of covariances relative to their maximum."""
     off = a.mean - b.mean
     off[:, THETA] = wrap_angle(off[:, THETA])
     scale = np.abs(b.covariance).max(axis=(1, 2), keepdims=True)
@@ -92,7 +92,7 @@ def test_textbook_update_is_that_of_a_scalar_kalman_filter():
     drive, p = driven(), filter_of(latency=0.1)
     line, start = prepare_drive(drive).timeline(), initial_state(equipped())
     car = TextbookCar(line, p, start)
-    for off in (0.01, -0.02, 0.5, -2.0):  # two beyond the gate
+    for off in (0.01, -0.02, 0.5, -2.0):  # two are beyond the gate
         x, covariance = car.filter.mean, car.filter.covariance
         h = np.eye(8)[THETA]
         car._update_with_heading(x[THETA] + off - 0.1 * 0.3 + 4 * np.pi, 2e-4, 0.3)
@@ -158,16 +158,16 @@ def test_live_filter_gives_the_estimates_of_a_run(model: str, kind: str, option:
             heading = [None, (np.nan, 0.1), (1.0, np.inf), (1.0, np.pi)][i % 4]
         fix = gps.time[i], (gps.x[i], gps.y[i]), None, (gps.std_x[i], gps.std_y[i]), heading
         taken = ours.update(*fix)
-        assert not (taken and ours.update(*fix))  # the same again
+        assert not (taken and ours.update(*fix))  # the same fix again
     np.testing.assert_allclose(wrap_angle(ours.state.mean - whole.mean[-1]), 0.0, rtol=0, atol=1e-9)
     np.testing.assert_allclose(ours.state.covariance, whole.covariance[-1], rtol=1e-6, atol=1e-12)
 
 
-def test_the_monitor_reads_the_kind_of_a_fix_where_live_filters_keep_it():
+def test_the_monitor_reads_the_type_of_a_fix_where_live_filters_store_it():
     assert monitor._KIND == live.KIND
 
 
-def test_lane_zero_of_a_bank_takes_headings_and_its_searches_replay_them():
+def test_lane_zero_of_a_bank_uses_headings_and_its_searches_replay_them():
     drive, p = driven(), filter_of()
     bank, plain = run_bank(drive, p, seed=1), run_bank(drive, replace(p, heading_noise=None), seed=1)
     truth = drive.truth
@@ -196,14 +196,14 @@ def test_c_library_gives_the_estimates_of_a_run(model: str, kind: str, option: s
 @pytest.mark.long
 @needs_gcc
 @pytest.mark.usefixtures("unoptimized")
-def test_c_lanes_give_the_estimates_of_a_bank(tmp_path: Path):
+def test_c_filter_bank_gives_the_estimates_of_a_bank(tmp_path: Path):
     p, drive = filter_of(nominal_interval=0.01), driven()
     write_texts(export_texts(p, "c99", lanes=3), tmp_path, "c99")
     (checked,) = check_export(tmp_path, p, [drive], lanes=3)
     assert checked.double.state < 1e-9
 
 
-def test_headings_count_where_they_were_found():
+def test_only_present_headings_are_used():
     drive, p = driven(), filter_of()
     line = prepare_drive(drive).timeline()
     flags = events_of(line, {"heading"}).flags
@@ -218,12 +218,12 @@ def test_headings_count_where_they_were_found():
     )
 
 
-def test_filterpy_refuses_it_in_one_line():
+def test_filterpy_rejects_it_with_one_line():
     with pytest.raises(InputError, match="filterpy does not support heading; tune without heading"):
         export_texts(filter_of(nominal_interval=0.01, kind="ukf"), "filterpy")
 
 
-def test_tuning_searches_its_noise_and_refuses_a_drive_without_one():
+def test_tuning_searches_its_noise_and_rejects_a_drive_without_headings():
     use = ("lateral", "heading")
     options: dict[str, Any] = {"model": "planar8", "kind": "ekf", "particles": 4, "generations": 2}
     found = tune([driven()], use=use, objective="truth-pose", **options)
@@ -236,7 +236,7 @@ def test_tuning_searches_its_noise_and_refuses_a_drive_without_one():
 
 
 def standing(speed: float, seed: int) -> Drive:
-    """A vehicle that stands for 5 s, then drives at one speed along a curve; headings err by 1 degree."""
+    """Return a drive with 5 s of standstill, then constant speed along a curve; headings have errors of 1 degree."""
     rng, t = np.random.default_rng(seed), np.arange(6001) / 100
     v = speed * np.clip((t - 5) / 4, 0, 1)
     rate = np.where(t > 5, 0.1 * np.sin(t / 5), 0.0)
@@ -256,7 +256,7 @@ def standing(speed: float, seed: int) -> Drive:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_start_at_standstill_and_half_a_meter_per_second(seed: int):
+def test_a_start_at_standstill_followed_by_half_a_meter_per_second(seed: int):
     drive = standing(0.5, seed)
     p = baseline(drive, filter_of("planar8", lateral_noise=0.04, standstill_noise=0.0025, noise=1e-4))
     found = run_filter(drive, p)

@@ -60,7 +60,7 @@ PLANAR8 = FilterParameters(0.5, 2.0, 1.0, (1e-4,) * 5 + (1e-9,) * 3, (1.0, 1.0),
 
 
 def as_bits(sums: KernelSums) -> np.ndarray:
-    """(sets, sums) of one replay, to be compared as they are."""
+    """Return the sums of one run as an array (sets, sums)."""
     return np.column_stack([*sums.numbers[:, 0], sums.failed[0].astype(float)])
 
 
@@ -77,22 +77,22 @@ def angles() -> np.ndarray:
     return np.concatenate(all_of)
 
 
-def test_sincos_is_as_good_as_a_library():
+def test_sincos_is_as_accurate_as_a_library():
     x = angles()
     ours = np.array([lanes.sincos(value) for value in x]).T
     true = np.array([np.sin(x.astype(np.longdouble)), np.cos(x.astype(np.longdouble))])
     assert np.all(
         np.abs(ours - true) < 3e-16 + 0.75 * EPS * np.abs(x)
     )  # three quarters of the angle's last digit
-    # Small values keep their digits: sin(d/2)^2 is what the closed form lives on at alpha = 1e-3.
+    # Small values keep their relative accuracy, since the closed form uses sin(d/2)^2 at alpha = 1e-3.
     small = np.abs(x) < 0.7
     assert np.max(np.abs(ours[0] - true[0])[small] / np.maximum(np.abs(true[0][small]), 1e-290)) < 2 * EPS
 
 
 @compiled
-def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
-    # Compiled, multiplication and addition are one: half of the angle's last digit is left.
-    # One step of 1 s from rest, with no uncertainty to speak of, turns the acceleration (1, 0) into (cos, sin).
+def test_sincos_inside_the_kernel_is_accurate_to_the_angle_s_last_digit():
+    # Compiled code uses fused multiply-add, which reduces the error to half of the angle's last digit.
+    # One step of 1 s from rest, with negligible covariance, turns the acceleration (1, 0) into (cos, sin).
     headings = np.resize(angles()[np.abs(angles()) < 1e5], 16 * 1200)
     velocity = [
         velocity_after([[1.0, 0.0, 0.0]], chunk)  # ax, ay, gz
@@ -105,7 +105,7 @@ def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
 
 @compiled
 @pytest.mark.parametrize("turn", [0.5, -0.78, 0.79, 2.0, -3.5, 40.0])
-def test_a_heading_turns_along_however_far(turn: float):
+def test_a_heading_is_correct_after_turns_of_any_size(turn: float):
     headings = np.linspace(-3.0, 3.0, layout.LANES)
     velocity = velocity_after([[0.0, 0.0, turn], [0.0, 0.0, 0.25], [1.0, 0.0, 0.0]], headings)
     x = headings + turn + 0.25
@@ -113,7 +113,7 @@ def test_a_heading_turns_along_however_far(turn: float):
 
 
 def velocity_after(driving: list[list[float]], headings: np.ndarray) -> np.ndarray:
-    """(2, lanes) after steps of 1 s from rest, with no uncertainty to speak of."""
+    """Return the velocity (2, lanes) after steps of 1 s from rest, with negligible covariance."""
     rows = np.zeros((layout.N_KEPT, layout.LANES))
     rows[[R.XX, R.YY, R.UU, R.VV, R.TT]] = 1e-40
     rows[layout.CONSTANT_ROWS] = 1.0
@@ -143,8 +143,8 @@ def velocity_after(driving: list[list[float]], headings: np.ndarray) -> np.ndarr
 
 
 @compiled
-def test_a_kernel_that_is_kept_is_not_written_out():
-    run_passes([short_pass()], [many_sets()[0]])  # so that it is kept
+def test_a_cached_kernel_is_not_unrolled_again():
+    run_passes([short_pass()], [many_sets()[0]])  # compile and cache the kernel
     kernel = run.run_kernel("planar5")
     if kernel._cache.cache_path is None:
         pytest.skip("no folder for machine code")
@@ -161,7 +161,7 @@ def test_a_kernel_that_is_kept_is_not_written_out():
 
 
 def object_code(kernel: Any, signature: Any) -> bytes:
-    """The machine code in the cache; empty where there is none."""
+    """Return the machine code in the cache, or empty bytes."""
     if kernel._cache.cache_path is None:
         return b""
     kept = kernel._cache._cache_file.load(kernel._cache._index_key(signature, kernel.targetctx.codegen()))
@@ -169,15 +169,15 @@ def object_code(kernel: Any, signature: Any) -> bytes:
     return code
 
 
-@cache  # where it is not to be had from the cache, it is compiled
+@cache
 def machine_code(model: ModelName) -> str:
-    """A kernel's instructions. Numba itself reads none of code that came from the cache: it would compile once more."""
+    """Return a kernel's instructions. Numba can't disassemble cached code; without objdump, the kernel is compiled."""
     kernel = run.run_kernel(model)
     signature = kernel.signatures[0]
     code = object_code(kernel, signature)
     if not code or not shutil.which("objdump"):
         options = {name: value for name, value in kernel.targetoptions.items() if name != "nopython"}
-        kernel._cache.load_overload("", kernel.targetctx)  # what is not there is written out
+        kernel._cache.load_overload("", kernel.targetctx)  # unroll the kernel if necessary
         fresh = numba.njit(**options)(kernel.py_func)
         fresh.compile(signature)
         return fresh.inspect_asm(signature)
@@ -192,16 +192,16 @@ def machine_code(model: ModelName) -> str:
 @compiled
 @pytest.mark.parametrize("parameters", [many_sets()[0], PLANAR8], ids=["planar5", "planar8"])
 def test_loops_over_lanes_are_vector_instructions(parameters: FilterParameters):
-    run_passes([short_pass()], [parameters])  # so that it has a signature
+    run_passes([short_pass()], [parameters])  # compile the kernel
     instructions = Counter(re.findall(r"\s(v?f?n?m?[a-z]+\d*[ps]d)\s", machine_code(parameters.model)))
-    for operation in ("mul", "madd", "sqrt", "div"):  # madd: fused, vfmadd231pd and its like
+    for operation in ("mul", "madd", "sqrt", "div"):  # madd: fused instructions such as vfmadd231pd
         packed, scalar = (
             sum(n for name, n in instructions.items() if operation in name and name.endswith(kind))
             for kind in ("pd", "sd")
         )
         if operation == "madd" and packed + scalar == 0:
             continue  # a processor without fused instructions
-        # The few scalar ones belong to dt^2/2 and its like, once a step.
+        # The few scalar instructions compute values such as dt^2/2 once per step.
         assert packed > 0, operation
         assert packed >= 8 * scalar, f"{operation}: {packed} packed, {scalar} scalar"
 
@@ -211,18 +211,18 @@ def test_loops_over_lanes_are_vector_instructions(parameters: FilterParameters):
 )
 @compiled
 @pytest.mark.parametrize("parameters", [many_sets()[0], PLANAR8], ids=["planar5", "planar8"])
-def test_vectors_are_as_wide_as_the_processor_s(parameters: FilterParameters):
+def test_vectors_are_as_wide_as_those_of_the_processor(parameters: FilterParameters):
     run_passes([short_pass()], [parameters])
     registers = Counter(re.findall(r"\s(?:v\w+pd)\s.*?(zmm|ymm|xmm)", machine_code(parameters.model)))
     assert registers["zmm"] > 8 * (registers["ymm"] + registers["xmm"])
 
 
-# --- Lanes on their own ------------------------------------------------------------------------------------
+# --- Independence of lanes -----------------------------------------------------------------------------------
 
 
 @compiled
 @given(order=st.lists(st.integers(0, 39), min_size=1, max_size=50))
-def test_a_sets_result_does_not_depend_on_place_or_company(order: list[int]):
+def test_a_result_does_not_depend_on_the_lane_or_the_other_sets(order: list[int]):
     sums = as_bits(run_passes([short_pass()], [many_sets()[i] for i in order]))
     assert sums.tobytes() == all_sums()[order].tobytes()
 
@@ -243,8 +243,8 @@ def test_threads_change_no_bit(threads: int):
 
 
 @compiled
-def test_other_kinds_in_the_company_change_no_bit():
-    # An update leaves out what no lane needs, such as the fading of a strong tracking filter.
+def test_other_filter_types_in_the_batch_change_no_bit():
+    # An update skips what no lane uses, such as the fading of a strong tracking filter.
     sets = many_sets()[:12]
     kinds = ("ukf", "adaptive-ukf", "strong-tracking-ukf", "ekf", "fuzzy-ukf")
     mixed = [replace(p, kind=kinds[i % 5], forgetting=0.9) for i, p in enumerate(sets)]
@@ -252,7 +252,7 @@ def test_other_kinds_in_the_company_change_no_bit():
     alone = np.vstack([as_bits(run_passes([short_pass()], [p])) for p in mixed])
     assert together.tobytes() == alone.tobytes()
     plain = as_bits(run_passes([short_pass()], sets))
-    for i in (1, 2, 3, 4):  # each kind has something to do
+    for i in (1, 2, 3, 4):  # each filter type has an effect
         assert np.any(plain[i::5] != together[i::5]), kinds[i]
 
 

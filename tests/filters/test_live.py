@@ -43,7 +43,7 @@ def start() -> InitialState:
 
 
 def live(drive: Drive, p: FilterParameters, initial: InitialState, late: float = 0.0, **more):
-    """Means and covariances after each IMU sample, and the filter; fixes arrive ``late`` s after their time."""
+    """Return means and covariances after each IMU sample, and the filter; fixes arrive ``late`` s after their time."""
     lever = drive.metadata.get("gps_lever_arm_m", (0.0, 0.0))[:2]
     filter = LiveFilter(p, initial, nominal_interval=drive.nominal_interval, lever_arm=lever, **more)
     gps = drive.gps
@@ -70,7 +70,7 @@ def live(drive: Drive, p: FilterParameters, initial: InitialState, late: float =
 @pytest.mark.parametrize(
     ("model", "kind", "option"), quickly(product(("planar5", "planar8"), KINDS, OPTIONS), stands_for_all)
 )
-def test_live_is_the_run(model: str, kind: str, option: str):
+def test_the_live_filter_equals_the_run(model: str, kind: str, option: str):
     p = parameters(model, kind=kind, **OPTIONS[option])
     run = run_filter(equipped(), p, initial=start())
     means, covariances, _ = live(equipped(), p, start())
@@ -85,7 +85,7 @@ def test_live_is_the_run(model: str, kind: str, option: str):
         lambda model, kind, option, late: model == "planar8" and (late > 0.0 or option == "both"),
     ),
 )
-def test_live_weighs_fixes_as_the_run_does(model: str, kind: str, option: str, late: float):
+def test_the_live_filter_weights_fixes_as_the_run_does(model: str, kind: str, option: str, late: float):
     p = parameters(model, kind=kind, **WEIGHED[option])
     run = run_filter(straying(), p, initial=start())
     means, covariances, filter = live(straying(), p, start(), late)
@@ -97,7 +97,7 @@ def test_live_weighs_fixes_as_the_run_does(model: str, kind: str, option: str, l
 
 
 @pytest.mark.parametrize("std", [None, (1.0, math.nan), (-1.0, 1.0), (math.inf, 1.0)])
-def test_a_filter_that_goes_by_accuracy_needs_it(std: tuple[float, float] | None):
+def test_a_filter_with_an_accuracy_scale_needs_the_accuracy(std: tuple[float, float] | None):
     filter = LiveFilter(parameters("planar5", accuracy_scale=0.4), start(), nominal_interval=0.01)
     with pytest.raises(InputError, match="pass two standard deviations in m"):
         filter.update(start().time + 0.1, (0.0, 0.0), std=std)
@@ -106,13 +106,13 @@ def test_a_filter_that_goes_by_accuracy_needs_it(std: tuple[float, float] | None
 
 @pytest.mark.parametrize("late", [0.003, 0.05, 0.31])
 @pytest.mark.parametrize("kind", ["ukf", "adaptive-ukf"])
-def test_late_fixes_take_it_back_and_forward(kind: str, late: float):
+def test_late_fixes_are_applied_at_their_time(kind: str, late: float):
     p = parameters("planar8", kind=kind, **OPTIONS["all"])
     run = run_filter(equipped(), p, initial=start())
     means, _, filter = live(equipped(), p, start(), late)
     np.testing.assert_allclose(filter.state.mean, run.mean[-1], rtol=0, atol=1e-12)
     assert filter.too_late == 0
-    assert np.max(np.abs(means - run.mean)) > 1e-3  # in between it knew less
+    assert np.max(np.abs(means - run.mean)) > 1e-3  # before a fix arrives, the estimates differ
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_two_fixes_of_one_time_are_both_used(model: str, kind: str, late: float)
 
 @pytest.mark.parametrize("late", [0.0, 0.05])
 @pytest.mark.parametrize("model", ["planar5", "planar8"])
-def test_stale_fixes_and_gaps_are_those_of_the_run(model: str, late: float):
+def test_stale_fixes_and_gaps_are_treated_as_in_the_run(model: str, late: float):
     p, drive = parameters(model, **OPTIONS["all"]), rough()
     ready = PreparedDrive(drive)
     line = ready.timeline()
@@ -158,12 +158,12 @@ def test_stale_fixes_and_gaps_are_those_of_the_run(model: str, late: float):
     assert plain.frozen == 0
 
 
-def test_a_late_fix_that_comes_before_others_changes_what_they_are():
+def test_a_late_fix_updates_which_fixes_are_stale():
     p = parameters("planar5")
     t0, north = math.ceil(start().time), 3.0
     rows = [
         (t0 + 0.2 * k, 2.0 * k if k < 8 else 14.0) for k in range(1, 11)
-    ]  # those after the seventh are frozen
+    ]  # those after the seventh are stale
     late = rows[6]
     filters = [LiveFilter(p, start(), nominal_interval=0.01) for _ in range(2)]
     for k in range(1, 300):
@@ -180,7 +180,7 @@ def test_a_late_fix_that_comes_before_others_changes_what_they_are():
     np.testing.assert_allclose(filters[1].state.mean, filters[0].state.mean, rtol=0, atol=1e-12)
 
 
-def test_the_same_message_again_is_left_out():
+def test_a_repeated_message_is_ignored():
     p = parameters("planar5", **OPTIONS["all"])
     once, twice = (LiveFilter(p, start(), nominal_interval=0.01) for _ in range(2))
     t0 = start().time
@@ -200,7 +200,7 @@ def test_the_same_message_again_is_left_out():
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
-def test_numbers_of_other_types_do_not_make_it_wait_for_a_compiler():
+def test_numbers_of_other_types_cause_no_compilation():
     plain, mixed = (LiveFilter(parameters("planar5"), start(), nominal_interval=0.01) for _ in range(2))
     t0 = math.ceil(start().time)
     plain.update(t0 + 0.5, (1.0, 2.0))
@@ -220,7 +220,7 @@ print((filter.state.mean.tobytes() + filter.smoothed.mean.tobytes()).hex())
 """
 
 
-def test_a_pickled_filter_goes_on_in_another_process():
+def test_a_pickled_filter_continues_in_another_process():
     filter = LiveFilter(parameters("planar5"), start(), nominal_interval=0.01, lag=0.5)
     filter.predict(start().time + 1.0, (0.0, 1.0, 0.5))
     there = processes.run(ONE_MORE, pickle.dumps(filter).hex())
@@ -242,7 +242,7 @@ def test_the_smoothed_state_does_not_change_the_history_for_late_fixes():
     for filter in (asked, silent):
         for t in times:
             filter.predict(t, samples[t])
-        for k in early:  # what is from before the start comes late: it may only show a standstill
+        for k in early:  # fixes from before the start arrive late; they can only show a standstill
             filter.update(float(gps.time[k]), (gps.x[k], gps.y[k]))
     assert asked.smoothed is not None
     late = next(k for k, t in enumerate(gps.time) if t > times[-1] - 1.0)
@@ -259,7 +259,7 @@ def test_fixes_older_than_the_history_are_left_out_and_counted():
 
 
 @needs_shared
-def test_live_is_the_run_on_a_real_drive_with_a_standstill():
+def test_the_live_filter_equals_the_run_on_a_real_drive_with_a_standstill():
     drive = clip(read_drive(DRIVES / "kingston-1"), 560.0, 900.0)
     p = parameters("planar8", standstill_noise=1e-3, lateral_noise=0.1, gate=9.0)
     initial = initial_state(drive)
@@ -272,32 +272,32 @@ def test_live_is_the_run_on_a_real_drive_with_a_standstill():
     )
 
 
-def test_fixes_that_wait_for_a_silent_imu_are_bounded():
+def test_the_number_of_fixes_that_wait_for_the_imu_is_bounded():
     filter = LiveFilter(parameters("planar5"), start(), nominal_interval=0.01)
     t0 = start().time
     taken = [filter.update(t0 + 0.01 + 1e-4 * k, (0.0, 0.0)) for k in range(3000)]
     assert MAX_WAITING_FIXES <= sum(taken) < 2 * MAX_WAITING_FIXES
     assert filter.too_late == 3000 - sum(taken)
     for k in range(500):
-        filter.predict(t0 + 0.5 + 0.01 * k, (0.0, 0.0, 0.0))  # the first one takes them all
-    assert filter.update(t0 + 6.0, (0.0, 0.0))  # and later there is room again
+        filter.predict(t0 + 0.5 + 0.01 * k, (0.0, 0.0, 0.0))  # the first sample processes all waiting fixes
+    assert filter.update(t0 + 6.0, (0.0, 0.0))  # then a fix can wait again
     assert not filter.state.failed
 
 
-def test_samples_and_fixes_out_of_order_do_no_harm():
+def test_samples_and_fixes_out_of_order_have_no_effect():
     filter = LiveFilter(parameters("planar5"), start(), nominal_interval=0.01)
     t0 = start().time
     assert not filter.update(t0 - 1.0, (0.0, 0.0))
     filter.predict(t0 + 0.01, (0.0, 0.0, 0.0))
     before = filter.state
-    for t in (t0 + 0.01, t0, math.nan):  # repeated, old, broken
+    for t in (t0 + 0.01, t0, math.nan):  # repeated, old, not a number
         filter.predict(t, (1.0, 1.0, 1.0))
     assert filter.state.mean.tobytes() == before.mean.tobytes()
 
 
 @pytest.mark.long
-def test_memory_stays_flat_over_a_long_stream():
-    # benchmarks/live_stream.py does it for a day; here 200 000 samples with all that a filter can keep.
+def test_memory_is_constant_over_a_long_stream():
+    # benchmarks/live_stream.py runs a day; this test runs 200 000 samples with all options of a live filter.
     filter = LiveFilter(parameters("planar8", **OPTIONS["all"]), start(), nominal_interval=0.01)
     t0 = start().time
 
@@ -316,7 +316,7 @@ def test_memory_stays_flat_over_a_long_stream():
     growth = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
     feed(60_000, 200_000)
-    assert growth < 50_000  # bytes; a sample that is kept takes a thousand
+    assert growth < 50_000  # bytes; a stored sample takes a thousand
     assert not filter.state.failed
     assert filter.too_late == 0
     assert np.isfinite(filter.state.mean).all() and np.isfinite(filter.state.covariance).all()

@@ -40,15 +40,15 @@ Call = tuple[str, float, float, float, float, bool]
 )
 @settings(max_examples=max(15, settings.default.max_examples // 4), deadline=None)
 @given(calls=st.lists(CALL, max_size=40))
-def test_it_is_finite_or_says_that_it_failed(model: str, kind: str, option: str, calls: list[Call]):
+def test_the_state_is_finite_or_marked_as_failed(model: str, kind: str, option: str, calls: list[Call]):
     live = LiveFilter(
         parameters(model, kind=kind, **OPTIONS[option]), START, nominal_interval=0.01, history=0.2
     )
-    hear(live, calls)
+    process(live, calls)
 
 
-def hear(live: LiveFilter, calls: list[Call]) -> None:
-    """Everything that comes; what it believes is looked at after each."""
+def process(live: LiveFilter, calls: list[Call]) -> None:
+    """Call the filter with all inputs, and check its state after each."""
     t = last = START.time
     for name, step, a, b, c, goes_on in calls:
         if name == "imu":
@@ -64,7 +64,7 @@ def hear(live: LiveFilter, calls: list[Call]) -> None:
         assert state.failed or (np.isfinite(state.mean).all() and np.isfinite(state.covariance).all())
         assert state.time >= last
         last = state.time
-    # It still hears what comes, unless it failed, or believed two samples in a row that were stamped ahead.
+    # It still accepts samples, unless it failed, or accepted two consecutive samples with times in the future.
     now = live.state.time
     live.predict(now + 0.01, (0.0, 0.0, 0.0))
     assert live.state.time == now + 0.01
@@ -73,13 +73,13 @@ def hear(live: LiveFilter, calls: list[Call]) -> None:
 @pytest.mark.parametrize("option", quickly([("plain",), ("all",)], lambda option: option == "all"))
 @settings(max_examples=15, deadline=None)
 @given(calls=st.lists(CALL, max_size=40))
-def test_a_swarm_bears_what_a_filter_bears(option: str, calls: list[Call]):
+def test_a_bank_accepts_the_same_inputs_as_a_filter(option: str, calls: list[Call]):
     p = parameters("planar8", **OPTIONS[option])
     alone, swarm = (
         kind(p, START, nominal_interval=0.01, history=0.2) for kind in (LiveFilter, LiveFilterBank)
     )
     for filter in (alone, swarm):
-        hear(filter, calls)
+        process(filter, calls)
     counts = [(of.too_late, of.time_jumps, of.frozen) for of in (alone, swarm)]
     assert counts[0] == counts[1]
     assert (

@@ -25,7 +25,7 @@ from sigmaswarm.tuning.space import search_space
 EACH_MODEL = pytest.mark.parametrize("name", MODELS)
 DRIVEN = [name for name, model in MODELS.items() if not model.measures_imu]
 EACH_DRIVEN = pytest.mark.parametrize("name", DRIVEN)
-"""Models that the IMU drives; test_robot_localization.py tests the other one."""
+"""Models with the IMU as input; test_robot_localization.py tests the other model."""
 
 
 def test_every_model_has_a_name_a_kernel_and_its_states_first():
@@ -40,7 +40,7 @@ def test_every_model_has_a_name_a_kernel_and_its_states_first():
         )
 
 
-def test_rows_are_numbered_by_their_names_without_gaps():
+def test_rows_have_the_numbers_of_their_names_without_gaps():
     assert sorted(R) == list(range(layout.N_ROWS))
     assert len(set(layout.NAMES)) == layout.N_ROWS
     n = len(layout.MEAN)
@@ -52,7 +52,7 @@ def test_rows_are_numbered_by_their_names_without_gaps():
 
 
 @EACH_DRIVEN
-def test_constants_stand_in_the_rows_of_their_names(name: str):
+def test_constants_are_in_the_rows_of_their_names(name: str):
     kind = MODELS[name].filter_types[min(2, len(MODELS[name].filter_types) - 1)]
     p = parameters(name, gate=7.0, latency=0.125, velocity_noise=0.3, lateral_noise=0.4, rear_axle=1.25,
                    tire_slip=0.004, standstill_noise=0.6, odometer_noise=0.7, odometer_scale=0.5, odometer_latency=0.2,
@@ -82,7 +82,7 @@ def test_all_forms_start_from_the_same_state(name: str):
     )
     rows = KernelArray((p,)).start([initial], [0.01])[0]
     means, covariances = unpack_states(rows[layout.state_rows(p.model)], p.model)
-    off = 1e-15 if MODELS[name].tilts else 0.0  # an attitude is turned into a quaternion and back
+    off = 1e-15 if MODELS[name].tilts else 0.0  # an attitude is converted to a quaternion and back
     assert np.max(np.abs(means - mean)) <= off
     assert all(c.tolist() == covariance.tolist() for c in covariances)
     mean, covariance = start_of(seen, p)
@@ -94,7 +94,7 @@ def test_all_forms_start_from_the_same_state(name: str):
 
 
 @EACH_MODEL
-def test_units_densities_and_bounds_are_those_of_the_states(name: str):
+def test_units_densities_and_bounds_follow_the_states(name: str):
     p, states = parameters(name, nominal_interval=0.01), MODELS[name].states
     said = units(p)
     assert said["states"] == [s.name for s in states]
@@ -105,7 +105,7 @@ def test_units_densities_and_bounds_are_those_of_the_states(name: str):
     assert entries == len(states)
 
 
-def test_the_textbook_knows_nothing_of_the_compiled_filter():
+def test_the_textbook_does_not_import_the_compiled_filter():
     parts = ("car", "loop", "kalman", "manifold", "adaptive")
     for part in (*(f"textbook.{part}" for part in parts), "custom.textbook"):
         module = importlib.import_module(f"sigmaswarm.filters.{part}")

@@ -14,18 +14,16 @@ def _doubled(w, *, k):
     return w * k
 
 
-def test_what_is_made_of_one_function_bears_names_of_its_own():
+def test_unrolled_forms_of_one_function_have_different_names():
     two, three = (unrolled(_doubled, k=k) for k in (2, 3))
     assert two(1) == 2
     assert two.__qualname__ != three.__qualname__
     outer = {unrolled(_scaled, n=n, inner=f).__qualname__ for n in (1, 2) for f in (two, three)}
     assert len(outer) == 4
-    assert unrolled(_doubled, k=2).__qualname__ == two.__qualname__, (
-        "in another process it has to be the same"
-    )
+    assert unrolled(_doubled, k=2).__qualname__ == two.__qualname__, "the name is the same in every process"
 
 
-def test_kernels_of_models_bear_names_of_their_own():
+def test_kernels_of_models_have_different_names():
     made = [[of(name) for name in FILTERS] for of in (step.step_of, run.run_kernel)]
     for each in made:
         names = [

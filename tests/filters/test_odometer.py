@@ -43,7 +43,7 @@ def town() -> tuple[Timeline, InitialState]:
         lambda model, kind: (model, kind) in (("planar8", "ukf"), ("tilted12", "ekf")),
     ),
 )
-def test_compiled_takes_the_oracles_steps(model: str, kind: str):
+def test_the_compiled_filter_agrees_with_the_oracle(model: str, kind: str):
     timeline, initial = town()
     sets = with_odometer(box_sets(model, kind, 32))
     steps = some_steps(timeline, sets, 20)
@@ -58,7 +58,7 @@ def test_compiled_takes_the_oracles_steps(model: str, kind: str):
 
 
 @pytest.mark.parametrize("model", ["planar5", "planar8", "tilted12"])
-def test_the_textbook_is_the_run(model: str):
+def test_the_textbook_agrees_with_the_run(model: str):
     p, start, drive = parameters(model, **ALL), initial_state(driven()), sparse(driven())
     run, textbook = (
         run_filter(drive, p, initial=start, recover=False),
@@ -72,7 +72,7 @@ def test_the_textbook_is_the_run(model: str):
 
 @pytest.mark.parametrize("late", [0.0, 0.004, 0.35])
 @pytest.mark.parametrize("model", ["planar5", "planar8", "tilted12"])
-def test_live_is_the_run(model: str, late: float):
+def test_the_live_filter_agrees_with_the_run(model: str, late: float):
     drive, start = driven(), initial_state(driven())
     p, (gps, imu, wheels) = parameters(model, **ALL), (drive.gps, drive.imu, drive.odometer)
     assert gps.speed is not None and gps.course is not None and wheels is not None
@@ -95,19 +95,19 @@ def test_live_is_the_run(model: str, late: float):
     assert live.too_late == live.time_jumps == 0
 
 
-def test_what_a_live_filter_leaves_out():
+def test_readings_that_a_live_filter_ignores():
     start, p = initial_state(driven()), parameters("planar5", **WHEELS)
     live = LiveFilter(p, start, nominal_interval=0.01, history=0.5)
     t = start.time + 0.01 * np.arange(1, 200)
     for now in t:
         live.predict(now, (0.0, 0.0, 0.0))
     assert live.update_odometer(t[-1] + 0.001, 8.0)
-    assert not live.update_odometer(t[-1] + 0.001, 8.0)  # the same again
+    assert not live.update_odometer(t[-1] + 0.001, 8.0)  # the same reading again
     assert not live.update_odometer(t[-1] - 1.0, 8.0) and live.too_late == 1
     assert not live.update_odometer(t[-1], np.nan) and live.too_late == 2
     assert not live.update_odometer(t[-1] + 11.0, 8.0) and live.time_jumps == 1
     assert not LiveFilter(parameters("planar5"), start, nominal_interval=0.01).update_odometer(t[0], 8.0)
-    for i in range(20_000):  # more than there is room for, while the IMU is silent
+    for i in range(20_000):  # more than the buffer holds while no IMU samples arrive
         live.update_odometer(t[-1] + 0.002 + 1e-4 * i, 8.0)
     assert live.too_late > 10_000
     live.predict(t[-1] + 0.01, (0.0, 0.0, 0.0))
@@ -115,7 +115,7 @@ def test_what_a_live_filter_leaves_out():
 
 
 def naive(odometer: Odometer, line: Timeline) -> list[tuple[float, ...]]:
-    """Step's end, mean, age and addition to R, as the module says it: look by look."""
+    """Return the step's end, mean, age and addition to R of each measurement, as the module's docstring defines."""
     found, taken, last, slot = [], line.start, line.start, -1
     for t in line.end[line.sampled]:
         now = np.floor((t - line.start) / INTERVAL + 1e-6)
@@ -131,7 +131,7 @@ def naive(odometer: Odometer, line: Timeline) -> list[tuple[float, ...]]:
 
 @pytest.mark.parametrize("interval", [0.004, 0.012, 0.07, 0.31, 1.0])
 @pytest.mark.parametrize("imu_rate", [10.0, 100.0])
-def test_readings_are_put_together_as_said(interval: float, imu_rate: float):
+def test_readings_are_averaged_as_documented(interval: float, imu_rate: float):
     rng = np.random.default_rng(7)
     keep = slice(None, None, round(100 / imu_rate))
     drive = clip_to(equipped(), 9.0, keep)
@@ -151,7 +151,7 @@ def clip_to(drive: Drive, end: float, keep: slice) -> Drive:
     return replace(drive, imu=imu, gps=drive.gps.select(drive.gps.time < end))
 
 
-def test_wheels_that_slip_are_turned_away():
+def test_readings_of_slipping_wheels_are_rejected():
     drive = driven()
     assert drive.odometer is not None
     time, speed = drive.odometer.time, drive.odometer.speed
@@ -159,12 +159,12 @@ def test_wheels_that_slip_are_turned_away():
     gone = replace(drive, odometer=drive.odometer.select((time <= 15) | (time >= 18)))
     p = parameters("planar8", **WHEELS)
     slipped, without = run_filter(spun, p).mean, run_filter(gone, p).mean
-    assert np.abs(slipped - without)[:, 2:4].max() < 0.1  # of readings that are 8 m/s too high
-    absorbed = run_filter(spun, replace(p, odometer_noise=10.0)).mean  # to which they are no outliers
+    assert np.abs(slipped - without)[:, 2:4].max() < 0.1  # the readings are 8 m/s too high
+    absorbed = run_filter(spun, replace(p, odometer_noise=10.0)).mean  # with this R, they are not outliers
     assert np.abs(absorbed - without)[:, 2:4].max() > 0.5
 
 
-def test_wheels_that_turn_are_no_standstill():
+def test_turning_wheels_prevent_a_standstill():
     timeline, _ = town()
     rests = events_of(timeline, {"standstill"}).flags & STANDSTILL > 0
     assert rests.sum() > 30

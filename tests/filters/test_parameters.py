@@ -78,7 +78,7 @@ def test_options_that_exclude_each_other_are_named_with_their_file(tmp_path: Pat
     assert "\n" not in str(refusal.value)
 
 
-def test_a_filter_that_goes_by_accuracy_refuses_a_drive_that_states_none():
+def test_a_filter_with_an_accuracy_scale_rejects_a_drive_without_accuracy():
     drive, p = make_drive(duration=20.0), replace(GOOD, accuracy_scale=1.0)
     for run in (run_filter, run_textbook):
         with pytest.raises(
@@ -88,14 +88,14 @@ def test_a_filter_that_goes_by_accuracy_refuses_a_drive_that_states_none():
             run(drive, p)
     n = len(drive.gps)
     stated = replace(drive, gps=replace(drive.gps, std_x=np.ones(n), std_y=np.r_[np.nan, np.ones(n - 1)]))
-    assert run_filter(stated, p).failure is None  # the first fix lies before the start
+    assert run_filter(stated, p).failure is None  # the first fix is before the start
     gap = replace(drive, gps=replace(drive.gps, std_x=np.ones(n), std_y=np.r_[np.ones(n - 1), np.nan]))
     with pytest.raises(InputError, match="for all fixes"):
         run_filter(gap, p)
     assert run_filter(gap, GOOD).mean.tobytes() == run_filter(drive, GOOD).mean.tobytes()
 
 
-def test_a_stated_accuracy_is_the_r_of_a_fix():
+def test_the_stated_accuracy_determines_r():
     drive = make_drive(duration=20.0)
     n = len(drive.gps)
     stated = replace(drive, gps=replace(drive.gps, std_x=np.full(n, 2.0), std_y=np.full(n, 3.0)))
@@ -106,7 +106,7 @@ def test_a_stated_accuracy_is_the_r_of_a_fix():
     )
 
 
-def test_a_robust_filter_bears_outliers_and_follows_a_jump():
+def test_a_robust_filter_rejects_outliers_and_follows_a_jump():
     drive = make_drive(duration=40.0, gps_std=0.5)
     p = replace(GOOD, process_noise=(1e-4, 1e-4, 1e-3, 1e-3, 1e-6), measurement_noise=(0.25, 0.25))
     time = drive.gps.time
@@ -121,7 +121,7 @@ def test_a_robust_filter_bears_outliers_and_follows_a_jump():
     robust = replace(p, robust_dof=4.0)
     burst = drive.gps.x + 20.0 * ((time > 20.0) & (time < 21.0))
     assert error(burst, robust).max() < 2.0 < 5.0 < error(burst, p).max()
-    # a jump that lasts is borne for 5 s, then followed
+    # a lasting jump is rejected for 5 s, then followed
     jumped = drive.gps.x + 200.0 * (time > 20.0)
     estimate = run_filter(replace(drive, gps=replace(drive.gps, x=jumped)), robust)
     off = estimate.mean[:, 0] - run_filter(drive, robust).mean[:, 0]
@@ -179,12 +179,12 @@ def test_a_record_can_not_be_changed():
     ],
     ids=str,
 )
-def test_what_no_filter_can_run_with_is_refused(change: dict, word: str):
+def test_invalid_values_are_rejected(change: dict, word: str):
     with pytest.raises(ValidationError, match=word):  # a ValueError
         replace(GOOD, **change)
 
 
-def test_a_negative_variance_is_left_to_the_filter():
+def test_a_negative_variance_is_accepted_here_and_fails_in_the_filter():
     assert replace(GOOD, process_noise=(-1.0,) * 5).process_noise == (-1.0,) * 5
 
 
@@ -221,7 +221,7 @@ BAD_FILES: dict[str, tuple[str, list[str]]] = {
 
 
 @pytest.mark.parametrize("case", BAD_FILES)
-def test_a_bad_file_is_refused_in_one_line(tmp_path: Path, case: str):
+def test_a_bad_file_is_rejected_with_one_line(tmp_path: Path, case: str):
     content, expected = BAD_FILES[case]
     path = tmp_path / "p.toml"
     path.write_text(content)
@@ -241,7 +241,7 @@ def test_a_missing_file_and_a_folder_without_one(tmp_path: Path):
         FilterParameters.load(tmp_path)
 
 
-def test_bytes_that_are_no_text(tmp_path: Path):
+def test_a_file_that_is_not_text(tmp_path: Path):
     (tmp_path / "p.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="not readable"):
         FilterParameters.load(tmp_path / "p.toml")
@@ -254,8 +254,8 @@ def test_a_tuning_loads_as_file_and_as_folder(tmp_path: Path):
     assert tuning.parameters.nominal_interval == pytest.approx(0.01)
 
 
-def test_q_refers_to_the_stated_interval():
-    """A filter tuned at 100 Hz adds, on an IMU of 50 Hz, twice the variance a step."""
+def test_q_is_converted_to_the_drive_s_interval():
+    """A filter tuned at 100 Hz adds twice the variance per step with an IMU of 50 Hz."""
     drive = make_drive(duration=15.0)
     slow = replace(drive, imu=drive.imu.select(slice(None, None, 2)))
     q, r = (1e-3, 2e-3, 3e-3, 4e-3, 1e-6), (1.0, 1.0)

@@ -54,7 +54,7 @@ PLANAR = ("planar5", "planar8")
 def at_stops(
     filters: Iterable[tuple[str, ...]], here: Callable[[str, str], bool] = lambda model, kind: True
 ) -> list[Any]:
-    """Filters on a simulated drive with stops, one also on a recording; `make test-long` runs all on both."""
+    """Return filters with a simulated drive with stops, and one with a recording; `make test-long` runs all on both."""
     return [
         pytest.param(
             *case,
@@ -71,14 +71,14 @@ EACH_MODEL = pytest.mark.parametrize("model", PLANAR)
 
 
 def ordinary(n: int, seed: int = 1) -> np.ndarray:
-    """Sets of the box with alpha >= 0.1, where doubles bear the weights of the textbook form."""
+    """Return parameter sets with alpha >= 0.1, for which double precision is sufficient in the textbook form."""
     table = box_table(32 + n, seed)[-n:]
     table[:, 0] = np.maximum(table[:, 0], 0.1)
     return table
 
 
 def happens_at(timeline: Timeline, p: FilterParameters, bit: int, n_steps: int | None = None) -> int:
-    """How many steps have this at their end."""
+    """Count the steps that end with this measurement."""
     return int(np.sum(events_of(timeline, measured_by(p)).flags[:n_steps] & bit != 0))
 
 
@@ -86,15 +86,14 @@ def happens_at(timeline: Timeline, p: FilterParameters, bit: int, n_steps: int |
 
 
 @ALSO_LONG
-def test_steps_of_the_compiled_filter_equal_the_oracles_everywhere_in_the_papers_bounds(name: str):
+def test_compiled_steps_equal_the_oracle_everywhere_in_the_papers_bounds(name: str):
     timeline, initial = ready(name)
     errors = compiled_against_extended(timeline, initial, as_parameters(box_table(64)), until=700)
-    assert np.max(timeline.dt[:700]) > (1.5 if name == SIMULATED else 0.06)  # a gap is among them
+    assert np.max(timeline.dt[:700]) > (1.5 if name == SIMULATED else 0.06)  # the steps include a gap
     assert timeline.updates[:700].sum() > 25
-    assert np.isfinite(errors.turn).all(), "a lane failed inside the box"
-    # At the first fix after the long gap a handful of sets loses up to 12 digits of a variance: no more than they
-    # must. Everywhere else it is 1e-9 and much less, but for a lost heading's long step, ten million times what it
-    # rounds off.
+    assert np.isfinite(errors.turn).all(), "a lane failed within the bounds"
+    # At the first fix after the long gap, rounding costs a few sets up to 12 digits of a variance, which is inevitable.
+    # All other errors are below 1e-9, except in the long step of a set whose heading is unknown.
     assert errors.beyond(2e-9, margin=1).max() < 1
     assert errors.mean[errors.shrunk < 1e8].max() < 1e-9
     assert errors.mean.max() < 1e-7
@@ -112,9 +111,7 @@ def test_steps_of_the_compiled_filter_equal_the_oracles_everywhere_in_the_papers
         lambda model, kind: model == "planar8" or (model, kind) in (("planar5", "ukf"), ("tilted12", "ekf")),
     ),
 )
-def test_every_compiled_filter_takes_the_oracles_steps_with_all_measurements(
-    model: str, kind: str, name: str
-):
+def test_every_compiled_filter_agrees_with_the_oracle_for_all_measurements(model: str, kind: str, name: str):
     timeline, initial = ready(name)
     sets = box_sets(model, kind, 32)
     for bit in (FIX, VELOCITY, LATERAL, STANDSTILL):
@@ -122,11 +119,11 @@ def test_every_compiled_filter_takes_the_oracles_steps_with_all_measurements(
     errors = compiled_against_extended(timeline, initial, sets, some_steps(timeline, sets, 20))
     known = errors.known
     assert known.mean() > 0.4
-    # A strong tracking filter that has lost its heading by many turns may fail; no other one does.
+    # Only a strong tracking filter whose heading is wrong by many turns may fail.
     failed = np.isinf(errors.turn).any(axis=0).sum()
     assert failed <= (1 if kind == "strong-tracking-ukf" else 0)
     assert errors.mean[known].max() < 1e-9
-    # The factor of strong tracking comes from a difference of traces and loses a digit or two now and then.
+    # The factor of strong tracking comes from a difference of traces and sometimes loses one or two digits.
     limit = 1e-8 if kind == "strong-tracking-ukf" else 1e-9
     assert errors.beyond(limit, margin=1)[known].max() < 1
     assert np.quantile(errors.covariance[known], 0.999) < 1e-9
@@ -136,7 +133,7 @@ def test_every_compiled_filter_takes_the_oracles_steps_with_all_measurements(
     if kind in ("adaptive-ukf", "fuzzy-ukf"):
         assert errors.noise is not None
         assert errors.noise[known[errors.absorbed]].max() < 1e-9
-    # Where a heading is lost altogether the arithmetic is as lost as the car, but no further.
+    # If the heading is unknown, rounding errors are amplified; most covariances still agree to 1e-8.
     lost = ~known & np.isfinite(errors.turn)
     assert not lost.any() or np.quantile(errors.covariance[lost], 0.9) < 1e-8
 
@@ -148,7 +145,7 @@ def test_every_compiled_filter_takes_the_oracles_steps_with_all_measurements(
         lambda *case: case in (("planar8", "ukf"), ("tilted12", "ekf")),
     ),
 )
-def test_filters_that_weigh_fixes_take_the_oracles_steps(model: str, kind: str, name: str):
+def test_filters_that_weight_fixes_agree_with_the_oracle(model: str, kind: str, name: str):
     timeline, initial = ready(name)
     timeline = replace(timeline, fixes=straying(timeline))
     sets = weighed(box_sets(model, kind, 32))
@@ -168,7 +165,7 @@ def test_filters_that_weigh_fixes_take_the_oracles_steps(model: str, kind: str, 
 
 
 def straying(timeline: Timeline) -> np.ndarray:
-    """The timeline's fixes with outliers of all sizes, and a jump that lasts to its end: some filters recover."""
+    """Return fixes with outliers of all sizes and a jump that lasts to the end, so that some filters recover."""
     fixes, n = timeline.fixes.copy(), len(timeline.fixes)
     fixes[::5, 0] += 60.0 * np.sin(np.arange(0, n, 5))
     fixes[timeline.fix_time > timeline.end[-1] - 8.0, 1] += 200.0
@@ -188,7 +185,7 @@ def straying(timeline: Timeline) -> np.ndarray:
         pytest.param(REAL, True, True, id="recording", marks=[needs_shared, pytest.mark.long]),
     ],
 )
-def test_textbook_filter_takes_filterpys_steps(name: str, theta_first: bool, redraw: bool):
+def test_textbook_steps_agree_with_filterpy(name: str, theta_first: bool, redraw: bool):
     timeline, initial = ready(name)
     corners = box_table(32)[[4, 15, 20, 31]]  # alpha = 1
     sets = as_parameters(np.vstack([ordinary(2), corners]))
@@ -197,7 +194,7 @@ def test_textbook_filter_takes_filterpys_steps(name: str, theta_first: bool, red
     )
     assert np.max(timeline.dt[:230]) > (1.5 if name == SIMULATED else 0.06)
     assert errors.mean.max() < 1e-10
-    # P - K S K^T and sigma points beside tens of metres lose digits on both sides where R is tiny beside P.
+    # If R is small relative to P and positions are tens of meters, both forms lose digits in P - K S K^T.
     assert errors.covariance[errors.shrunk < 100].max() < 1e-10
     assert errors.beyond(1e-10, margin=5000).max() < 1
     assert np.quantile(errors.covariance, 0.9) < 1e-11
@@ -207,7 +204,7 @@ def test_textbook_filter_takes_filterpys_steps(name: str, theta_first: bool, red
     ("model", "kind", "name"),
     at_stops(product(PLANAR, ("ukf", "ekf")), lambda *case: case == ("planar5", "ukf")),
 )
-def test_textbook_filter_takes_filterpys_steps_with_all_measurements(name: str, model: str, kind: str):
+def test_textbook_steps_agree_with_filterpy_for_all_measurements(name: str, model: str, kind: str):
     timeline, initial = ready(name)
     sets = [replace(p, alpha=max(p.alpha, 0.1), gate=None) for p in box_sets(model, kind, 2, seed=2)]
     steps = some_steps(timeline, sets, 20)
@@ -219,8 +216,8 @@ def test_textbook_filter_takes_filterpys_steps_with_all_measurements(name: str, 
 
 
 def test_offsets_of_more_than_half_a_turn_are_kept():
-    # With kappa = 5 and 10 rad2 per step a sigma point lies several turns away from the centre. Newton's
-    # equations do not mind, neither FilterPy nor the compiled filter wraps, so the textbook's filter must not.
+    # With kappa = 5 and 10 rad2 per step, a sigma point is several turns away from the mean. FilterPy and the compiled
+    # filter do not wrap such offsets, so the textbook filter must not wrap them.
     timeline, initial = ready(SIMULATED)
     sets = as_parameters(box_table(32)[[20, 23, 28, 31]])
     errors = textbook_against_filterpy(timeline, initial, sets, until=60, theta_first=True)
@@ -230,7 +227,7 @@ def test_offsets_of_more_than_half_a_turn_are_kept():
 
 
 @pytest.mark.parametrize("alpha", [1e-3, 1e-2])
-def test_sigma_points_and_weights_give_the_covariance_back(alpha: float):
+def test_sigma_points_and_weights_reproduce_the_covariance(alpha: float):
     _, initial = ready(SIMULATED)
     points = SigmaPoints(alpha, 2.0, 0.0, first=(THETA,))
     wm, _ = points.weights(5)
@@ -239,8 +236,8 @@ def test_sigma_points_and_weights_give_the_covariance_back(alpha: float):
     assert wm.sum() == pytest.approx(1.0, abs=1e-9)
 
 
-def test_offsets_across_the_seam_of_an_angle_are_wrapped():
-    # A process that wraps its heading: the centre stays at one side of +-pi, some sigma points land on the other.
+def test_offsets_across_pi_are_wrapped():
+    # For a process that wraps its heading, the mean stays on one side of +-pi, and some sigma points are on the other.
     def wrapping(state: np.ndarray, dt: float, imu: np.ndarray) -> np.ndarray:
         new = planar5(state, dt, imu)
         new[THETA] = np.arctan2(np.sin(new[THETA]), np.cos(new[THETA]))
@@ -261,8 +258,8 @@ def test_offsets_across_the_seam_of_an_angle_are_wrapped():
 
 @EACH_MODEL
 @pytest.mark.parametrize("kind", ["ukf", "ekf"])
-def test_a_run_adds_up_its_steps(kind: str, model: str):
-    # The oracle checks single steps; a run is these in a row, bit for bit, and its sums are theirs.
+def test_a_run_is_the_sequence_of_its_steps(kind: str, model: str):
+    # The oracle checks single steps; a run consists of these steps, bit for bit, and its sums are their sums.
     timeline, initial = on_time_line(equipped(simulated()))
     n = 600
     sets = [replace(p, gate=None) for p in box_sets(model, kind, LANES)]
@@ -275,14 +272,14 @@ def test_a_run_adds_up_its_steps(kind: str, model: str):
             means.append(compiled.state[0])
     n_fixes = int(timeline.updates[:n].sum())
     assert n_fixes > 8
-    assert n_fixes % 8  # the product of det S is moved into its logarithm after every 8, and at the end
+    assert n_fixes % 8  # the product of det S of 8 fixes is added to its logarithm, and the rest at the end
     start = first_steps(timeline, n)
     whole = run_passes([FilterPass(start, initial, Targets.none(start))], sets)
     assert whole["NIS"][0] == pytest.approx(total[0], rel=1e-12)
     assert whole["LOG_DET"][0] == pytest.approx(total[1], rel=1e-12)
     assert whole["SQ_FIX"][0] == pytest.approx(total[2], rel=1e-12)
     stepped = np.array(means)
-    stepped[..., THETA] = wrap_angle(stepped[..., THETA])  # as estimates have it
+    stepped[..., THETA] = wrap_angle(stepped[..., THETA])  # estimates contain wrapped headings
     for lane, p in enumerate(sets):
         assert compiled_run(start, initial, p)[0].tobytes() == stepped[:, lane].tobytes()
 
@@ -310,9 +307,9 @@ def first_steps(timeline: Timeline, n: int) -> Timeline:
 @pytest.mark.long
 @WHOLE_DRIVES
 @pytest.mark.parametrize("name", [SIMULATED, pytest.param(REAL, marks=[needs_shared, pytest.mark.long])])
-def test_free_run_stays_with_filterpy_where_a_twin_stays(name: str):
-    # Where moving the heading by 1e-13 has never moved the mean by 1e-12, rounding is amplified little, and the
-    # two filters' own rounding, some 1e-14 to 1e-11 a step at alpha >= 0.1, must stay as small.
+def test_a_free_run_agrees_with_filterpy_where_a_perturbed_run_agrees(name: str):
+    # Where moving the heading by 1e-13 moves the mean by less than 1e-12, rounding is amplified little. There, the
+    # rounding errors of the two filters, 1e-14 to 1e-11 per step at alpha >= 0.1, must stay small.
     timeline, initial = ready(name)
     runs = [free_run(timeline, initial, p, 1000) for p in as_parameters(ordinary(5))]
     judged = [run.filterpy[run.judged] for run in runs]
@@ -333,14 +330,14 @@ def test_no_lane_fails_within_the_bounds(name: str):
     assert not sums.failed.any()
     assert np.isfinite(sums["LOG_DET"]).all()
     for p in as_parameters(box_table(48)):
-        compiled_run(timeline, initial, p)  # looks at every covariance along the way
+        compiled_run(timeline, initial, p)  # checks every covariance
 
 
-# --- Where the model is linear -----------------------------------------------------------------------------
+# --- Linear models ---------------------------------------------------------------------------------------
 
 
 def kalman_filter(timeline: Timeline, initial: InitialState, row: np.ndarray) -> np.ndarray:
-    """x, y, vx, vy (n, 4) and their covariance (n, 4, 4) of the linear filter that knows its heading."""
+    """Return x, y, vx, vy and their covariance (n, 20) of the linear filter with a known heading."""
     x, p = initial.mean[:4].copy(), initial.covariance[:4, :4].copy()
     theta, identity, states = float(initial.mean[THETA]), np.eye(2), []
     h = np.eye(4)[:2]
@@ -367,7 +364,7 @@ def kalman_filter(timeline: Timeline, initial: InitialState, row: np.ndarray) ->
 def test_with_a_known_heading_it_is_the_kalman_filter(alpha: float):
     drive = simulated()
     initial = initial_state(drive)
-    timeline = timeline_of(drive, initial.time, as_recorded=True)  # in a gap no heading is known
+    timeline = timeline_of(drive, initial.time, as_recorded=True)  # gaps add no uncertainty
     known = initial.covariance.copy()
     known[THETA], known[:, THETA] = 0.0, 0.0
     known[THETA, THETA] = 1e-28
@@ -382,8 +379,8 @@ def test_with_a_known_heading_it_is_the_kalman_filter(alpha: float):
 
 @pytest.mark.parametrize("alpha", [1e-3, 0.5])
 @pytest.mark.parametrize("kind", ["ukf", "ekf"])
-def test_a_coasting_car_is_linear_and_every_filter_is_the_kalman_filter(kind: str, alpha: float):
-    # Without acceleration nothing turns with the heading, so Newton's equations are linear in all five states.
+def test_for_a_coasting_car_every_filter_equals_the_kalman_filter(kind: str, alpha: float):
+    # Without acceleration, the heading has no effect, so the equations are linear in all five states.
     drive = make_drive(duration=20, jitter=0.3, seed=3)
     timeline, initial = on_time_line(drive)
     coasting = replace(drive, imu=replace(drive.imu, ax=0 * drive.imu.ax, ay=0 * drive.imu.ay))
@@ -408,7 +405,7 @@ def test_a_coasting_car_is_linear_and_every_filter_is_the_kalman_filter(kind: st
             means.append(kalman.x)
             covariances.append(kalman.P)
     filters = [run_filter(coasting, p, initial=initial, recover=False)]
-    if alpha == 0.5:  # at 1e-3 the textbook's weights of 1e6 leave it ten digits
+    if alpha == 0.5:  # at 1e-3, the textbook's weights of 1e6 leave ten digits
         filters.append(run_textbook(coasting, p, initial=initial))
     for estimate in filters:
         assert mean_error(estimate.mean, np.array(means)).max() < 1e-12
@@ -416,7 +413,7 @@ def test_a_coasting_car_is_linear_and_every_filter_is_the_kalman_filter(kind: st
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_planar8_that_knows_its_biases_is_planar5_with_all_measurements(kind: str):
+def test_planar8_with_known_biases_equals_planar5_for_all_measurements(kind: str):
     timeline, initial = ready("urban")
     drive = timeline.drive
     five = replace(box_sets("planar5", kind, 5)[4], kappa=3.0, process_noise=(1e-4, 1e-4, 1e-3, 1e-3, 1e-6))
@@ -425,7 +422,7 @@ def test_planar8_that_knows_its_biases_is_planar5_with_all_measurements(kind: st
         five, model="planar8", kappa=0.0, process_noise=(*five.process_noise, 0.0, 0.0, 0.0),
         bias_std=(1e-10, 1e-10),
     )  # fmt: skip
-    initial = replace(initial, gyro=None)  # else planar8 allows for a gyro that it was not tuned for
+    initial = replace(initial, gyro=None)  # otherwise, the bias has an uncertainty
     a, b = (
         run_filter(drive, five, initial=initial, recover=False),
         run_filter(drive, eight, initial=initial, recover=False),

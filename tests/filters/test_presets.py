@@ -13,7 +13,7 @@ from support import make_drive
 DRIVE = make_drive(duration=12.0)
 
 
-def test_defaults_are_what_people_start_with():
+def test_defaults_are_usual_initial_values():
     assert preset("defaults", DRIVE) == FilterParameters(0.1, 2.0, 0.0, [1.0] * 5, [1.0] * 2)
 
 
@@ -33,7 +33,7 @@ def test_datasheet_of_an_unknown_sensor():
     assert p.nominal_interval == pytest.approx(0.01)
 
 
-def test_datasheet_takes_what_the_drive_states():
+def test_datasheet_uses_the_values_that_the_drive_states():
     stated = {"gps_std_m": 0.7, "accel_noise_density": 0.02, "gyro_noise_density": 0.001}
     p = baseline(replace(DRIVE, metadata=stated))
     assert p.measurement_noise == pytest.approx((0.49, 0.49))
@@ -42,7 +42,7 @@ def test_datasheet_takes_what_the_drive_states():
 
 
 def test_the_data_sheet_s_filter_of_the_same_model_and_parts():
-    """What a tuning has to beat: nothing of it is tuned, and it uses what the tuned filter uses."""
+    """The baseline of a tuning: no value is tuned, and it has the model and options of the tuned filter."""
     dt, sheet = DRIVE.nominal_interval, baseline(DRIVE)
     plain = baseline(DRIVE, like=FilterParameters(0.5, 1.0, 1.0, [1.0] * 5, [3.0] * 2))
     assert (plain.model, plain.kind, plain.alpha) == ("planar5", "ukf", sheet.alpha)
@@ -68,8 +68,8 @@ def test_the_data_sheet_s_filter_of_the_same_model_and_parts():
     assert stated.measurement_noise == pytest.approx((0.01, 0.01))
 
 
-def test_the_accuracy_is_as_the_fixes_show_it():
-    """A receiver that states nothing and does not smooth shows its white noise."""
+def test_the_accuracy_is_estimated_from_the_fixes():
+    """Fixes of a receiver that states no accuracy and does not smooth show their white noise."""
     drive = simulate("urban", duration=60, gps="white-1m")
     unstated = replace(drive, gps=replace(drive.gps, std_x=None, std_y=None), metadata={})
     like = FilterParameters(0.5, 1.0, 1.0, [1.0] * 5, [3.0] * 2)
@@ -77,17 +77,17 @@ def test_the_accuracy_is_as_the_fixes_show_it():
     assert baseline(unstated).measurement_noise == pytest.approx((2.1**2, 2.1**2))
 
 
-def test_the_receiver_s_own_deviation_goes_before_the_file_s():
+def test_the_receiver_s_standard_deviation_has_priority_over_the_file_s():
     n = len(DRIVE.gps)
-    std = np.where(np.arange(n) < n // 2 - 1, 50.0, 1.5)  # the median forgives the start
+    std = np.where(np.arange(n) < n // 2 - 1, 50.0, 1.5)  # the median ignores the start
     drive = replace(
         DRIVE, gps=replace(DRIVE.gps, std_x=std, std_y=np.full(n, 2.5)), metadata={"gps_std_m": 9.0}
     )
     assert baseline(drive).measurement_noise == pytest.approx((1.5**2, 2.5**2))
 
 
-def test_the_velocity_spreads_as_the_density_says():
-    """Summed over a second, white noise of density s per root Hz makes a velocity of deviation s."""
+def test_the_velocity_error_agrees_with_the_noise_density():
+    """White noise of density s per root Hz, integrated over one second, gives a velocity error of deviation s."""
     grade = ImuGrade("white", accel=Triad(noise_density=0.03))
     drive, exact = (simulate("brake", imu=imu) for imu in (grade, "ideal"))
     per_second = baseline(drive).process_noise[2] / drive.nominal_interval

@@ -53,7 +53,7 @@ QUICK = quickly(
 
 
 class Messages:
-    """Messages in order, and the settings of a run: our own, or those of a reference run."""
+    """Messages in order with the settings of a run: this project's, or those of a reference run."""
 
     def __init__(self, rows: list[list[str]], values: dict[str, Array]) -> None:
         self.uses_ay, self.uses_vy = bool(values["use_ay"][0]), bool(values["use_vy"][0])
@@ -73,7 +73,7 @@ class Messages:
 
     @cached_property
     def textbook(self) -> tuple[Array, Array, dict[tuple[int, str], tuple[Array, Array]]]:
-        """Means (k, 8) and covariances (k, 8, 8) after each message; both after each correction of the k-th one."""
+        """Means (k, 8) and covariances (k, 8, 8) after each message, and both after each correction of a message."""
         means, covariances, after = list[Array](), list[Array](), dict[tuple[int, str], tuple[Array, Array]]()
 
         class Noted(TextbookRobotLocalization):
@@ -97,7 +97,7 @@ class Messages:
         return np.array(means), np.array(covariances), after
 
     def compiled(self, stop: int | None = None) -> tuple[Array, Array, Array]:
-        """Means and covariances after each IMU message, and the rows after the last message before ``stop``."""
+        """Return means and covariances after each IMU message, and the rows after the last message before ``stop``."""
         k = len(self.dt)
         array = KernelArray((self.parameters,))
         rows = np.zeros((run.N_KEPT, array.width))
@@ -164,7 +164,7 @@ def difference(a: Array, b: Array) -> float:
 
 
 @pytest.mark.parametrize(("drive", "name"), quickly(RUNS, lambda *run: run == ("kingston-1", "default")))
-def test_both_forms_agree_with_its_own_core_over_a_minute(drive: str, name: str):
+def test_both_forms_agree_with_the_original_code_over_a_minute(drive: str, name: str):
     messages, table = reference(drive, name), columns_of(f"{drive}_ekf_{name}")
     means, covariances, _ = messages.textbook
     assert difference(means, means_of(table)) < 1e-9
@@ -182,7 +182,7 @@ def test_both_forms_agree_with_its_own_core_over_a_minute(drive: str, name: str)
 
 
 @pytest.mark.parametrize(("drive", "name"), QUICK)
-def test_the_first_steps_agree_with_its_own_core(drive: str, name: str):
+def test_the_first_steps_agree_with_the_original_code(drive: str, name: str):
     moments, (*_, after) = columns_of(f"{drive}_ekf_{name}")["t_ns"], reference(drive, name).textbook
     table = columns_of(f"{drive}_ekf_{name}_first_steps")
     assert {"gyro", "accel", "gps"} <= set(table["after"])
@@ -199,7 +199,7 @@ def test_compiled_agrees_with_the_textbook(uses_ay: bool):
     for k in range(600):
         t = 10_000_000 * (k + 1)
         rows.append([f"{t}", "imu", *(f"{value}" for value in rng.normal(size=3)), ""])
-        if k % 20 == 19:  # some of them beyond the threshold
+        if k % 20 == 19:  # some are beyond the threshold
             x, y = rng.normal(scale=(30.0 if k % 100 == 99 else 2.0), size=2)
             rows.append([f"{t + 3_000_000}", "gps", f"{x}", f"{y}", "1.5", "2.5"])
     root = rng.normal(size=(15, 15))
@@ -276,7 +276,7 @@ def test_a_run_over_a_drive_agrees_with_the_textbook(imu_noise: tuple[float, ...
     assert (difference(free.mean, found.mean.copy()) > 1e-3) == ("imu_gate" in changes)
 
 
-def test_an_estimate_has_the_velocity_of_the_map():
+def test_an_estimate_has_the_velocity_in_the_map_frame():
     rng = np.random.default_rng(2)
     mean, root = rng.normal(size=(3, 8)), rng.normal(size=(3, 8, 8))
     covariance = root @ root.swapaxes(1, 2)
@@ -298,14 +298,14 @@ P = FilterParameters(
 )  # fmt: skip
 
 
-def test_constants_and_start_stand_in_their_rows():
+def test_constants_and_start_are_in_their_rows():
     start = replace(initial_state(equipped()), gyro=None)
     rows = KernelArray((P,)).start([start], [0.02])[0]
     assert rows[R.Q_X : R.Q_X + 8, 0].tolist() == [2 * q for q in P.process_noise]
     wanted = {"RX": 1.5, "RY": 2.5, "R_RATE": 1e-3, "R_VELOCITY": 0.5, "R_LATERAL": 0.2, "GATE": 9.0}
     assert {row: rows[getattr(R, row), 0] for row in wanted} == wanted
     mean, covariance = unpack_states(rows[state_rows(NAME)], NAME)
-    assert mean[0, 2:4] == pytest.approx([np.hypot(*start.mean[2:4]), 0.0], abs=0.5)  # it drives forward
+    assert mean[0, 2:4] == pytest.approx([np.hypot(*start.mean[2:4]), 0.0], abs=0.5)  # the car drives forward
     assert mean[0, 5:].tolist() == [0.0, 0.0, 0.0]
     assert np.diag(covariance[0])[5:] == pytest.approx([1.0, 1.0, 0.1], rel=1e-2)
     found, found_covariance = state_estimate(rows[state_rows(NAME)], NAME)
@@ -327,7 +327,7 @@ def test_constants_and_start_stand_in_their_rows():
         ({"latency": 0.1}, "if fixes are late, set smooth_lagged_data in ekf.yaml"),
     ],
 )
-def test_what_it_does_not_have_is_refused(change: dict[str, Any], said: str):
+def test_options_that_it_does_not_have_are_rejected(change: dict[str, Any], said: str):
     with pytest.raises(ValueError, match=said):
         replace(P, **change)
     with pytest.raises(
@@ -337,7 +337,7 @@ def test_what_it_does_not_have_is_refused(change: dict[str, Any], said: str):
         search_space(NAME, "log10", kind="ekf", use=("velocity",))
 
 
-def test_where_it_does_not_run_is_refused():
+def test_uses_that_it_does_not_support_are_rejected():
     drive = equipped()
     ready = initial_state(drive)
     for use in (
@@ -350,7 +350,7 @@ def test_where_it_does_not_run_is_refused():
             use()
 
 
-def test_the_bounds_contain_the_stated_variances_and_the_baseline_has_its_defaults():
+def test_the_bounds_contain_the_stated_variances_and_the_baseline_uses_its_defaults():
     space = search_space(NAME, "log10", 0.01, kind="ekf", use=("lateral", "gate"))
     names = ["q_xy", "q_vx", "q_vy", "q_theta", "q_ax", "q_ay", "q_yaw_rate", "r_xy", "r_gyro", "r_accel"]
     assert list(space.names) == [*names, "lateral_noise", "gate"]
@@ -382,7 +382,7 @@ def test_a_tuning_of_it_is_better_than_its_defaults_and_is_exported(tmp_path: Pa
 
 
 def test_an_estimate_has_no_subnormal_numbers() -> None:
-    """Each takes a hundred cycles; without fixes, measurements of vy = 0 shrink vy and ay to 5e-324 in a minute."""
+    """Subnormal numbers take a hundred cycles each; without fixes, vy and ay decay to 5e-324 in a minute."""
     noise = (1e-8, 1e-8, 4e-7, 5e-7, 4e-7, 2e-5, 1.3, 0.5)
     parameters = replace(P, process_noise=noise, imu_noise=(6e-3, 2.0), lateral_noise=0.07, gate=1e-9)
     drive_pass, array = tracking_pass(prepare_drive(make_drive(duration=90))), KernelArray((parameters,))

@@ -68,7 +68,7 @@ def test_of_two_filters_the_one_with_fixes_is_read(tmp_path: Path):
     assert load(tmp_path, nodes).gate == 16.0
 
 
-def test_inputs_are_those_that_it_fuses(tmp_path: Path):
+def test_inputs_are_those_that_the_file_fuses(tmp_path: Path):
     wheels = {"odom1": "wheel/odometry", "odom1_config": entries(6, 7)}
     found = load(tmp_path, USUAL | wheels | {"imu0_config": entries(11)})
     assert found.imu_noise == (1e-4, NOT_FUSED)
@@ -87,10 +87,10 @@ def test_inputs_are_those_that_it_fuses(tmp_path: Path):
         SigmaswarmWarning,
         match="although the file does not set it to true; imu0: the yaw is replaced by the heading of the fixes",
     ):
-        assert load(tmp_path, None, text).process_noise == (1e-3,) * 8  # which YAML 1.1 takes for text
+        assert load(tmp_path, None, text).process_noise == (1e-3,) * 8  # YAML 1.1 reads 1e-3 as text
 
 
-def test_our_own_export_is_read_back_as_the_same_filter(tmp_path: Path):
+def test_an_exported_configuration_is_read_as_the_same_filter(tmp_path: Path):
     found = load(tmp_path, None, robot_localization(P, 0.01)["ekf.yaml"])
     assert np.array(found.process_noise) * 0.01 == pytest.approx(P.process_noise, rel=1e-14)
     assert (found.gate, len(found.imu_noise)) == (9.0, 2)
@@ -109,7 +109,7 @@ def test_our_own_export_is_read_back_as_the_same_filter(tmp_path: Path):
         (yaml.safe_dump(USUAL | {"odom0_pose_rejection_threshold": "far"}), "must be a positive number"),
     ],
 )
-def test_what_is_no_configuration_is_refused_in_one_line(tmp_path: Path, content: str, said: str):
+def test_files_that_are_no_configuration_are_rejected_with_one_line(tmp_path: Path, content: str, said: str):
     with pytest.raises(InputError, match=said) as refused:
         load(tmp_path, None, content)
     assert "\n" not in str(refused.value) and "ekf.yaml" in str(refused.value)
@@ -125,14 +125,14 @@ def test_variances_are_those_that_the_messages_state(tmp_path: Path):
     found = filter_for(file, LocalDataset([replace(DRIVE, gps=gps)]))
     assert (found.accuracy_scale, found.measurement_noise) == (1.0, (1e-9, 1e-9))
     load(tmp_path, USUAL | {"twist0_config": entries(6), "imu0_config": entries(12)})
-    assert filter_for(file, LocalDataset([stated])).odometer_noise is None  # there are no wheels
+    assert filter_for(file, LocalDataset([stated])).odometer_noise is None  # the drive has no odometer
     wheels = Odometer(np.array([0.0, 1.0]), np.zeros(2))
     found = filter_for(file, LocalDataset([replace(stated, odometer=wheels)]))
     assert found.odometer_noise == pytest.approx(0.01)
     assert found.imu_noise == (NOT_FUSED, 0.3)
 
 
-def test_a_start_is_a_point_of_the_search_and_the_result_no_worse(tmp_path: Path):
+def test_a_start_is_a_point_of_the_search_and_the_result_is_no_worse(tmp_path: Path):
     space = search_space(NAME, "log10", 0.02, kind="ekf", use=("lateral", "gate"))
     point = space.point_of(P)
     assert space.decode(point[np.newaxis])[0].process_noise == pytest.approx([2 * q for q in P.process_noise])
@@ -145,10 +145,10 @@ def test_a_start_is_a_point_of_the_search_and_the_result_no_worse(tmp_path: Path
     again = tune([DRIVE], start=tmp_path / "good.toml", particles=4, generations=1, out=tmp_path / "out")
     assert again.config.model == NAME
     assert again.start_cost == pytest.approx(good.cost, rel=1e-9)
-    assert again.cost == again.start_cost  # four random filters are not better
+    assert again.cost == again.start_cost  # the four random filters are worse
     assert any("the search started" in remark for remark in again.remarks)
     assert type(again).load(tmp_path / "out").start_cost == again.start_cost
-    with pytest.raises(InputError, match="start"):  # another start is another tuning
+    with pytest.raises(InputError, match="start"):  # the start is part of the configuration
         tune([DRIVE], start=P, particles=4, generations=1, out=tmp_path / "out", resume=True)
     with pytest.raises(
         InputError, match=r"the start filter is robot-localization \(ekf\), but planar8 \(ukf\) is tuned"
@@ -157,7 +157,7 @@ def test_a_start_is_a_point_of_the_search_and_the_result_no_worse(tmp_path: Path
 
 
 @pytest.mark.long
-def test_a_configuration_is_the_rival_in_an_evaluation(tmp_path: Path):
+def test_a_configuration_is_compared_in_an_evaluation(tmp_path: Path):
     load(tmp_path, USUAL)
     scores = evaluate([DRIVE], P, against=tmp_path / "ekf.yaml")
     assert scores.names["against"] == f"other EKF, {NAME}"

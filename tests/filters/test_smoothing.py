@@ -44,7 +44,7 @@ def began() -> InitialState:
 
 
 def apart(a: Estimate, b: Estimate) -> float:
-    """The largest difference: of means in standard deviations, of covariances relative to them."""
+    """Return the largest difference: of means in standard deviations, of covariances relative to variances."""
     std = np.sqrt(np.diagonal(b.covariance, axis1=1, axis2=2))
     mean = a.mean - b.mean
     mean[:, 4] = wrap_angle(mean[:, 4])
@@ -52,21 +52,21 @@ def apart(a: Estimate, b: Estimate) -> float:
     return max(float(np.max(np.abs(mean) / std)), float(np.max(covariance)))
 
 
-# --- The textbook's form -----------------------------------------------------------------------------------
+# --- The textbook form -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("model", "kind", "option"),
     quickly(product(("planar5", "planar8"), KINDS, ("plain", "all", "robust")), stands_for_all),
 )
-def test_compiled_is_the_textbooks(model: str, kind: str, option: str):
-    """The closed form of the cross-covariance is that of the sigma points; what stretches P is a part of it."""
+def test_the_compiled_smoother_agrees_with_the_textbook(model: str, kind: str, option: str):
+    """The closed-form cross-covariance equals that of the sigma points, also where factors enlarge P."""
     if option == "robust" and kind not in ("ukf", "ekf"):
         pytest.skip("robust goes with ukf and ekf")
     p = parameters(model, kind=kind, **(OPTIONS | WEIGHED)[option])
     drive = sparse({"plain": two_receivers, "all": rough, "robust": straying}[option](), 6)
     ours = smooth(drive, p, initial=began(), recover=False)
-    # Student's t magnifies the last bits: see below
+    # Student's t amplifies rounding errors: see below
     assert apart(ours, smooth_textbook(drive, p, initial=began())) < (1e-8 if option == "robust" else 1e-9)
 
 
@@ -77,7 +77,7 @@ def test_compiled_is_the_textbooks(model: str, kind: str, option: str):
         lambda kind, option: (kind, option) == ("ekf", "all"),
     ),
 )
-def test_compiled_is_the_textbooks_with_attitude(kind: str, option: str):
+def test_the_compiled_smoother_agrees_with_the_textbook_for_tilted12(kind: str, option: str):
     p = parameters("tilted12", kind=kind, **(OPTIONS | WEIGHED)[option])
     drive = {"all": rough, "robust": straying}[option]()
     drive = sparse(drive, 6 if kind == "ekf" else 16)  # the textbook takes 25 sigma points through each step
@@ -85,8 +85,8 @@ def test_compiled_is_the_textbooks_with_attitude(kind: str, option: str):
     theirs = smooth_textbook(drive, p, initial=began())
     difference = apart(ours, theirs)
     if option == "robust" and difference >= 1e-8:
-        # At one fix of the jump the weight of Student's t goes from one solution to the other, which magnifies the
-        # last bits a thousandfold: the textbook's form that starts 4e-16 away differs by as much.
+        # At one fix of the jump, the weight of Student's t switches between two solutions, which amplifies rounding a
+        # thousandfold: a textbook run whose start differs by 4e-16 differs by as much.
         nearly = replace(began(), mean=began().mean * (1 + 4e-16))
         difference /= 1e8 * 4 * apart(smooth_textbook(drive, p, initial=nearly), theirs)
     assert difference < 1e-8
@@ -98,9 +98,9 @@ def test_compiled_is_the_textbooks_with_attitude(kind: str, option: str):
 
 @cache
 def coasting() -> tuple[Drive, InitialState]:
-    """No acceleration, no turn, fixes at IMU samples of constant dt: position and velocity are linear."""
+    """Return a drive without acceleration or turn, with fixes at IMU samples of constant dt: the model is linear."""
     rng = np.random.default_rng(4)
-    time = np.arange(0.0, 20.05, 0.125)  # a power of two, so that all steps are of the same length
+    time = np.arange(0.0, 20.05, 0.125)  # a power of two, so that all steps are equal
     none = 0 * time
     fix_time = time[4::4]
     fixes = np.cumsum(rng.standard_normal((2, len(fix_time))), axis=1) + 4.0 * fix_time
@@ -110,7 +110,7 @@ def coasting() -> tuple[Drive, InitialState]:
     return Drive("coasting", Imu(time, none, none, none), Gps(fix_time, *fixes)), initial
 
 
-def test_of_a_linear_model_it_is_filterpys():
+def test_for_a_linear_model_it_agrees_with_filterpy():
     drive, initial = coasting()
     p = FilterParameters(0.5, 2.0, 1.0, (1e-3, 2e-3, 4e-3, 3e-3, 1e-5), (0.5, 0.8))
     theirs = KalmanFilter(5, 2)
@@ -126,7 +126,7 @@ def test_of_a_linear_model_it_is_filterpys():
     np.testing.assert_allclose(ours.covariance, covariances, rtol=0, atol=1e-10)
 
 
-def test_an_unscented_one_is_filterpys_step_by_step():
+def test_an_unscented_smoother_agrees_with_filterpy_step_by_step():
     drive = equipped()
     drive = replace(drive, metadata={})
     p = parameters("planar5")
@@ -135,7 +135,7 @@ def test_an_unscented_one_is_filterpys_step_by_step():
     filtered = run_filter(drive, p, initial=began(), recover=False)
     points = MerweScaledSigmaPoints(5, p.alpha, p.beta, p.kappa, sqrt_method=upper_root_theta_first)
     at = np.flatnonzero(line.sampled)
-    whole = np.flatnonzero(np.diff(at) == 1)[100:600:7]  # samples with no fix before the next one
+    whole = np.flatnonzero(np.diff(at) == 1)[100:600:7]  # samples without a fix before the next sample
     for k in whole:
         step = at[k + 1]
         u = np.array([line.ax[step], line.ay[step], line.gz[step]])
@@ -143,7 +143,7 @@ def test_an_unscented_one_is_filterpys_step_by_step():
             5, 2, dt=line.dt[step], hx=None, fx=lambda s, dt, u=u: planar5(s, dt, u), points=points
         )
         theirs.Q = np.diag(p.process_noise) * line.q_scale[step]
-        # What is known before the step, of the filter's state there and of ours behind it.
+        # The inputs of the step: the filter's state before it, and the smoothed state after it.
         near = 2 * np.pi * np.round((filtered.mean[k, 4] - ours.mean[k + 1, 4]) / (2 * np.pi))
         behind = ours.mean[k + 1] + [0, 0, 0, 0, near]
         means, covariances, _ = theirs.rts_smoother(
@@ -165,7 +165,7 @@ def test_an_unscented_one_is_filterpys_step_by_step():
     ),
 )
 def test_errors_of_the_smoother_agree_with_its_covariance(model: str, kind: str):
-    """On data of the model's own, see `test_consistency`; early, in the middle, and at the end."""
+    """Use data drawn from the model, see `test_consistency`; check early, in the middle, and at the end."""
     p, line, n = model_parameters(model, kind), time_line(), MODELS[model]
     n = len(n.states)
     runs = runs_needed(n)
@@ -185,10 +185,10 @@ def test_errors_of_the_smoother_agree_with_its_covariance(model: str, kind: str)
     assert np.all((low < found) & (found < high)), found
 
 
-# --- What must hold ----------------------------------------------------------------------------------------
+# --- Properties --------------------------------------------------------------------------------------------
 
 
-def test_the_last_estimate_is_the_filters_and_no_other_is_less_sure():
+def test_the_last_estimate_is_the_filters_and_no_covariance_is_larger():
     drive, p = equipped(), parameters("planar8", **OPTIONS["all"])
     filtered, smoothed = run_filter(drive, p), smooth(drive, p)
     np.testing.assert_array_equal(smoothed.time, filtered.time)
@@ -210,7 +210,7 @@ def test_the_last_estimate_is_the_filters_and_no_other_is_less_sure():
         ("tilted12", "ekf", rough),
     ],
 )
-def test_no_bit_depends_on_how_often_the_filter_leaves_a_mark(model: str, kind: str, make):
+def test_no_bit_depends_on_the_number_of_checkpoints(model: str, kind: str, make):
     p = parameters(model, kind=kind, **OPTIONS["all"])
     drive_pass = whole_pass(make(), began())
     whole = next(iter(SmootherRun(drive_pass, p, samples=100_000)))
@@ -222,7 +222,7 @@ def test_no_bit_depends_on_how_often_the_filter_leaves_a_mark(model: str, kind: 
 
 
 def astray() -> tuple[Drive, InitialState]:
-    """A start that is turned by 100 degrees and sure of it: the filter is lost, and starts anew."""
+    """Return a wrong initial heading (by 100 degrees) with a small variance: the filter diverges and is reset."""
     drive = equipped(60.0)
     right = initial_state(drive)
     mean = right.mean + np.array([0, 0, 0, 0, np.radians(100)])
@@ -232,7 +232,7 @@ def astray() -> tuple[Drive, InitialState]:
 SURE = parameters("planar8", gate=9.0)
 
 
-def test_it_ends_at_a_restart_and_begins_again_behind_it():
+def test_it_ends_at_a_reset_and_starts_again_after_it():
     drive, wrong = astray()
     whole = smooth(drive, SURE, initial=wrong)
     assert whole.restarts == run_filter(drive, SURE, initial=wrong).restarts != ()
@@ -243,7 +243,7 @@ def test_it_ends_at_a_restart_and_begins_again_behind_it():
     cut = smooth(clip(drive, end=at + 1e-6), p, initial=wrong)
     same = smooth(drive, p, initial=wrong)
     np.testing.assert_allclose(same.mean[before], cut.mean[cut.time < at], rtol=0, atol=1e-12)
-    # Behind it nothing of the time before is left: a run from the filter's state there smooths to the same.
+    # After the reset, nothing depends on earlier estimates or on the length of pieces.
     pieces = [np.concatenate([q.mean for q in SmootherRun(whole_pass(drive, wrong), SURE, samples=n, recover=True)])
               for n in (77, 5000)]  # fmt: skip
     np.testing.assert_array_equal(*pieces)
@@ -252,7 +252,7 @@ def test_it_ends_at_a_restart_and_begins_again_behind_it():
     assert np.all(whole.covariance[~before][0].diagonal() < filtered.covariance[~before][0].diagonal())
 
 
-def test_a_failure_ends_it_and_what_lies_before_is_smoothed():
+def test_estimates_before_a_failure_are_smoothed():
     drive, p = equipped(), parameters("planar5")
     ax = drive.imu.ax.copy()
     ax[1500] = np.nan
@@ -271,13 +271,13 @@ def test_a_failure_ends_it_and_what_lies_before_is_smoothed():
         list(estimates_of(SmootherRun(whole_pass(ill, began()), p, recover=True)))
 
 
-def test_no_truth_is_looked_at():
+def test_truth_is_not_read():
     drive, p = equipped(), parameters("planar8")
     blind = smooth(replace(drive, truth=None), p)
     assert blind.mean.tobytes() == smooth(drive, p).mean.tobytes()
 
 
-def test_pieces_are_the_whole():
+def test_the_pieces_equal_the_whole():
     drive, p = equipped(), parameters("planar8")
     whole = smooth(drive, p)
     parts = list(estimates_of(SmootherRun(whole_pass(drive), p, recover=True)))
@@ -289,7 +289,7 @@ def test_pieces_are_the_whole():
 
 
 def live(drive: Drive, p: FilterParameters, lag: float, *, late: float = 0.0, asked: set[int]):
-    """A live filter and what it says in hindsight after the samples of some numbers; fixes come ``late`` s late."""
+    """Return a live filter and its smoothed states after these samples; fixes arrive ``late`` s late."""
     initial, imu, gps = initial_state(drive), drive.imu, drive.gps
     lever = [*drive.lever_arm, drive.antenna_height]
     filter = LiveFilter(p, initial, nominal_interval=drive.nominal_interval, lever_arm=lever, lag=lag)
@@ -321,7 +321,7 @@ def live(drive: Drive, p: FilterParameters, lag: float, *, late: float = 0.0, as
         lambda model, kind, late: (model, kind) != ("tilted12", "ukf"),
     ),
 )
-def test_live_is_the_batch_smoother_cut_at_the_lag(model: str, kind: str, late: float):
+def test_the_live_smoother_equals_the_batch_smoother_at_the_lag(model: str, kind: str, late: float):
     drive = equipped() if model == "tilted12" else rough()
     p = parameters(model, kind=kind, **OPTIONS["all"], nominal_interval=drive.nominal_interval)
     first = int(np.searchsorted(drive.imu.time, began().time, side="right"))
@@ -329,13 +329,13 @@ def test_live_is_the_batch_smoother_cut_at_the_lag(model: str, kind: str, late: 
     filter, said = live(drive, p, 2.0, late=late, asked=asked)
     for i in asked:
         now = drive.imu.time[i]
-        # Of fixes that have not yet come it knows nothing.
+        # Fixes that have not yet arrived are removed.
         gps = drive.gps.select(drive.gps.time <= now - late)
         batch = smooth(clip(replace(drive, gps=gps), end=now + 1e-9), p, initial=began(), recover=False)
         before = np.flatnonzero(batch.time <= now - 2.0 + 1e-6)
         if len(before):
             time, mean, covariance = (x[before[-1]] for x in (batch.time, batch.mean, batch.covariance))
-        else:  # nothing lies so far back: the start
+        else:  # the lag is before the start
             of = batch.initial
             time, mean, covariance = of.time, of.mean, of.covariance
         assert said[i].time == time
@@ -345,7 +345,7 @@ def test_live_is_the_batch_smoother_cut_at_the_lag(model: str, kind: str, late: 
     assert filter.state.time == drive.imu.time[-1]
 
 
-def test_a_live_filter_never_smooths_across_a_restart():
+def test_a_live_filter_does_not_smooth_across_a_reset():
     drive, wrong = astray()
     restart = run_filter(drive, SURE, initial=wrong).restarts[0]
     filter = LiveFilter(SURE, wrong, nominal_interval=drive.nominal_interval, lever_arm=[1.0, 0.5], lag=2.0)
@@ -369,7 +369,7 @@ def test_a_live_filter_never_smooths_across_a_restart():
 
 
 @pytest.mark.parametrize("lag", [0.0, -1.0, np.inf, np.nan])
-def test_a_lag_that_is_none_is_refused(lag: float):
+def test_an_invalid_lag_is_rejected(lag: float):
     with pytest.raises(InputError, match="positive number of seconds"):
         LiveFilter(parameters("planar5"), began(), nominal_interval=0.01, lag=lag)
 

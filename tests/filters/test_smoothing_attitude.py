@@ -15,7 +15,7 @@ from support import timeline_of
 
 
 def thinned():
-    """Six seconds behind the start, every tenth IMU sample, on a road with a slope that the filter does not know."""
+    """Return six seconds after the start, with every tenth IMU sample, and a slope that the filter does not know."""
     drive = equipped()
     start = initial_state(drive)
     imu = drive.imu.select(slice(None, None, 10))
@@ -28,7 +28,7 @@ def thinned():
 
 
 def posterior(line, p, initial, rounds: int = 8) -> tuple[np.ndarray, np.ndarray]:
-    """States (k + 1, 12) and the covariances of their errors, by Gauss and Newton over all steps at once."""
+    """Return states (k + 1, 12) and their error covariances by Gauss-Newton iterations over all steps."""
     mean, covariance = start_of(initial, p)
     n, k, imu = tilted.N, len(line.dt), line.imu(tilted.AXES)
     antenna, noise = tilted.Antenna(tuple(line.lever)), np.diag(1 / np.array(p.measurement_noise))
@@ -64,7 +64,7 @@ def posterior(line, p, initial, rounds: int = 8) -> tuple[np.ndarray, np.ndarray
     return np.array(states), np.array(blocks)
 
 
-def test_it_is_the_maximum_of_the_posterior():
+def test_it_agrees_with_the_maximum_of_the_posterior():
     drive, start = thinned()
     p = parameters("tilted12")
     line = timeline_of(drive, start.time)
@@ -77,7 +77,7 @@ def test_it_is_the_maximum_of_the_posterior():
     for i, row in enumerate(at):
         std = np.sqrt(np.diag(blocks[row]))
         off = tilted.minus(ours.mean[i], states[row])
-        assert np.all(np.abs(off) < 0.15 * std), (i, off / std)  # what is left is of second order
+        assert np.all(np.abs(off) < 0.15 * std), (i, off / std)  # the remaining difference is of second order
         spread = np.sqrt(np.diag(theirs[i]))
         assert np.all(np.abs(ours.covariance[i] - theirs[i]) < 0.1 * np.outer(spread, spread)), i
-    assert np.degrees(np.mean(np.abs(states[:, 9]))) > 0.5, "it sees the slope"
+    assert np.degrees(np.mean(np.abs(states[:, 9]))) > 0.5, "the slope is estimated"

@@ -45,14 +45,14 @@ def table_of(model: ModelName, kind: FilterKind, use: Sequence[Option], n: int) 
 
 @pytest.mark.parametrize(("model", "kind", "use"), SPACES)
 @pytest.mark.parametrize("n", [1, 30, 70])
-def test_a_table_packs_as_its_sets_do(model: ModelName, kind: FilterKind, use: Sequence[Option], n: int):
+def test_a_table_is_packed_as_its_sets_are(model: ModelName, kind: FilterKind, use: Sequence[Option], n: int):
     table, start = table_of(model, kind, use, n), initial_state(make_drive(duration=12))
     arrays = [KernelArray(sets) for sets in (table, list(table))]
     ours, theirs = (array.start([start, start], [0.01, 0.005]) for array in arrays)
     assert ours.tobytes() == theirs.tobytes()
     assert np.array_equal(arrays[0].plausible, arrays[1].plausible)
     alone = [KernelArray([p]).start([start], [0.01])[0, :, :1] for p in table]
-    side_by_side = np.concatenate(list(ours[::2]), axis=1)  # of each block the first start
+    side_by_side = np.concatenate(list(ours[::2]), axis=1)  # the first start of each block
     assert side_by_side[:, :n].tobytes() == np.concatenate(alone, axis=1).tobytes()
     part = KernelArray(table[n // 3 : n]).start([start], [0.01])
     assert np.concatenate(list(part), axis=1)[:, : n - n // 3].tobytes() == (
@@ -60,8 +60,8 @@ def test_a_table_packs_as_its_sets_do(model: ModelName, kind: FilterKind, use: S
     )
 
 
-def test_what_sets_of_a_table_share_need_no_column():
-    # as many sets as states, where a vector in place of a column would fit by chance
+def test_shared_values_of_a_table_need_no_column():
+    # as many sets as states, so that a vector in place of a column would have a valid shape
     p = FilterParameters(0.5, 2.0, 0.0, (1e-4, 2e-4, 3e-4, 4e-4, 5e-4), (1.0, 2.0))
     table = ParameterTable(p, {"latency": np.linspace(0.0, 0.1, 5)}, 5)
     start = initial_state(make_drive(duration=12))
@@ -70,7 +70,7 @@ def test_what_sets_of_a_table_share_need_no_column():
 
 
 @pytest.mark.parametrize("vary_bias_std", [False, True])
-def test_starts_computed_in_advance_are_those_computed_when_used(vary_bias_std: bool):
+def test_starts_computed_in_advance_equal_those_computed_on_use(vary_bias_std: bool):
     start, other = initial_state(make_drive(duration=12)), initial_state(make_drive(duration=20))
     table = table_of("tilted12", "ekf", (), 20)
     sets = list(table) if vary_bias_std else [replace(p, bias_std=(0.3, 0.01)) for p in table]
@@ -80,7 +80,7 @@ def test_starts_computed_in_advance_are_those_computed_when_used(vary_bias_std: 
     assert array.start([other, start], [0.01, 0.01]).tobytes() == later.tobytes()
 
 
-def test_few_starts_are_kept_for_the_next_generation():
+def test_a_few_starts_are_cached_for_the_next_generation():
     start = initial_state(make_drive(duration=12))
     p = FilterParameters(0.5, 2.0, 0.0, (1e-4,) * 5, (1.0, 2.0))
     _shared_starts.cache_clear()
@@ -92,7 +92,7 @@ def test_few_starts_are_kept_for_the_next_generation():
         assert _shared_starts.cache_info().currsize == kept
 
 
-def test_an_optional_field_that_only_some_sets_use():
+def test_an_optional_field_may_be_used_by_some_sets_only():
     p = FilterParameters(0.5, 2.0, 0.0, (1e-4,) * 5, (1.0, 2.0))
     sets = [p, replace(p, gate=9.2), replace(p, robust_dof=4.0)]
     assert list(ParameterTable.of(sets)) == sets
@@ -107,7 +107,7 @@ def test_a_table_is_a_sequence_of_sets():
     assert prior_costs(table, std).tobytes() == prior_costs(list(table), std).tobytes()
 
 
-def test_sets_of_several_kinds_come_back_in_their_order():
+def test_sets_of_several_kinds_are_returned_in_their_order():
     table = table_of("planar8", "ukf", ("lateral",), 40)
     mixed = [replace(p, lateral_noise=None) if i % 3 else p for i, p in enumerate(table)]
     drive_pass = tracking_pass(prepare_drive(make_drive(duration=12)))

@@ -1,4 +1,4 @@
-"""tilted12: rotations, Jacobians and filters, and the data that it requires of a drive."""
+"""tilted12: rotations, Jacobians and filters, and the columns that it requires of a drive."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -50,7 +50,7 @@ def parameters(**more) -> FilterParameters:
 
 @cache
 def town() -> Drive:
-    """A town with standstill, gap, lever arm and velocities; the receiver also states its accuracy."""
+    """Return an urban drive with standstill, gap, lever arm, velocities and stated accuracy."""
     drive = urban()
     n = len(drive.gps)
     std = np.random.default_rng(3).uniform(0.3, 2.0, (2, n))
@@ -60,7 +60,7 @@ def town() -> Drive:
 
 
 def by_kind(kind: str) -> Drive:
-    """The town; with less IMU for sigma points, 25 of which the textbook takes through each step in Python."""
+    """Return the drive, for sigma points with less IMU: the textbook takes 25 of them through each step in Python."""
     return sparse(town(), 3 if kind == "ekf" else 16)
 
 
@@ -72,7 +72,7 @@ def some_state(seed: int = 0, tilt: float = 0.2) -> np.ndarray:
 
 
 def differences(function: Callable[[np.ndarray], np.ndarray], state: np.ndarray) -> np.ndarray:
-    """What a small error of each state makes of a function, by central differences."""
+    """Return the derivative of a function with respect to errors of each state, by central differences."""
     small = 1e-5
     columns = [
         function(tilted.plus(state, small * e)) - function(tilted.plus(state, -small * e))
@@ -88,7 +88,7 @@ slope = st.floats(-1.4, 1.4)
 
 
 @given(st.tuples(angle, slope, angle), st.tuples(angle, angle, angle))
-def test_rotations_are_scipys(attitude: tuple[float, ...], vector: tuple[float, ...]):
+def test_rotations_agree_with_scipy(attitude: tuple[float, ...], vector: tuple[float, ...]):
     state = np.zeros(tilted.N)
     state[ANGLES] = attitude
     theirs = Rotation.from_euler("ZYX", attitude[::-1])
@@ -106,13 +106,13 @@ def test_rotations_are_scipys(attitude: tuple[float, ...], vector: tuple[float, 
 
 
 @given(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3))
-def test_the_kernels_angle_is_that_of_arctan2(y: float, x: float):
+def test_the_kernels_angle_agrees_with_arctan2(y: float, x: float):
     if np.hypot(x, y) > 1e-200:
         off = getattr(angle_of, "py_func", angle_of)(y, x) - np.arctan2(y, x)
         assert min(abs(off), abs(abs(off) - 2 * np.pi)) < 1e-15
 
 
-def test_an_error_added_is_the_difference():
+def test_plus_and_minus_are_inverse():
     state, error = some_state(), 0.1 * some_state(1)
     np.testing.assert_allclose(tilted.minus(tilted.plus(state, error), state), error, atol=1e-13)
 
@@ -129,13 +129,13 @@ def test_an_error_added_is_the_difference():
     ids=["fix", "lateral", "odometer", "velocity"],
 )
 @pytest.mark.parametrize("seed", range(3))
-def test_jacobians_of_measurements_are_their_differences(h, seed: int):
+def test_jacobians_of_measurements_agree_with_central_differences(h, seed: int):
     state = some_state(seed)
     np.testing.assert_allclose(h.jacobian(state), differences(h, state), atol=1e-8)
 
 
-def test_the_velocity_upwards_is_a_part_of_the_lateral_jacobian():
-    # With vz held fixed H is wrong by the tangent of the bank, a fifth at 11 degrees (a car that drives ahead).
+def test_the_lateral_jacobian_includes_the_vertical_velocity():
+    # With a constant vz, H would be wrong by the tangent of the bank angle: a fifth at 11 degrees.
     state, bank = np.zeros(tilted.N), np.radians(11.0)
     state[[2, 3, 4, 8]] = 8.0 * np.cos(0.7), 8.0 * np.sin(0.7), 0.7, bank
     h = tilted.RearAxle(0.3, 1.4)
@@ -145,19 +145,23 @@ def test_the_velocity_upwards_is_a_part_of_the_lateral_jacobian():
     assert np.linalg.norm(held - whole) / np.linalg.norm(held) == pytest.approx(np.tan(bank), rel=1e-9)
 
 
-def test_jacobian_of_the_process_is_its_difference():
+def test_the_jacobian_of_the_process_agrees_with_central_differences():
     state, dt = some_state(tilt=0.05), 1e-3
-    force = tilted.rotation(state).T @ [1.5, -0.7, tilted.GRAVITY]  # so that gravity is what is left upwards
+    force = tilted.rotation(state).T @ [
+        1.5,
+        -0.7,
+        tilted.GRAVITY,
+    ]  # so that the vertical acceleration is zero
     force[:2] += state[5:7]
     imu = np.concatenate([force, [0.2, -0.1, 0.4]])
     after = tilted.tilted12(state, dt, imu)
     numeric = differences(lambda s: tilted.minus(tilted.tilted12(s, dt, imu), after), state)
-    # F leaves out what is of second order in dt: a biased rate that turns the force within the step.
+    # F omits terms of second order in dt: a biased rate that rotates the force within the step.
     np.testing.assert_allclose(tilted.transition(state, dt, imu), numeric, atol=10 * dt**2)
     assert np.max(np.abs(numeric - np.eye(tilted.N))) > 9 * dt
 
 
-def test_the_covariance_of_angles_is_that_of_the_error():
+def test_the_covariance_of_angles_follows_from_that_of_the_error():
     state, spread = some_state(), np.diag(np.linspace(1, 2, tilted.N))
     numeric = differences(lambda s: s, state)
     np.testing.assert_allclose(
@@ -184,7 +188,7 @@ CASES = {
         lambda kind, case: kind == "ekf" or (kind, case) == ("ukf", "weighed"),
     ),
 )
-def test_compiled_is_the_textbooks(kind: str, case: str):
+def test_the_compiled_filter_agrees_with_the_textbook(kind: str, case: str):
     drive, p = by_kind(kind), parameters(kind=kind, forgetting=0.7, **CASES[case])
     ours, book = run_filter(drive, p, recover=False), run_textbook(drive, p)
     assert book.failure is None and ours.failure is None
@@ -203,7 +207,7 @@ def test_the_unscented_filter_is_close_to_the_extended_one():
     assert 1e-9 < np.max(np.abs(off / std)) < 0.3
 
 
-def test_the_quaternion_keeps_its_norm_for_an_hour():
+def test_the_quaternion_keeps_its_norm_over_an_hour():
     drive = town()
     drive_pass = whole_pass(drive)
     line = drive_pass.timeline
@@ -218,8 +222,8 @@ def test_the_quaternion_keeps_its_norm_for_an_hour():
     assert np.max(np.abs(np.linalg.norm(quaternion, axis=0) - 1)) < 1e-12
 
 
-def test_it_finds_the_slope_and_the_gyros_biases():
-    # A car that drives straight up a slope of 4 deg, its left side 2 deg up, with biased gyros.
+def test_it_estimates_the_slope_and_the_gyros_biases():
+    # The car drives straight up a slope of 4 deg, its left side 2 deg up, with biased gyros.
     flat = make_drive(duration=60, gps_std=0.3, seed=4)
     truth, imu = flat.truth, flat.imu
     assert truth is not None
@@ -228,7 +232,7 @@ def test_it_finds_the_slope_and_the_gyros_biases():
     body = tilted.rotation(state)
     force = np.column_stack([imu.ax, imu.ay, np.full(len(imu), tilted.GRAVITY)])
     about_up = np.column_stack([0 * imu.gz, 0 * imu.gz, imu.gz])
-    # The slope turns with the car, so that it is the same in its body: a spiral ramp.
+    # The slope turns with the car, so that it is constant in the body frame: a spiral ramp.
     ax, ay, az = (force @ body).T
     gx, gy, gz = (about_up @ body + [0.004, -0.003, 0.002]).T
     drive = replace(flat, imu=replace(imu, ax=ax, ay=ay, az=az, gx=gx, gy=gy, gz=gz))
@@ -240,7 +244,7 @@ def test_it_finds_the_slope_and_the_gyros_biases():
 
 
 @compiled
-def test_kinds_in_one_batch_change_no_bit():
+def test_other_filter_types_in_the_batch_change_no_bit():
     sets = [parameters(kind=kind, **ALL) for kind in ("ekf", "ukf", "ekf", "adaptive-ukf", "fuzzy-ukf")]
     drive_pass = whole_pass(town())
     together = run_passes([drive_pass], sets)
@@ -253,8 +257,8 @@ def test_kinds_in_one_batch_change_no_bit():
 
 @pytest.mark.long
 @compiled
-def test_points_far_from_the_centre_change_no_bit_of_other_filters():
-    # Series hold near the centre; a filter with a poor start needs more, and leaves the others as they are.
+def test_points_far_from_the_mean_change_no_bit_of_other_filters():
+    # The series are valid near the mean. A filter with a large covariance needs more terms; others are not changed.
     drive, p = sparse(town(), 16), parameters(kind="ukf", **ALL)
     far = replace(p, alpha=1.0, kappa=300.0)
     together, alone = run_passes([whole_pass(drive)], [p, far]), run_passes([whole_pass(drive)], [p])
@@ -262,7 +266,7 @@ def test_points_far_from_the_centre_change_no_bit_of_other_filters():
     assert together["LOG_DET"][0, 0] == alone["LOG_DET"][0, 0]
     ours, book = run_filter(drive, far, recover=False), run_textbook(drive, far)
     variances = np.diagonal(ours.covariance, axis1=1, axis2=2)[:, ANGLES].sum(axis=1)
-    root = np.sqrt(312.0 * variances)  # rad; the series end at 0.9
+    root = np.sqrt(312.0 * variances)  # rad; the series are used up to 0.9
     assert root.max() > 1.0 > 0.8 > root.min()
     assert mean_error(ours.mean, book.mean).max() < 1e-9
     assert covariance_error(ours.covariance, book.covariance).max() < 1e-8
@@ -278,8 +282,8 @@ def test_an_error_of_more_than_half_a_turn_is_kept(turns: float):
 
 
 @pytest.mark.parametrize(("kind", "rate"), [*product(["ekf"], [0.02, 0.3, 0.9]), ("ukf", 0.02), ("ukf", 0.9)])
-def test_a_silence_may_be_a_turn_of_any_size(kind: str, rate: float):
-    """Half a turn's quaternion is a series where it is small: 18 s at 0.9 rad/s, in one step, is not."""
+def test_a_gap_may_contain_a_turn_of_any_size(kind: str, rate: float):
+    """The series for the quaternion is valid for small turns only; 18 s at 0.9 rad/s in one step is no small turn."""
     drive, p = by_kind(kind), parameters(kind=kind)
     imu, gps = (
         replace(table, time=np.where(table.time > 15.0, table.time + 18.0, table.time))
@@ -295,7 +299,7 @@ def test_a_silence_may_be_a_turn_of_any_size(kind: str, rate: float):
 
 
 @pytest.mark.parametrize("kind", quickly([("ekf",), ("ukf",)], lambda kind: kind == "ekf"))
-def test_live_is_the_run(kind: str):
+def test_the_live_filter_equals_the_run(kind: str):
     drive, p = town(), parameters(kind=kind, **ALL, gate=9.0)
     start = initial_state(drive)
     lever = [*drive.lever_arm, drive.antenna_height]
@@ -315,7 +319,7 @@ def test_live_is_the_run(kind: str):
     np.testing.assert_allclose(live.state.covariance, run.covariance[-1], rtol=1e-7, atol=1e-14)
 
 
-# --- What it needs -----------------------------------------------------------------------------------------
+# --- Requirements ------------------------------------------------------------------------------------------
 
 
 def test_an_imu_of_three_axes_is_refused():
@@ -336,19 +340,19 @@ def test_a_live_sample_of_three_axes_is_refused():
         live.predict(100.0, (0.0, 0.0, 0.0))
 
 
-def test_it_is_extended_unless_another_kind_is_given():
+def test_its_default_filter_type_is_ekf():
     assert TuneConfig(model="tilted12").kind == "ekf"
     assert TuneConfig(model="tilted12", kind="ukf").kind == "ukf"
     assert TuneConfig().kind == TuneConfig(model="planar8").kind == "ukf"
 
 
 @pytest.mark.parametrize("target", [t for t in DESCRIPTIONS if t != "c99"])
-def test_targets_that_do_not_know_it_say_so(target: str, tmp_path):
+def test_targets_that_do_not_support_it_raise_an_error(target: str, tmp_path):
     with pytest.raises(InputError, match=f"{target} .*tilted12.*planar8"):
         export_filter(parameters(nominal_interval=0.01), target, tmp_path / "out")
 
 
-def test_the_textbooks_noise_follows_the_time_line():
+def test_the_textbooks_noise_follows_the_timeline():
     drive = town()
     drive_pass = whole_pass(drive)
     car = TextbookCar(drive_pass.timeline, parameters(), drive_pass.initial)

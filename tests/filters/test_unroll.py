@@ -1,4 +1,4 @@
-"""Unrolled loops over states compute the same as the loops."""
+"""Unrolled loops over states compute the same as the original loops."""
 
 import ast
 
@@ -23,7 +23,7 @@ def outer_sums(w, *, n, twice):
     return total
 
 
-def test_written_out_is_the_loop():
+def test_an_unrolled_function_equals_the_loop():
     for n in (2, 5):
         a, b = np.zeros((44, 3)), np.zeros((44, 3))
         straight = unrolled(outer_sums, n=n, twice=lambda v: 2 * v)
@@ -47,14 +47,14 @@ def positive(w, *, n):
     return tuple(w[k] for k in range(n) if k)
 
 
-def test_only_a_tuple_of_all_values_is_written_out():
+def test_only_a_tuple_of_all_values_is_unrolled():
     assert unrolled(squares, n=2)([3.0, 5.0]) == 16.0
     for other in (sum_of, positive):
         with pytest.raises(TypeError, match="only tuple"):
             unrolled(other, n=2)
 
 
-def test_rows_of_the_upper_triangle_are_told_apart():
+def test_rows_of_the_upper_triangle_are_distinct():
     n = len(MEAN)
     rows = {at(i, j) for j in range(n) for i in range(j + 1)}
     assert rows == set(range(P0, P0 + n * (n + 1) // 2))
@@ -83,7 +83,7 @@ def _outer(w, a, *, inner):
     w[0, 1] = LIMIT + gain + gain_1 + a
 
 
-def test_a_kernel_that_is_written_into_another_touches_none_of_its_names():
+def test_inlining_a_kernel_keeps_the_names_of_both_separate():
     w, expected = np.zeros((1, 2)), np.zeros((1, 2))
     straight = unrolled(_outer, inner=lanes.kernel(_inner))
     assert "inner" not in straight.__code__.co_names
@@ -92,12 +92,12 @@ def test_a_kernel_that_is_written_into_another_touches_none_of_its_names():
     np.testing.assert_array_equal(w, expected)
 
 
-def test_a_kernel_that_ends_early_is_refused():
+def test_a_kernel_with_an_early_return_is_rejected():
     with pytest.raises(TypeError, match="nor end early"):
         unrolled(_outer, inner=lanes.kernel(_ends_early))
 
 
-def test_what_other_threads_do_to_pythons_trees_is_waited_for(monkeypatch: pytest.MonkeyPatch):
+def test_an_error_in_the_parser_caused_by_other_threads_leads_to_a_retry(monkeypatch: pytest.MonkeyPatch):
     parse, calls = ast.parse, []
 
     def disturbed(*arguments):

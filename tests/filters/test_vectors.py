@@ -21,7 +21,7 @@ THREE = 3.0
 
 
 def _halved(w, l, by, *, row):
-    """What a loop calls is written into it."""
+    """A function that is inlined into a loop."""
     half = w[row, l] / (by + 1.0)
     w[row + 1, l] += half
     return half, -half
@@ -42,7 +42,7 @@ def _everything(w, shift, *, n, halved):
         small += b < 1.0
         small += b <= 0.75
     for l in range(LANES):
-        shift = w[8, l] * 2.0  # a name of its own
+        shift = w[8, l] * 2.0  # a local name
         w[9, l] = shift
     w[10, 0] = large + 100.0 * small
 
@@ -69,7 +69,7 @@ def compiled_for(n_lanes):
 
 @compiled
 @given(st.integers(0, 2**32 - 1))
-def test_a_loop_over_lanes_is_what_python_makes_of_it(seed):
+def test_a_loop_over_lanes_equals_the_loop_in_python(seed):
     rows = np.round(np.random.default_rng(seed).normal(0.0, 2.0, (12, LANES)) * 4.0) / 4.0  # some are equal
     rows[0, 3] = np.nan
     straight, many, few = np.zeros((N_ROWS, LANES)), rows.copy(), rows.copy()
@@ -123,7 +123,7 @@ def _to_a_power(w, shift):
     "function",
     [_with_a_branch, _of_an_unknown_row, _handed_on, _counted_down, _of_a_row_before_the_first, _to_a_power],
 )
-def test_what_a_loop_over_lanes_cannot_hold_is_refused(function):
+def test_unsupported_code_in_a_loop_over_lanes_is_rejected(function):
     with pytest.raises(TypeError, match=r"loop over lanes|row of a lane must be"):
         numba.njit(unrolled(_run, kernel=lanes.kernel(function), n_lanes=LANES))(np.zeros((12, LANES)), 1.0)
 
@@ -134,7 +134,7 @@ def _picked(w, *, rows):
 
 
 @compiled
-def test_loops_that_differ_in_their_rows_bear_names_of_their_own():
+def test_loops_that_differ_in_their_rows_have_different_names():
     names = [
         {n for n in lanes.kernel(_picked, rows=rows).written.names if n.startswith("_picked_")}
         for rows in ((1,), (2,))

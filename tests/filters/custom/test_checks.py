@@ -1,4 +1,4 @@
-"""Mistakes in a model or a log: one line with the place, the fault and the remedy."""
+"""Wrong models and logs: each is rejected with one line that names the place, the fault and the remedy."""
 
 import math
 from dataclasses import replace
@@ -16,7 +16,7 @@ LOG = pendulum_log(duration=2.0)
 N, F = len(LOG.time), len(LOG.measurement_time)
 
 
-def said(call) -> str:
+def error_message(call) -> str:
     with pytest.raises(InputError) as caught:
         call()
     message = str(caught.value)
@@ -59,9 +59,9 @@ def with_value(column, at, value):
     ],
     ids=str,
 )  # fmt: skip
-def test_a_log_says_what_is_wrong_with_it(change: dict, expected: str):
+def test_a_wrong_log_is_rejected_with_its_fault(change: dict, expected: str):
     parts = vars(LOG) | {"inputs": None, "truth_time": None} | change
-    message = said(lambda: Log(**parts))
+    message = error_message(lambda: Log(**parts))
     assert message.startswith("log swing: ")
     assert expected in message
 
@@ -88,8 +88,8 @@ def test_a_log_says_what_is_wrong_with_it(change: dict, expected: str):
     ],
     ids=str,
 )  # fmt: skip
-def test_a_model_says_what_is_wrong_with_it(change: dict, expected: str):
-    message = said(lambda: replace(PENDULUM, **change))
+def test_a_wrong_model_is_rejected_with_its_fault(change: dict, expected: str):
+    message = error_message(lambda: replace(PENDULUM, **change))
     assert message.startswith("model pendulum: ")
     assert expected in message
 
@@ -113,20 +113,22 @@ def test_a_model_says_what_is_wrong_with_it(change: dict, expected: str):
     ],
     ids=lambda v: v if isinstance(v, str) else "",
 )  # fmt: skip
-def test_a_function_that_does_not_fit_the_log_is_named(change: dict, expected: str):
+def test_the_error_names_a_function_that_does_not_fit_the_log(change: dict, expected: str):
     model = replace(PENDULUM, **change)
     needed = {t.name for t in model.parameters}
     parameters = PARAMETERS if model.kind == "ukf" else {k: v for k, v in PARAMETERS.items() if k in needed}
-    assert expected in said(lambda: run_model(LOG, model, parameters))
+    assert expected in error_message(lambda: run_model(LOG, model, parameters))
 
 
-def test_a_log_of_another_model_is_named():
+def test_the_error_names_what_does_not_fit_a_log_of_another_model():
     three = Log(**(vars(LOG) | {"mean": np.zeros(3), "covariance": np.eye(3)}))
-    assert "mean has 3 values, but the model pendulum has 2 states" in said(
+    assert "mean has 3 values, but the model pendulum has 2 states" in error_message(
         lambda: run_model(three, PENDULUM, PARAMETERS)
     )
     tall = Log(**(vars(LOG) | {"truth": {"height": LOG.time}}))
-    assert "truth names 'height', which is not a state" in said(lambda: run_model(tall, PENDULUM, PARAMETERS))
+    assert "truth names 'height', which is not a state" in error_message(
+        lambda: run_model(tall, PENDULUM, PARAMETERS)
+    )
 
 
 @pytest.mark.parametrize(
@@ -144,7 +146,7 @@ def test_a_log_of_another_model_is_named():
     ids=str,
 )
 def test_wrong_parameters_are_named(parameters: dict, expected: str):
-    assert expected in said(lambda: run_model(LOG, PENDULUM, parameters))
+    assert expected in error_message(lambda: run_model(LOG, PENDULUM, parameters))
 
 
 # --- The identity of functions -----------------------------------------------------------------------------
@@ -168,13 +170,13 @@ def test_the_same_code_with_the_same_numbers_has_the_same_identity(monkeypatch: 
     assert fingerprint(nested(3.0)) == same
     assert fingerprint(nested(4.0)) != same
     assert fingerprint(partial(nested, 3.0)) != fingerprint(partial(nested, 4.0))
-    monkeypatch.setitem(globals(), "OUTSIDE", 2.5)  # two functions away
+    monkeypatch.setitem(globals(), "OUTSIDE", 2.5)  # read by a function that the function calls
     assert fingerprint(nested(3.0)) != same
     assert fingerprint(lambda x: x + 1) != fingerprint(lambda x: x + 2)
     assert fingerprint(lambda x: np.sin(x)) != fingerprint(lambda x: np.cos(x))
 
 
-def test_a_model_s_identity_has_all_that_makes_it(monkeypatch: pytest.MonkeyPatch):
+def test_a_model_s_identity_contains_all_its_parts(monkeypatch: pytest.MonkeyPatch):
     same = PENDULUM.identity()
     assert replace(PENDULUM).identity() == same
     assert same["parameters"][0] == {

@@ -10,7 +10,7 @@ from sigmaswarm import InputError, LiveModel, Log, Model, SigmaswarmWarning, run
 
 PARAMETERS = P | SCALING
 SAME_TIMES = replace(log_of(), time=np.arange(300) / 50)
-"""Some measurements have the times of inputs."""
+"""Some measurements have the time of an input."""
 
 
 def live(model: Model, log: Log, **more) -> LiveModel:
@@ -66,7 +66,7 @@ def test_late_measurements_in_any_order_change_nothing():
     assert filter.state.mean.tobytes() == estimate.mean[-1].tobytes()
 
 
-def test_two_sensors_at_one_time_are_one_measurement():
+def test_measurements_of_two_sensors_at_one_time_are_combined():
     log = log_of()
     whole = np.array([0.1, -0.2, 5.1, 2.05])
     one, two = live(CAR, log), live(CAR, log)
@@ -75,14 +75,14 @@ def test_two_sensors_at_one_time_are_one_measurement():
         z = np.full(4, np.nan)
         z[part] = whole[part]
         assert two.update(0.01, z)
-        assert not two.update(0.01, z)  # a repeat
+        assert not two.update(0.01, z)  # repeated
     for filter in (one, two):
         filter.predict(0.02, [0.1, 0.2])
     assert one.state.mean.tobytes() == two.state.mean.tobytes()
     assert np.abs(one.state.mean - log.mean).max() > 0.01
 
 
-def test_what_comes_too_late_is_counted():
+def test_measurements_that_come_too_late_are_counted():
     log = log_of()
     filter = live(CAR, log, history=0.1)
     for t, u in zip(log.time[:100], inputs(log), strict=False):
@@ -92,13 +92,13 @@ def test_what_comes_too_late_is_counted():
     assert not filter.update(log.time[99] - 0.13, z)
     assert not filter.update(log.time[0] - 1.0, z)
     assert filter.too_late == 2
-    filter.predict(log.time[50], [9.0, 9.0])  # not after the last time
+    filter.predict(log.time[50], [9.0, 9.0])  # the time does not increase
     assert filter.state.mean.tobytes() == before.mean.tobytes()
     assert filter.update(log.time[99] - 0.09, z)
     assert filter.state.mean.tobytes() != before.mean.tobytes()
 
 
-def test_a_failed_filter_says_so():
+def test_a_failed_filter_reports_the_failure():
     log = log_of()
     filter = live(CAR, log)
     filter.predict(0.05, [1e308, 1e308])

@@ -23,7 +23,7 @@ def with_outliers(every: int = 7, size: float = 30.0) -> Log:
 
 
 def line() -> Model:
-    """A linear model, whose filter is written down below."""
+    """Return a linear model; a test repeats its filter in plain NumPy."""
     return Model(
         "line",
         states=("x", "v"),
@@ -36,8 +36,8 @@ def line() -> Model:
     )
 
 
-def test_the_limited_update_is_the_least_cost_of_its_likelihood():
-    """Linear: K nu limit / NIS, with P - K S K^T limit / NIS, and the likelihood as the docstring states it."""
+def test_the_limited_update_is_that_of_a_linear_kalman_filter():
+    """Compare with K nu limit / NIS, P - K S K^T limit / NIS, and the likelihood that the docstring defines."""
     rng = np.random.default_rng(1)
     time = np.arange(60) / 10
     z = rng.standard_normal((60, 2))
@@ -93,8 +93,8 @@ def test_outliers_move_a_robust_filter_less():
     assert off[0.95] < 0.3 * off[None]
 
 
-def test_a_robust_filter_comes_back_from_a_wrong_state():
-    """After 5 s of outliers of every kind, they have full weight, as in a filter without limit."""
+def test_a_robust_filter_recovers_from_a_wrong_initial_state():
+    """After 5 s of consecutive outliers, fixes get full weight, as in a filter without limit."""
     log = log_of()
     far = replace(log, mean=np.array([100.0, -80.0, 5.0, 2.0]))
     parameters = P | SCALING
@@ -105,8 +105,8 @@ def test_a_robust_filter_comes_back_from_a_wrong_state():
     assert np.abs(run.mean[-1] - expected)[:2].max() < 20.0
 
 
-def test_the_live_filter_limits_alike():
-    log = with_outliers(every=1, size=60.0)  # a run of outliers that lasts
+def test_the_live_filter_applies_the_same_limit():
+    log = with_outliers(every=1, size=60.0)  # every measurement is an outlier
     expected, model = run_model(log, ROBUST, P | SCALING), ROBUST
     filter, seen = live(model, log), 0
     for t, u in zip(log.time, inputs(log), strict=True):
@@ -119,7 +119,7 @@ def test_the_live_filter_limits_alike():
     assert np.diff(expected.mean[-20:, 0]).max() > 10.0  # full weight after 5 s
 
 
-def test_it_is_part_of_a_tuning():
+def test_a_tuning_applies_the_limit():
     log = with_outliers()
     tuned = {
         model.robust: tune(
@@ -127,7 +127,7 @@ def test_it_is_part_of_a_tuning():
         ).parameters
         for model in (CAR, ROBUST)
     }
-    assert tuned[0.95]["r"] < 0.3 * tuned[None]["r"]  # without it, R explains the outliers
+    assert tuned[0.95]["r"] < 0.3 * tuned[None]["r"]  # without the limit, R grows to explain the outliers
     assert "robust" not in CAR.identity()  # as in files of earlier versions
     assert ROBUST.identity()["sha256"] != CAR.identity()["sha256"]
 

@@ -28,7 +28,7 @@ POINT_LOG = point_log(n=250)
 
 
 def exact_nll(log: Log, q: float, r: float) -> np.ndarray:
-    """Of each measurement, by an ordinary Kalman filter in plain NumPy."""
+    """Compute the NLL of each measurement with a Kalman filter in plain NumPy."""
     x, p = np.array(log.mean), np.array(log.covariance)
     costs, before, rows = (
         [],
@@ -66,7 +66,7 @@ def both(model: Model, log: Log, parameters: dict, **options):
     ]
 
 
-@pytest.mark.parametrize("alpha", [0.3, 1.0])  # a small one weighs rounding by its inverse square
+@pytest.mark.parametrize("alpha", [0.3, 1.0])  # a small alpha amplifies rounding errors by 1 / alpha^2
 @pytest.mark.parametrize("case", ["pendulum", "over the top", "point"])
 def test_compiled_and_textbook_agree(case: str, alpha: float):
     model, log, parameters = {
@@ -83,8 +83,8 @@ def test_compiled_and_textbook_agree(case: str, alpha: float):
 
 
 @pytest.mark.long
-def test_a_car_as_a_model_of_one_s_own_is_the_car():
-    """planar5 through `Model` on jittered clocks takes the same steps as `run_textbook`: two ways to one filter."""
+def test_a_car_as_a_custom_model_equals_the_built_in_model():
+    """planar5 as a custom `Model` on jittered clocks takes the same steps as `run_textbook`."""
     drive = make_drive(duration=14.0, jitter=0.4, seed=3)
     initial = initial_state(drive)
     line = timeline_of(drive, initial.time)
@@ -112,7 +112,7 @@ def test_a_car_as_a_model_of_one_s_own_is_the_car():
     parameters = SCALING | {"q": 1e-6, "r": 1.0}
     with pytest.warns(
         SigmaswarmWarning, match="can't be compiled"
-    ):  # planar5 is plain Python that Numba does not see
+    ):  # planar5 is plain Python, which Numba does not compile
         estimate = run_model(log, model, parameters)
     car = FilterParameters(0.5, 2.0, 1.0, (1e-6,) * 5, (1.0, 1.0))
     reference = run_textbook(drive, car, initial=initial, heading_first=False)
@@ -121,8 +121,8 @@ def test_a_car_as_a_model_of_one_s_own_is_the_car():
 
 
 @pytest.mark.parametrize("start", [(0.7, 0.0), (3.0, 0.5), (0.7, 9.0)])
-def test_an_angle_may_pass_half_a_turn(start):
-    """Measurements jump by a whole turn where the true angle does not; a consistent filter does not notice."""
+def test_an_angle_may_cross_pi(start):
+    """Measurements jump by 2 pi where the true angle does not; the estimate stays accurate."""
     log = pendulum_log(start=start)
     jumps = np.abs(np.diff(log.measurements[:, 0])) > np.pi
     assert jumps.any() == (start != (0.7, 0.0))
@@ -135,7 +135,7 @@ def test_an_angle_may_pass_half_a_turn(start):
 
 
 F, H, Q, R, P, WRAPS, IN_PLACE = range(1, 8)
-"""Variants of the pendulum, which share their machine code: the first five fail."""
+"""Variants of the pendulum with the same machine code; the first five fail."""
 
 
 def varied_swing(state, dt, u, p):
@@ -167,15 +167,15 @@ VARIED = replace(
 
 
 @pytest.mark.long
-def test_a_process_that_wraps_its_angle_is_the_same_filter():
+def test_a_process_that_wraps_its_angle_gives_the_same_filter():
     log = pendulum_log(duration=8.0, start=(0.7, 9.0))
     plain = run_model(log, PENDULUM, PARAMETERS)
     for run in both(VARIED, log, PARAMETERS | {"variant": WRAPS}):
-        assert np.abs(run.mean[:, 0]).max() < 4  # it is wrapped
+        assert np.abs(run.mean[:, 0]).max() < 4  # the angle is wrapped
         np.testing.assert_allclose(run.nll, plain.nll, rtol=0, atol=1e-8)
 
 
-def test_other_bounds_or_another_noise_need_no_compilation(monkeypatch: pytest.MonkeyPatch):
+def test_other_bounds_or_noise_need_no_compilation(monkeypatch: pytest.MonkeyPatch):
     log = pendulum_log(duration=2.0)
     expected = run_model(log, PENDULUM, PARAMETERS | {"r_angle": 2 * PARAMETERS["r_angle"]})
     monkeypatch.setattr(module, "build_kernel", lambda *_, **__: pytest.fail("compiled again"))
@@ -183,10 +183,10 @@ def test_other_bounds_or_another_noise_need_no_compilation(monkeypatch: pytest.M
     assert run_model(log, other, PARAMETERS).mean.tobytes() == expected.mean.tobytes()
 
 
-def test_a_kernel_that_no_longer_returns_the_textbook_s_numbers_is_built_again(
+def test_a_kernel_that_differs_from_the_textbook_is_compiled_again(
     monkeypatch: pytest.MonkeyPatch,
 ):
-    """As when a value has changed that its functions read from a module."""
+    """The kernel can differ if a module variable that its functions read has changed."""
     runner, fits, built = Runner(PENDULUM, [pendulum_log(duration=2.0)]), iter([False, True]), list[str]()
     monkeypatch.setattr(module, "_same", lambda *_: next(fits))
     monkeypatch.setattr(module, "build_kernel", lambda *_, **__: built.append("again") or runner.kernel)
@@ -194,17 +194,17 @@ def test_a_kernel_that_no_longer_returns_the_textbook_s_numbers_is_built_again(
     assert built == ["again"]
 
 
-# --- What can't be compiled --------------------------------------------------------------------------------
+# --- Functions that can't be compiled --------------------------------------------------------------------
 
 
 class Strange:
-    """Numba knows nothing of it."""
+    """A callable that Numba can't compile."""
 
     def __call__(self, state, dt, u, p):
         return {"next": PENDULUM.f(state, dt, u, p)}["next"]
 
 
-def test_what_can_not_be_compiled_runs_all_the_same():
+def test_functions_that_can_not_be_compiled_run_in_python():
     log = pendulum_log(duration=5.0)
     strange = replace(PENDULUM, f=Strange())
     with pytest.warns(SigmaswarmWarning, match=r"pendulum: can't be compiled \(.+\); the textbook") as told:
@@ -212,7 +212,7 @@ def test_what_can_not_be_compiled_runs_all_the_same():
     assert len(told) == 1
     assert "\n" not in str(told[0].message)
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # it is told once
+        warnings.simplefilter("error")  # the warning is shown once
         again = run_model(log, strange, PARAMETERS)
     fast = run_model(log, PENDULUM, PARAMETERS)
     assert slow.mean.tobytes() == again.mean.tobytes()
@@ -220,7 +220,7 @@ def test_what_can_not_be_compiled_runs_all_the_same():
     np.testing.assert_allclose(slow.nll, fast.nll, rtol=0, atol=1e-10)
 
 
-def test_compiled_functions_may_differ_from_the_textbook_by_rounding_alone():
+def test_compiled_functions_may_differ_from_the_textbook_by_rounding_only():
     model = point_model(kind="ekf")
     book = run_kernel(
         model, None, Runner(model, [POINT_LOG]).steps[0], {"q": 0.5, "r": 0.3}, covariances=True
@@ -237,10 +237,10 @@ def test_compiled_functions_may_differ_from_the_textbook_by_rounding_alone():
 
 
 @pytest.mark.long
-def test_a_function_that_means_something_else_compiled_is_found_out():
+def test_a_function_whose_compiled_form_differs_causes_a_warning():
     def f(state, dt, u, p):
         try:
-            one = 1.0 / (p.length - p.length)  # Python raises; compiled, it is infinite
+            one = 1.0 / (p.length - p.length)  # Python raises an error; the compiled form returns infinity
         except Exception:
             one = 1.0
         return np.array([state[0] + one * state[1] * dt, state[1]])
@@ -251,7 +251,7 @@ def test_a_function_that_means_something_else_compiled_is_found_out():
 
 
 @pytest.mark.long
-def test_f_may_work_in_place():
+def test_f_may_change_its_argument():
     log = pendulum_log(duration=5.0)
     compiled, textbook = both(VARIED, log, PARAMETERS | {"variant": IN_PLACE})
     expected = run_model(log, PENDULUM, PARAMETERS)
@@ -276,8 +276,8 @@ def test_f_may_not_change_the_log():
 
 
 @pytest.mark.parametrize("fault", [F, H, Q, R, P])
-def test_a_failure_says_when_and_leaves_nan(fault: int):
-    """Each part in turn gives what no filter can work with; compiled and not, in the same step."""
+def test_a_failure_reports_its_time_and_leaves_nan(fault: int):
+    """Each function in turn returns a wrong value; the compiled and the textbook filter fail in the same step."""
     log = pendulum_log(duration=5.0)
     log = Log(**(vars(log) | {"inputs": log.time}))
     parameters = PARAMETERS | {"variant": fault}
@@ -309,7 +309,7 @@ def test_an_error_in_f_during_a_run_is_a_failure(error):
     assert "failed" in estimate.failure
 
 
-def test_truth_is_not_looked_at():
+def test_truth_is_not_read():
     log = pendulum_log(duration=3.0)
     blind = run_model(Log(**(vars(log) | {"truth": {}})), PENDULUM, PARAMETERS)
     assert blind.mean.tobytes() == run_model(log, PENDULUM, PARAMETERS).mean.tobytes()

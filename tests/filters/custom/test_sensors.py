@@ -12,7 +12,7 @@ from sigmaswarm.filters.custom.run import Runner, run_kernel
 
 RNG = np.random.default_rng(5)
 MIXED = np.array([[1.0, 0.3, 0.1, 0.0], [0.3, 1.0, 0.2, 0.1], [0.1, 0.2, 1.0, 0.3], [0.0, 0.1, 0.3, 1.0]])
-"""Correlations of the elements' errors: deleted rows are not the same as large variances."""
+"""Correlations of the errors. With them, deleting a row differs from giving it a large variance."""
 
 
 def drive(state, dt, u, p):
@@ -23,7 +23,7 @@ def drive(state, dt, u, p):
 
 
 def seen(state, p):
-    """Place, wheel speed, compass; the last ones only if p.elements counts them."""
+    """Return position, wheel speed and compass, as many as p.elements states."""
     return np.array([state[0], state[1], 1.02 * state[2], state[3]])[: int(p.elements)]
 
 
@@ -50,14 +50,14 @@ WITHOUT_COMPASS = replace(
     parameters=(*CAR.parameters[:2], Tunable("elements", 3.0, 3.9, logarithmic=False)),
     measured_angles=(),
 )
-"""The same functions, so that it needs no compilation."""
+"""It has the same functions as CAR, so that no compilation is needed."""
 EXTENDED = replace(CAR, kind="ekf")
 P = {"q": 0.05, "r": 0.5, "elements": 4.0}
 SCALING = {"alpha": 0.8, "beta": 2.0, "kappa": 0.5}
 
 
 def sensors(duration: float = 6.0) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """A circle that passes half a turn: places at 4 Hz, wheel at 25 Hz, compass at 10 Hz, some at the same times."""
+    """Return a circular drive whose course crosses pi: position 4 Hz, wheel 25 Hz, compass 10 Hz."""
     times = [np.arange(round(duration * rate)) / rate for rate in (4, 25, 10)]
     course = [2.0 + 0.4 * t for t in times]
     place = 12.5 * np.column_stack([np.sin(course[0]) - np.sin(2.0), np.cos(2.0) - np.cos(course[0])])
@@ -88,7 +88,7 @@ def turned(a):
 
 
 def deleting(log: Log, kind: str) -> tuple[np.ndarray, ...]:
-    """A filter that deletes rows: state means and covariances at the log's times, NIS and NLL of measurements."""
+    """Run a filter that deletes rows; return means and covariances at the log's times, and NIS and NLL."""
     p = CAR.record(**P)
     x, c, n, before = np.array(log.mean), np.array(log.covariance), 4, log.time[0]
     gamma2 = SCALING["alpha"] ** 2 * (n + SCALING["kappa"])
@@ -152,7 +152,7 @@ def test_absent_elements_are_deleted_rows(case: str):
     for name, expected in zip(names, deleting(LOG, kind), strict=True):
         np.testing.assert_allclose(getattr(run, name), expected, rtol=1e-10, atol=1e-10, err_msg=name)
     patterns = {"".join("01"[int(v)] for v in row) for row in ~np.isnan(LOG.measurements)}
-    assert patterns == {"0010", "0001", "0011", "1100", "1101", "1111"}  # all that the test deletes
+    assert patterns == {"0010", "0001", "0011", "1100", "1101", "1111"}  # all patterns that the test contains
     if case != "compiled":
         smoothed = smooth_model(LOG, model, parameters)
         np.testing.assert_allclose(smoothed.nll, run.nll, rtol=1e-12)
@@ -161,7 +161,7 @@ def test_absent_elements_are_deleted_rows(case: str):
 
 @pytest.mark.parametrize("compiled", [True, False])
 def test_a_sensor_without_values_is_a_model_without_this_sensor(compiled: bool):
-    """The compass has one value, at the last time: before it, the filter is that of a model without a compass."""
+    """The compass has one value, at the last time. Before it, the filter equals that of a model without a compass."""
     given = sensors()
     end = LOG.time[-1]
     with_one = log_of(given=given | {"compass": ([end], [-1.0])})
@@ -178,11 +178,11 @@ def test_a_sensor_without_values_is_a_model_without_this_sensor(compiled: bool):
         if compiled:
             assert a.tobytes() == b.tobytes(), name
         np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-11, err_msg=name)
-    assert abs(runs[0].mean[-1, 3] - runs[1].mean[-1, 3]) > 1e-3  # the one value counts
+    assert abs(runs[0].mean[-1, 3] - runs[1].mean[-1, 3]) > 1e-3  # the one value has an effect
 
 
-def test_only_absent_elements_are_taken_out_of_an_update():
-    """So the bits of logs without NaN are those of a filter that knows no NaN; and h may give NaN for an absent one."""
+def test_only_absent_elements_are_removed_from_an_update():
+    """Present elements keep their bits; h may return NaN for an absent element."""
     nu, s, cross = (RNG.standard_normal(shape) for shape in (3, (3, 3), (2, 3)))
     kept = [a.copy() for a in (nu, s, cross)]
     assert _leave_out.py_func(np.array([1.0, -0.0, 1e300]), nu, s, cross) == 3
@@ -194,7 +194,7 @@ def test_only_absent_elements_are_taken_out_of_an_update():
     np.testing.assert_array_equal(cross, kept[2] * [1, 0, 1])
 
 
-# --- Merged ------------------------------------------------------------------------------------------------
+# --- Merging of sensors ------------------------------------------------------------------------------------
 
 
 def test_sensors_are_merged_by_their_times():
@@ -224,7 +224,7 @@ def test_sensors_are_merged_by_their_times():
     ],
     ids=str,
 )  # fmt: skip
-def test_a_sensor_that_can_not_be_merged_is_named(given: dict, expected: str):
+def test_a_sensor_that_can_not_be_merged_is_named_in_the_error(given: dict, expected: str):
     others = {"wheel": ([1.0], [2.0])} if given else {}
     with pytest.raises(InputError) as caught:
         log_of(given=given | others)
@@ -232,16 +232,16 @@ def test_a_sensor_that_can_not_be_merged_is_named(given: dict, expected: str):
     assert str(caught.value).startswith(f"log monday: {expected}")
 
 
-# --- Tuned -------------------------------------------------------------------------------------------------
+# --- Tuning ------------------------------------------------------------------------------------------------
 
 
-def test_sensors_are_tuned_and_validated_together():
+def test_the_noise_of_several_sensors_is_tuned_and_validated():
     logs = [LOG, log_of("tuesday")]
     options = {"objective": "innovation-nll", "particles": 4, "generations": 3}
     with warnings.catch_warnings():
-        warnings.simplefilter("error", SigmaswarmWarning)  # it is compiled
+        warnings.simplefilter("error", SigmaswarmWarning)  # a model that can't be compiled causes a warning
         tuning = tune(logs[0], model=CAR, validation=logs[1], **options)
     costs = [run_model(log, CAR, tuning.parameters).nll.mean() for log in logs]
     assert [tuning.cost, tuning.validation.cost] == costs
-    present = np.mean(np.sum(~np.isnan(LOG.measurements[1:]), axis=1))  # the first ones precede the log
+    present = np.mean(np.sum(~np.isnan(LOG.measurements[1:]), axis=1))  # some precede the log
     assert tuning.validation.gap == pytest.approx(np.expm1((costs[1] - costs[0]) / present), rel=1e-12)

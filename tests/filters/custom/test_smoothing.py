@@ -11,7 +11,7 @@ from sigmaswarm import InputError, run_model, smooth_model
 Q, R = 0.3, 0.04
 
 
-def test_of_a_linear_model_it_is_the_least_squares_of_the_whole_log():
+def test_for_a_linear_model_it_equals_least_squares_over_the_log():
     log, model = point_log(n=100), point_model()
     names = [t.name for t in model.parameters]
     p = SCALING | dict(zip(names, (Q, R), strict=True))
@@ -44,7 +44,7 @@ def test_of_a_linear_model_it_is_the_least_squares_of_the_whole_log():
 
 
 @pytest.mark.parametrize("kind", ["ukf", "ekf"])
-def test_the_smoother_estimates_a_pendulum_better(kind: str):
+def test_the_smoother_is_more_accurate_on_a_pendulum(kind: str):
     log = pendulum_log(duration=8.0)
     model = PENDULUM if kind == "ukf" else replace(PENDULUM, kind=kind)
     p = PARAMETERS if kind == "ukf" else {k: v for k, v in PARAMETERS.items() if k not in SCALING}
@@ -56,7 +56,7 @@ def test_the_smoother_estimates_a_pendulum_better(kind: str):
     assert np.all(np.abs(smoothed.mean[:, 0]) <= np.pi)
 
 
-def test_mistakes_and_failures_are_told():
+def test_wrong_arguments_and_failures_are_reported():
     log = pendulum_log(duration=3.0)
     with pytest.raises(InputError, match="length"):
         smooth_model(log, PENDULUM, SCALING)
