@@ -1,4 +1,4 @@
-"""Tuning without preprocessing: effect on stale fixes and gaps, and use by the paper's setting."""
+"""Tuning without preprocessing: its effect on stale fixes and gaps, and the paper's setting."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from sigmaswarm.tuning.config import PAPER_OPTIONS, TuneConfig
 from sigmaswarm.tuning.problem import car_problem
 
 
-def test_it_reaches_tune_batch_evaluate_and_run():
+def test_the_option_has_an_effect_on_tune_batch_evaluate_and_run():
     drive, p = rough(), parameters("planar5")
     found = {}
     for as_recorded in (False, True):
@@ -30,21 +30,21 @@ def test_it_reaches_tune_batch_evaluate_and_run():
         assert drive_found.stale_fixes == (0 if as_recorded else 5)
         found[as_recorded] = batch.costs[0], problem.steps[0]
     assert found[True][0] != found[False][0]
-    assert found[True][1] == found[False][1] + 5  # the frozen fixes end steps of their own
+    assert found[True][1] == found[False][1] + 5  # the stale fixes add steps
 
 
-def test_raw_fixes_are_scored_with_the_stale_ones():
+def test_the_score_of_the_fixes_includes_stale_fixes():
     drive = rough()
-    with_frozen, without = (evaluate(d, parameters("planar5")) for d in (drive, unfrozen(drive)))
+    with_frozen, without = (evaluate(d, parameters("planar5")) for d in (drive, without_stale(drive)))
     assert with_frozen.mean("raw_gps", "position_rmse_m") != without.mean("raw_gps", "position_rmse_m")
     assert with_frozen.mean("tuned", "position_rmse_m") == without.mean("tuned", "position_rmse_m")
 
 
-def unfrozen(drive):
+def without_stale(drive):
     return replace(drive, gps=drive.gps.select(~PreparedDrive(drive).stale))
 
 
-def test_the_papers_protocol_is_as_recorded():
+def test_the_papers_protocol_has_no_preprocessing():
     assert PAPER_OPTIONS["as_recorded"] is True
     design = make_design(StudyConfig(maneuvers=("turns",), environments=("clear",), runs=2))
     assert all(design.tune_config(method, protocol).as_recorded for protocol, method in design.config.tuned)

@@ -1,4 +1,4 @@
-"""`run_batch`: costs and scores of sets by drives, independent of the other sets."""
+"""`run_batch`: costs and scores of parameter sets by drives, independent of the other sets."""
 
 import math
 from concurrent.futures import ThreadPoolExecutor
@@ -32,7 +32,7 @@ def test_costs_are_the_mean_score_over_drives():
             assert result.scores[i][j].heading_rmse == pytest.approx(score.heading_rmse, rel=1e-9)
 
 
-def test_outages_run_only_where_the_objective_has_them():
+def test_outages_are_run_only_for_objectives_that_contain_them():
     assert math.isnan(run_batch(DRIVES, SETS).scores[0][0].outage_drift)
     pose = run_batch(DRIVES, SETS, objective="truth-pose")
     for i in range(3):
@@ -49,7 +49,7 @@ def test_worst_averages_the_drives_with_the_highest_costs():
     assert run_batch(DRIVES, SETS, worst=0.5).costs.tolist() == pytest.approx([*map(max, each)])
 
 
-def test_a_failing_set_costs_infinity_and_changes_no_other_bit():
+def test_a_failing_set_has_infinite_cost_and_changes_no_other_bit():
     bad = replace(DEFAULTS, process_noise=(1.0, 1.0, 1.0, 1.0, -1e3))
     clean, mixed = run_batch(DRIVES, SETS), run_batch(DRIVES, [SETS[0], bad, *SETS[1:]])
     assert mixed.failed.tolist() == [False, True, False, False]
@@ -75,7 +75,7 @@ def test_nan_in_one_drive_fails_that_drive_only():
 
 @pytest.mark.parametrize("workers", [1, 3])
 def test_the_executor_changes_no_bit(workers: int):
-    sets = SETS * 13  # more than one chunk of lanes
+    sets = SETS * 13  # more than one block of lanes
     with ThreadPoolExecutor(workers) as pool:
         threaded = run_batch(DRIVES, sets, executor=pool)
     np.testing.assert_array_equal(threaded.costs, run_batch(DRIVES, sets).costs)
@@ -98,7 +98,7 @@ def test_without_truth_only_the_paper_s_objective_is_possible():
     assert np.isfinite(run_batch(blind, SETS, objective="gps-rmse").costs).all()
 
 
-def test_what_can_not_be_run_is_refused():
+def test_invalid_drives_and_objectives_are_rejected():
     with pytest.raises(InputError, match="no drives"):
         run_batch([], SETS)
     with pytest.raises(InputError, match="'nll'"):
@@ -128,19 +128,19 @@ def test_what_can_not_be_run_is_refused():
         ),
     ],
 )
-def test_what_is_no_drive_no_parameters_no_executor_is_said(drives: Any, sets: Any, executor: Any, said: str):
+def test_arguments_of_wrong_types_are_rejected(drives: Any, sets: Any, executor: Any, said: str):
     with pytest.raises(InputError, match=said):
         run_batch(make_drive(duration=20) if drives is None else drives, sets, executor=executor)
 
 
-def test_one_of_each_is_a_batch():
+def test_one_drive_and_one_set_are_a_batch():
     drive = make_drive(duration=20)
     assert run_batch(drive, DEFAULTS).costs.tolist() == run_batch([drive], [DEFAULTS]).costs.tolist()
 
 
 @pytest.mark.parametrize("interval", [1.0, 1.5, 2.0])
-def test_a_drive_without_fixes_after_the_start_is_called_too_short(interval: float):
-    """Not a drive on which every filter failed. The start needs all fixes."""
+def test_a_drive_without_fixes_after_the_start_is_too_short(interval: float):
+    """The error must not report that every filter failed."""
     drive = make_drive(duration=30.0, gps_rate=1 / interval)
     begin = initial_state(drive).time
     short = clip(drive, end=begin + 0.5 * interval)

@@ -30,8 +30,8 @@ def bits(tuning: Tuning) -> list[bytes]:
 
 
 @pytest.mark.long
-def test_the_likelihood_finds_the_noise_that_made_the_log():
-    """Against the optimum of an exact likelihood, and against the truth within three standard deviations."""
+def test_the_likelihood_estimates_the_noise_of_the_log():
+    """Compare with the optimum of an exact likelihood, and with the truth within three standard deviations."""
     log = point_log(n=300, q=0.5, r=0.3)
     asked = {"particles": 10, "generations": 25, "polish": 100}
     tuning = tune(log, model=POINT, objective="innovation-nll", **asked)
@@ -44,20 +44,20 @@ def test_the_likelihood_finds_the_noise_that_made_the_log():
     n = len(log.measurement_time)
     assert tuning.cost == pytest.approx(best.fun / n, abs=1e-5)
     assert found == pytest.approx(best.x, abs=0.02)
-    step = 1e-2 * np.eye(2)  # the curvature of the likelihood says how sure it can be
+    step = 1e-2 * np.eye(2)  # the curvature of the likelihood gives the standard deviation
     information = np.array(
         [[(exact(best.x + a + b) - exact(best.x + a - b) - exact(best.x - a + b) + exact(best.x - a - b)) / 4e-4
           for a in step] for b in step]
     )  # fmt: skip
     deviation = np.sqrt(np.diag(np.linalg.inv(information)))
-    assert deviation.max() < 0.2  # or the test says nothing
+    assert deviation.max() < 0.2  # otherwise, the test is not sensitive
     assert np.all(np.abs(found - np.log10([0.5, 0.3])) < 3 * deviation)
 
 
 @pytest.mark.parametrize(
     "objective", quickly([("truth-rmse",), ("innovation-nll",)], lambda objective: objective != "truth-rmse")
 )
-def test_an_unknown_length_is_found(objective: str):
+def test_an_unknown_length_is_estimated(objective: str):
     options = {
         "particles": 20,
         "generations": 30,
@@ -95,7 +95,7 @@ def test_the_cost_is_that_of_the_parameters():
     assert scored.cost == pytest.approx(np.mean([np.sqrt(np.mean(w**2)) for w in wrong]), rel=1e-12)
 
 
-def test_truth_between_the_steps_is_met_by_a_line_that_goes_round():
+def test_estimates_at_times_of_truth_are_interpolated_across_pi():
     log = pendulum_log(start=(0.7, 9.0), duration=6.0)
     moments = np.arange(0.2043, 7.0, 0.31)
     truth = {"angle": (np.interp(moments, log.time, log.truth["angle"]) + np.pi) % (2 * np.pi) - np.pi}
@@ -108,7 +108,7 @@ def test_truth_between_the_steps_is_met_by_a_line_that_goes_round():
     assert tuning.cost == pytest.approx(np.sqrt(np.mean(wrong**2)), rel=1e-9)
 
 
-def test_the_same_seed_gives_the_same_bits_whatever_the_number_of_workers():
+def test_the_same_seed_gives_the_same_bits_for_any_number_of_workers():
     results = [tune(LOGS, **SMALL)]
     with ThreadPoolExecutor(3) as pool:
         results.append(tune(LOGS, executor=pool, **SMALL))
@@ -130,20 +130,20 @@ def test_an_extended_filter_is_tuned_too():
     )
 
 
-def test_filters_that_fail_cost_infinity_and_are_counted():
+def test_filters_that_fail_have_infinite_cost_and_are_counted():
     broken = replace(PENDULUM, measurement_noise=lambda p: np.array([-1.0 if p.length > 1.0 else p.r_angle]))
     tuning = tune(LOGS[0], objective="innovation-nll", **(SMALL | {"model": broken, "particles": 20}))
     assert 0 < tuning.trials[0].failures < tuning.trials[0].evaluations
     assert tuning.parameters["length"] <= 1.0
-    never = replace(PENDULUM, kind="ekf", measurement_noise=lambda p: np.array([-1.0]))  # it is not compiled
+    never = replace(PENDULUM, kind="ekf", measurement_noise=lambda p: np.array([-1.0]))
     with pytest.raises(InputError, match="no parameter set gave a finite cost"):
         tune(LOGS[0], **(SMALL | {"model": never}))
 
 
-# --- Kept --------------------------------------------------------------------------------------------------
+# --- Saved files -------------------------------------------------------------------------------------------
 
 
-def test_the_file_holds_the_parameters_by_name_and_who_they_belong_to(tmp_path: Path):
+def test_the_file_contains_the_parameters_by_name_and_the_model(tmp_path: Path):
     tuning = tune(LOGS, out=tmp_path, **SMALL)
     table = tomllib.loads((tmp_path / "tuning.toml").read_text())
     assert table["filter"] == tuning.parameters == tuning.to_dict()["filter"]
@@ -182,12 +182,12 @@ tune(pendulum_log(), model=PENDULUM, out=sys.argv[1], **{KILLED})
 
 
 @pytest.mark.long
-def test_killed_in_another_process_it_ends_here_in_the_same_bytes(tmp_path: Path):
-    """The functions' identity is the same in every process, or it would not be resumed."""
+def test_a_tuning_killed_in_another_process_ends_here_in_the_same_bytes(tmp_path: Path):
+    """The functions have the same identity in every process; otherwise the tuning could not be resumed."""
     checkpoint = tmp_path / "killed" / "checkpoint-000.npz"
     run = Process(PROGRAM, [tmp_path / "killed"])
     while generations_in(checkpoint) < 10:
-        assert run.poll() is None, "it ended before it could be killed"
+        assert run.poll() is None, "the process ended before it was killed"
         time.sleep(0.002)
     run.kill()
     assert run.wait() == -signal.SIGKILL
@@ -197,7 +197,7 @@ def test_killed_in_another_process_it_ends_here_in_the_same_bytes(tmp_path: Path
     assert contents(tmp_path / "killed") == contents(tmp_path / "whole")
 
 
-# --- Refused -----------------------------------------------------------------------------------------------
+# --- Errors ------------------------------------------------------------------------------------------------
 
 
 def refusal(call) -> str:
@@ -208,7 +208,7 @@ def refusal(call) -> str:
     return str(caught.value)
 
 
-def test_another_model_does_not_go_on_with_a_tuning(tmp_path: Path):
+def test_a_tuning_of_another_model_is_not_resumed(tmp_path: Path):
     interrupted(LOGS, tmp_path, 2, **SMALL)
     other = replace(PENDULUM, kind="ekf", h=lambda state, p: state[:1] + 0.0)  # it is not compiled
     message = refusal(lambda: tune(LOGS, out=tmp_path, resume=True, **(SMALL | {"model": other})))
@@ -218,7 +218,7 @@ def test_another_model_does_not_go_on_with_a_tuning(tmp_path: Path):
     assert "a (" in refusal(lambda: tune([nudged, LOGS[1]], out=tmp_path, resume=True, **SMALL))
 
 
-def test_what_can_not_be_tuned_is_refused(tmp_path: Path):
+def test_invalid_tunings_are_rejected(tmp_path: Path):
     out = tmp_path / "out"
     blind = Log(**(vars(LOGS[0]) | {"truth": {}}))
     for call, expected in (

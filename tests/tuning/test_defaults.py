@@ -35,7 +35,7 @@ CAR = ("lateral", "standstill", "robust")
 
 
 def six(drive: Drive, up: float = 9.8, turning: float = 0.01) -> Drive:
-    """With the other three axes: ``up`` on az, and gx and gy that swing by ``turning``."""
+    """Add the other three axes: ``up`` on az, and gx and gy that oscillate by ``turning``."""
     swing = turning * np.sin(np.arange(len(drive.imu)))
     return replace(drive, imu=replace(drive.imu, az=np.full(len(drive.imu), up), gx=swing, gy=-swing))
 
@@ -54,17 +54,17 @@ def chosen(*drives: Drive) -> tuple[str, tuple[str, ...]]:
     return found.model, found.use
 
 
-def test_the_rule_is_what_the_log_has():
+def test_the_default_filter_depends_on_the_columns_of_the_log():
     assert chosen(PLAIN) == ("planar8", CAR)
     assert chosen(six(PLAIN)) == ("tilted12", CAR)
     assert chosen(wheeled(PLAIN)) == ("planar8", ("lateral", "standstill", "odometer", "robust"))
     assert chosen(stating(PLAIN, 1.0, 9.0)) == ("planar8", ("lateral", "standstill", "accuracy", "robust"))
-    assert chosen(stating(PLAIN, 2.0, 2.0)) == ("planar8", CAR)  # which tells no fix from another
+    assert chosen(stating(PLAIN, 2.0, 2.0)) == ("planar8", CAR)  # all fixes have the same accuracy
     speed = np.full(FIXES, 5.0)
     assert chosen(replace(PLAIN, gps=replace(PLAIN.gps, speed=speed, course=0 * speed))) == ("planar8", CAR)
 
 
-def test_the_list_of_use_that_adds_the_heading_contains_the_others():
+def test_the_use_list_that_adds_the_heading_contains_the_others():
     headed = replace(PLAIN, gps=replace(PLAIN.gps, heading=np.zeros(FIXES)))
     options, said = default_filter_options({}, [headed])
     assert said.endswith(f". To use the heading, write --use {' '.join(options['use'])} heading")
@@ -74,7 +74,7 @@ def test_the_list_of_use_that_adds_the_heading_contains_the_others():
 @pytest.mark.parametrize(
     ("up", "turning"), [(0.0, 0.01), (1.0, 0.01), (-9.8, 0.01), (9.8, 0.0)], ids=["none", "g", "down", "dead"]
 )
-def test_six_columns_are_not_always_six_axes(up: float, turning: float):
+def test_six_columns_with_wrong_values_are_not_used(up: float, turning: float):
     assert chosen(six(PLAIN, up, turning))[0] == "planar8"
     assert (
         suggest_filter([six(PLAIN, up, turning)]).because
@@ -82,22 +82,22 @@ def test_six_columns_are_not_always_six_axes(up: float, turning: float):
     )
 
 
-def test_of_several_drives_what_all_have_counts():
+def test_the_default_uses_only_the_columns_that_all_drives_have():
     rich = stating(wheeled(six(PLAIN)), 1.0, 9.0)
     assert chosen(rich, rich) == ("tilted12", ("lateral", "standstill", "odometer", "accuracy", "robust"))
     assert chosen(rich, PLAIN) == chosen(PLAIN, rich) == ("planar8", CAR)
     assert chosen(rich, six(PLAIN)) == ("tilted12", CAR)
     one, other = stating(PLAIN, 1.0, 1.0), stating(PLAIN, 3.0, 3.0)
-    assert chosen(one, other) == ("planar8", CAR)  # neither log tells one of its fixes from another
+    assert chosen(one, other) == ("planar8", CAR)  # within each log, all fixes have the same accuracy
 
 
-def test_it_looks_neither_at_truth_nor_at_errors():
+def test_truth_and_errors_do_not_change_the_default_filter():
     noisy = replace(PLAIN, truth=None, gps=replace(PLAIN.gps, x=PLAIN.gps.x + 30.0 * np.arange(FIXES)))
     assert suggest_filter([noisy]) == suggest_filter([PLAIN])
 
 
 def noisy(drive: Drive, std: float, name: str = "noisy", stated: float | None = None) -> Drive:
-    """Without truth, with fixes that err anew each time; what the receiver states is in drive.toml."""
+    """Return a drive without truth whose fixes have white errors; ``stated`` is the accuracy in drive.toml."""
     t, truth = drive.gps.time, drive.truth
     noise = np.random.default_rng(0).normal(0.0, std, (2, len(t)))
     x, y = (np.interp(t, truth.time, of) + off for of, off in zip((truth.x, truth.y), noise, strict=True))
@@ -106,7 +106,7 @@ def noisy(drive: Drive, std: float, name: str = "noisy", stated: float | None = 
     return replace(drive, name=name, gps=gps, truth=None, metadata=metadata)
 
 
-def test_where_fixes_err_anew_each_time_forecasts_over_seconds_are_asked_for_too():
+def test_for_fixes_with_white_errors_the_objective_adds_forecasts():
     long = make_drive(duration=60.0)
     auto = partial(objective_for, objective="auto", model="tilted12")
     forecasts = "0.5 innovation-t + 0.5 forecast-t"
@@ -114,12 +114,12 @@ def test_where_fixes_err_anew_each_time_forecasts_over_seconds_are_asked_for_too
     assert auto([white]) == forecasts
     assert objective_for([white], "auto", "tilted12", ("lateral", "fix-error")) == forecasts
     assert auto([copying]) == "innovation-t"
-    assert auto([noisy(long, 1.0, stated=5.0)]) == "innovation-t"  # most of 5 m lasts
+    assert auto([noisy(long, 1.0, stated=5.0)]) == "innovation-t"  # most of the 5 m must be correlated
     assert auto([noisy(long, 0.3, stated=0.3)]) == forecasts
-    assert auto([noisy(long, 0.01, stated=0.01)]) == "innovation-t"  # motion, as far as one can tell
+    assert auto([noisy(long, 0.01, stated=0.01)]) == "innovation-t"  # can't be distinguished from motion
     assert auto([white, copying]) == "innovation-t"
-    assert auto([white, copying, noisy(long, 1.0, "other")]) == forecasts  # most of them
-    assert auto([white, noisy(WHOLE, 1.0, "short")]) == "innovation-t"  # no room to hide fixes
+    assert auto([white, copying, noisy(long, 1.0, "other")]) == forecasts  # most of the drives
+    assert auto([white, noisy(WHOLE, 1.0, "short")]) == "innovation-t"  # too short for hidden fixes
     for asked in ("innovation-t", "outage-rmse"):
         assert objective_for([white], asked, "tilted12") == asked
     known = replace(white, truth=long.truth)
@@ -133,7 +133,7 @@ def test_where_fixes_err_anew_each_time_forecasts_over_seconds_are_asked_for_too
         objective_for([known], "auto", "tilted12", ("fix-error",))
         == "innovation-t + 0.2 truth-pose + 0.2 nees"
     )
-    assert auto([white], model="planar8") == "innovation-t"  # it would trust these roads too much
+    assert auto([white], model="planar8") == "innovation-t"  # it would adapt to these roads only
     assert tune(six(white), **SMALL).config.model_dump()["objective"] == forecasts
 
 
@@ -141,7 +141,7 @@ def test_where_fixes_err_anew_each_time_forecasts_over_seconds_are_asked_for_too
     ("gps", "white"), [("white-1m", True), ("gnss-ins-sim", True), ("ublox-m8", False), ("f9p-rtk", False)]
 )
 @pytest.mark.parametrize("stated", [True, False])
-def test_receivers_whose_errors_last_are_told_from_those_that_err_anew(gps: str, white: bool, stated: bool):
+def test_correlated_fix_errors_are_distinguished_from_white_ones(gps: str, white: bool, stated: bool):
     drive = simulate("urban", duration=100.0, gps=gps, seed=3)
     if not stated:
         drive = replace(drive, gps=replace(drive.gps, std_x=None, std_y=None), metadata={})
@@ -154,16 +154,16 @@ def test_receivers_whose_errors_last_are_told_from_those_that_err_anew(gps: str,
     [("colorado-1", True), ("kitti-09-30-0018", True), ("kingston-1", False), ("comma2k19", False)],
 )
 @pytest.mark.filterwarnings("ignore::sigmaswarm.SigmaswarmWarning")
-def test_real_receivers_whose_errors_last(name: str, white: bool):
+def test_correlated_fix_errors_of_real_receivers(name: str, white: bool):
     assert has_white_errors(read_drive(DRIVES / name)) == white
 
 
 def smoothing(stated: float, up: float = 3.0, name: str = "smoothing") -> Drive:
-    """Without truth; the fixes are those of `noisy` with 0.05 m, and the receiver states far more, which varies."""
+    """Return a drive without truth with the fixes of `noisy` (0.05 m) and a larger, varying stated accuracy."""
     return stating(noisy(make_drive(duration=60.0), 0.05, name), stated, up * stated)
 
 
-def test_fix_errors_that_do_not_show_as_stated_are_states():
+def test_the_default_adds_fix_error_if_the_scatter_is_less_than_stated():
     lasting, used = smoothing(2.0), ("lateral", "standstill", "accuracy", "robust")
     truth = make_drive(duration=60.0).truth
 
@@ -175,14 +175,14 @@ def test_fix_errors_that_do_not_show_as_stated_are_states():
     assert chosen_for([lasting, replace(lasting, truth=truth)]) == (*used, "fix-error")
     assert chosen_for([replace(lasting, truth=truth)]) == used
     assert chosen_for([replace(lasting, truth=truth)], objective="innovation-t") == (*used, "fix-error")
-    assert chosen_for([stating(noisy(make_drive(duration=60.0), 1.0), 0.8, 2.0)]) == used  # they show
-    assert chosen_for([smoothing(0.02)]) == used  # less than motion between fixes
+    assert chosen_for([stating(noisy(make_drive(duration=60.0), 1.0), 0.8, 2.0)]) == used  # visible
+    assert chosen_for([smoothing(0.02)]) == used  # less than the motion between fixes
     short = clip(lasting, 0.0, 40.0)  # 200 fixes
     assert chosen_for([short]) == used
     assert chosen_for([short, short]) == (*used, "fix-error")
     assert chosen_for([lasting, stating(noisy(make_drive(duration=60.0), 1.0), 0.8, 2.0)]) == used
     assert chosen_for([smoothing(2.0, 1.1)]) == (*CAR, "fix-error")
-    assert chosen_for([noisy(make_drive(duration=60.0), 0.05)]) == (*CAR, "fix-error")  # unstated: 2.1 m
+    assert chosen_for([noisy(make_drive(duration=60.0), 0.05)]) == (*CAR, "fix-error")  # assumes 2.1 m
     assert chosen_for([noisy(make_drive(duration=60.0), 0.05, stated=0.05)]) == CAR
     assert chosen_for([noisy(make_drive(duration=60.0), 1.0)]) == CAR
     white = noisy(make_drive(duration=60.0), 1.0)
@@ -199,14 +199,14 @@ def test_fix_errors_that_do_not_show_as_stated_are_states():
     assert chosen_for([six(lasting)]) == (*used, "fix-error")
     assert truth is not None
     known = six(replace(lasting, truth=replace(truth, x=truth.x + 2.0)))
-    assert chosen_for([known]) == (*used, "fix-error"), "with truth only for tilted12"
+    assert chosen_for([known]) == (*used, "fix-error"), "with truth, only for tilted12"
     assert chosen_for([six(replace(lasting, truth=truth))]) == used, "the fixes are accurate"
     assert chosen_for([known], objective="truth-pose + 0.2 nees") == used, (
-        "these do not determine its parameters"
+        "the objective does not determine the parameters of fix-error"
     )
 
 
-def test_what_the_user_gives_stays():
+def test_options_of_the_user_are_kept():
     both = {"model": "planar5", "use": ("gate",)}
     assert default_filter_options(both, [six(PLAIN)]) == (both, "")
     given, said = default_filter_options({"use": ("gate",)}, [six(PLAIN)])
@@ -220,7 +220,7 @@ def test_what_the_user_gives_stays():
         "planar8 with lateral, standstill, robust, as given. tilted12 suits the logs, since the IMU has six axes"
     )
     assert default_filter_options({"model": "planar8", "use": ()}, [PLAIN])[0]["use"] == ()
-    given, said = default_filter_options({"model": "planar5"}, [PLAIN])  # as the paper has it
+    given, said = default_filter_options({"model": "planar5"}, [PLAIN])  # the paper's model
     assert given["use"] == ()
     assert said.startswith("planar5 with position fixes alone, as given. This is the paper's model;")
     assert default_filter_options(paper_options({}), [six(PLAIN)]) == (paper_options({}), "")
@@ -232,7 +232,7 @@ def test_what_the_user_gives_stays():
     axes=st.booleans(),
     states=st.booleans(),
 )
-def test_what_is_chosen_goes_with_what_was_asked(
+def test_the_default_options_are_compatible_with_the_given_ones(
     kind: FilterKind | None, objective: str, axes: bool, states: bool
 ):
     drive = stating(PLAIN, 1.0, 9.0) if states else PLAIN
@@ -246,7 +246,7 @@ def test_what_is_chosen_goes_with_what_was_asked(
     assert {"lateral", "standstill"} <= set(found["use"])
 
 
-def test_tune_takes_it_and_its_result_says_what_it_was():
+def test_tune_applies_the_defaults_and_its_result_contains_them():
     tuning = tune(PLAIN, **SMALL)
     config = tuning.config.model_dump()
     assert (config["model"], config["use"], config["objective"]) == ("planar8", CAR, "truth-pose + 0.2 nees")
@@ -255,7 +255,7 @@ def test_tune_takes_it_and_its_result_says_what_it_was():
     blind = replace(PLAIN, truth=None)
     assert objective_for([blind], "auto") == "innovation-t"
     held_back = replace(stating(six(blind), 1.0, 9.0), name="rich")
-    with pytest.raises(InputError, match="gate"):  # what the user names is looked at, the rest is chosen
+    with pytest.raises(InputError, match="gate"):  # options of the user are checked, the others chosen
         tune(six(blind), validation=held_back, use=["gate", "robust"], **SMALL)
 
 
@@ -275,7 +275,7 @@ def test_real_logs(name: str, options: str):
     assert suggest_filter([read_drive(DRIVES / name)]).options == options
 
 
-# --- the covariance's scale -----------------------------------------------------------------------------------------
+# --- The scale of the covariances ---------------------------------------------------------------------------------
 
 CAREFUL = FilterParameters(
     0.5, 2.0, 0.0, (1e-6,) * 2 + (1e-4,) * 2 + (1e-8,) + (1e-8,) * 2 + (1e-11,), (1.0, 1.0), "planar8",
@@ -296,7 +296,7 @@ def test_scaled_multiplies_every_variance():
             CAREFUL.scaled(factor)
 
 
-def test_the_factor_that_is_offered_makes_nis_right_and_leaves_the_position():
+def test_the_recommended_factor_corrects_nis_and_keeps_the_position():
     drive = stating(PLAIN, 1.0, 1.0)
     replayer = BatchScorer.prepare([drive])
     before = replayer.scores([CAREFUL.scaled(2.0)])
@@ -305,17 +305,17 @@ def test_the_factor_that_is_offered_makes_nis_right_and_leaves_the_position():
     factor = float(said.split("multiplied by ")[1].split(",")[0])
     after = replayer.scores([CAREFUL.scaled(2.0).scaled(factor)])
     assert after.mean_nis[0, 0] == pytest.approx(2.0, rel=0.2)
-    assert abs(before.mean_nis[0, 0] - 2.0) > 0.4  # or the test says nothing
+    assert abs(before.mean_nis[0, 0] - 2.0) > 0.4  # otherwise, the test is not sensitive
     assert after.position_rmse[0, 0] == pytest.approx(before.position_rmse[0, 0], rel=0.02)
     assert said.startswith("TO DO: tune with 'truth-pose + 0.2 nees', or use FilterParameters.scaled(")
 
 
-def test_it_is_never_offered_for_planar5_nor_where_the_objective_looks_at_it():
+def test_no_factor_is_recommended_for_planar5_or_if_the_objective_determines_the_scale():
     replayer = BatchScorer.prepare([PLAIN])
     five = FilterParameters(1.0, 2.0, 0.0, (1e-5, 1e-5, 1e-3, 1e-3, 1e-8), (1.2, 1.2))
     before = replayer.scores([five])
     after = replayer.scores([five.scaled(before.mean_nis[0, 0] / 2)])
-    assert after.position_rmse[0, 0] == pytest.approx(before.position_rmse[0, 0], rel=0.02)  # it might be
+    assert after.position_rmse[0, 0] == pytest.approx(before.position_rmse[0, 0], rel=0.02)  # unchanged
     assert after.mean_nis[0, 0] == pytest.approx(2.0, rel=0.2)
     (said,) = scale_warnings(parse_objective("truth-rmse"), five, replayer)
     assert "does not determine the scale" in said
@@ -329,7 +329,7 @@ def test_it_is_never_offered_for_planar5_nor_where_the_objective_looks_at_it():
 
 @pytest.mark.parametrize("noise", [0.03, 0.1, 0.2])
 def test_truth_shows_that_a_receiver_without_stated_accuracy_is_accurate(noise: float):
-    """Such a log looks like one of a receiver with correlated errors of 2 m; without truth the two are the same."""
+    """Without truth, such a log can't be distinguished from one with correlated errors of 2 m."""
     drive = simulate("urban", duration=60.0, gps="white-1m", imu_rate=50.0, seed=2)
     assert drive.truth is not None
     rng = np.random.default_rng(0)

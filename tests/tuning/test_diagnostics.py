@@ -31,7 +31,7 @@ def town() -> Drive:
     return simulate("urban", run=1, gps="white-1m", duration=150, imu_rate=50.0)
 
 
-def test_a_filter_that_is_lost_where_it_was_tuned_is_not_to_be_used():
+def test_divergence_on_a_training_drive_causes_a_warning():
     gps = town().gps
     off = (gps.time >= 60) & (gps.time < 100)
     aside = replace(town(), name="aside", gps=replace(gps, x=gps.x + 120.0 * off, y=gps.y + 160.0 * off))
@@ -56,13 +56,13 @@ def test_a_filter_that_is_lost_where_it_was_tuned_is_not_to_be_used():
 
 
 @pytest.mark.long
-def test_so_is_one_that_drifts_farther_than_the_baseline():
+def test_a_larger_drift_than_the_baseline_causes_a_warning():
     good = tune([town()], model="planar8", kind="ekf", objective="innovation-t", particles=16, generations=12)
     assert not [doubt for doubt in good.warnings if "DO NOT" in doubt]
     found = [drifts_of(PreparedDrive(town()), good.parameters)]
     assert drift_warnings(found) == []
     q = list(good.parameters.process_noise)
-    q[4] = 1e-2  # as if the gyro told nothing: the next fix is forecast all the same
+    q[4] = 1e-2  # a filter that does not use the gyro; fixes are still predicted
     bad = replace(good.parameters, process_noise=tuple(q), lateral_noise=None, standstill_noise=None)
     (tuned, other) = drifts_of(PreparedDrive(town()), bad)
     assert tuned > found[0][0]
@@ -102,7 +102,7 @@ def test_so_is_one_that_drifts_farther_than_the_baseline():
     )
 
 
-def test_a_car_that_stands_has_no_drift():
+def test_a_standing_car_has_no_drift():
     imu, gps = town().imu, town().gps
     still = replace(
         town(),
@@ -114,7 +114,7 @@ def test_a_car_that_stands_has_no_drift():
 
 @pytest.mark.long
 @needs_shared
-def test_a_search_that_ended_too_early_is_noticed():
+def test_a_search_that_ended_too_early_causes_a_warning():
     first = split_time(read_drive(DRIVES / "dresden"), 0.7)[0]
     early = tune([first], objective="innovation-t", model="planar8", particles=10, generations=2, seed=2)
     assert [r for r in early.remarks if "DO NOT USE THIS FILTER" in r and "over 30 s without fixes" in r]
@@ -122,7 +122,7 @@ def test_a_search_that_ended_too_early_is_noticed():
     assert not [r for r in whole.remarks if "DO NOT" in r]
 
 
-def test_it_names_three_drives_and_counts_the_others():
+def test_the_warning_names_three_drives_and_counts_the_others():
     assert divergence_warnings([("one", []), ("two", [])]) == []
     (said,) = divergence_warnings(
         [(f"drive-{i}", [10.25, 31.0][: i % 2 + 1]) for i in range(5)] + [("sound", [])]
@@ -138,7 +138,7 @@ def test_it_names_three_drives_and_counts_the_others():
     ("tuned", "baseline", "worse"),
     [(2.1, 1.8, True), (1.8, 2.1, False), (2.1001, 2.1, False), (2.1, np.nan, False)],
 )
-def test_a_larger_drift_than_that_of_the_baseline_is_reported_in_one_line(
+def test_larger_drifts_than_those_of_the_baseline_are_reported_in_one_line(
     tuned: float, baseline: float, worse: bool
 ):
     others = DriftComparison(1.0, 0.3, 0.5, 0.5), DriftComparison(30.0, 80.0, 79.0, 90.0)

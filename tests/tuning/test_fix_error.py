@@ -18,7 +18,7 @@ from support import make_drive
 USE = ("lateral", "standstill", "fix-error")
 
 
-def test_only_g_is_searched_without_truth_and_r_keeps_a_share_of_the_receivers_variance():
+def test_without_truth_only_g_is_searched_and_r_keeps_a_share_of_the_receivers_variance():
     plain = search_space("planar8", "log10", kind="ekf", use=USE[:2])
     blind = search_space("planar8", "log10", kind="ekf", use=USE, fix_std=3.0)
     assert set(blind.names) - set(plain.names) == {"fix_error"}
@@ -32,7 +32,7 @@ def test_only_g_is_searched_without_truth_and_r_keeps_a_share_of_the_receivers_v
     assert weighs.lowest[weighs.names.index("r_xy")] == 1e-4
 
 
-def test_the_time_constant_is_searched_with_truth_if_the_model_has_roll_and_pitch():
+def test_with_truth_the_time_constant_is_searched_if_the_model_has_roll_and_pitch():
     space = search_space("tilted12", "log10", kind="ekf", use=USE, has_truth=True)
     tau = space.names.index("fix_error_time")
     assert (space.lowest[tau], space.highest[tau], space.logarithmic[tau]) == (0.5, 300.0, True)
@@ -47,7 +47,7 @@ def test_the_time_constant_is_searched_with_truth_if_the_model_has_roll_and_pitc
     assert objective_for([replace(drive, truth=None)], "auto", "tilted12", USE) == "innovation-t"
 
 
-def test_filter_types_that_adapt_their_noise_are_refused():
+def test_filter_types_that_adapt_their_noise_are_rejected():
     with pytest.raises(InputError, match="fix-error can't be combined with fuzzy-ukf"):
         search_space("planar8", "log10", kind="fuzzy-ukf", use=USE)
 
@@ -55,7 +55,7 @@ def test_filter_types_that_adapt_their_noise_are_refused():
 @pytest.mark.parametrize(
     ("r", "g", "decades"), [(0.5, 0.5, 0.0), (0.04, 0.06, -1 / 0.5), (6.0, 4.0, 1 / 0.25)]
 )
-def test_prior_counts_the_white_and_the_lasting_variance_together(r: float, g: float, decades: float):
+def test_the_prior_adds_the_white_and_the_correlated_variance(r: float, g: float, decades: float):
     q = (1e-6,) * 8
     p = FilterParameters(1.0, 0.0, 0.0, q, (4.0 * r, 4.0 * r), "planar8", kind="ekf", fix_error=g)
     std = np.full((1, 2), 2.0)
@@ -64,7 +64,7 @@ def test_prior_counts_the_white_and_the_lasting_variance_together(r: float, g: f
     assert prior_costs([white], std)[0, 0] == pytest.approx(0.5 * min(np.log10(r) / 0.5, 0.0) ** 2)
 
 
-def test_correlated_innovations_are_reported_where_the_option_would_explain_them():
+def test_correlated_innovations_are_reported_if_fix_error_would_model_them():
     p = FilterParameters(1.0, 0.0, 0.0, (1e-6,) * 8, (1.0, 1.0), "planar8", kind="ekf")
     (said,) = correlation_warnings(p, [0.9, 0.5, np.nan, 0.1])
     assert "(autocorrelation at lag 1: 0.50)" in said
@@ -74,7 +74,7 @@ def test_correlated_innovations_are_reported_where_the_option_would_explain_them
 
 
 def wandering(seed: int):
-    """Fixes of a receiver that states 1 m and errs by a Gauss-Markov process of 1 m and 10 s, hardly by white noise."""
+    """Return fixes with a Gauss-Markov error of 1 m and 10 s and little white noise; the stated accuracy is 1 m."""
     drive, rng = make_drive(duration=90.0, gps_std=0.05, seed=seed), np.random.default_rng(seed)
     n = len(drive.gps)
     phi, error = np.exp(-np.diff(drive.gps.time) / 10.0), np.zeros((2, n))
@@ -88,7 +88,7 @@ def wandering(seed: int):
 
 
 @pytest.mark.long
-def test_without_truth_it_is_honest_where_white_noise_is_not(tmp_path):
+def test_without_truth_it_is_consistent_where_white_noise_is_overconfident(tmp_path):
     drive, search = wandering(3), {"model": "planar8", "kind": "ekf", "particles": 16, "generations": 15}
     blind = replace(drive, truth=None)
     white = tune([blind], use=USE[:2], **search)

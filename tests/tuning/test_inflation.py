@@ -1,4 +1,4 @@
-"""Process noise is inflated as far as the cost permits."""
+"""The process noise is inflated as far as the allowed increase of the cost permits."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -39,7 +39,7 @@ POWERS = {
         [0.5, 0.5, 0.5, 0.5, 0, 1, 1, 1, 0, 0, 1, 1]
     ),  # theta, roll and pitch are left alone
 }
-"""Of the factor, by state."""
+"""Powers of the factor, by state."""
 EVERY_MODEL = pytest.mark.parametrize(
     "model", quickly([(m,) for m in POWERS], lambda model: model != "tilted12")
 )
@@ -56,12 +56,12 @@ def costs(*sets: FilterParameters) -> np.ndarray:
 
 @EVERY_MODEL
 @pytest.mark.parametrize("inflation", quickly([(0.2,), (1.0,)], lambda inflation: inflation == 1.0))
-def test_the_cost_rises_by_the_inflation_and_no_more(inflation: float, model: str):
+def test_the_cost_increases_by_at_most_the_inflation(inflation: float, model: str):
     plain, inflated_ = (tune([town()], inflation=m, model=model, **SEARCH) for m in (0.0, inflation))
     assert plain.inflation_factor == 1.0
     assert inflated_.inflation_factor > 1.0
     assert plain.parameters.measurement_noise == inflated_.parameters.measurement_noise
-    share = inflation  # 60 s allow no more than 100 s
+    share = inflation  # at 60 s, the whole increase is allowed
     low, now = costs(plain.parameters, inflated_.parameters)
     assert now == inflated_.cost
     assert now <= (1 + share) * low
@@ -87,7 +87,7 @@ def test_the_cost_rises_by_the_inflation_and_no_more(inflation: float, model: st
         ),
     ],
 )
-def test_it_is_kept_with_the_tuning(tmp_path, model: str, said: str):
+def test_the_factor_is_saved_with_the_tuning(tmp_path, model: str, said: str):
     options = {**SEARCH, "inflation": 0.1, "model": model, "out": tmp_path / "t"}
     tuning = tune([town()], **options)
     assert tuning.to_dict()["result"]["inflation_factor"] == tuning.inflation_factor
@@ -99,7 +99,7 @@ def test_it_is_kept_with_the_tuning(tmp_path, model: str, said: str):
 
 
 @pytest.mark.parametrize("one", quickly([(False,), (True,)], lambda one: not one), ids=["two drives", "one"])
-def test_more_than_the_reference_duration_allows_less_of_the_rise(one: bool):
+def test_a_training_duration_above_the_reference_allows_a_smaller_increase(one: bool):
     lengths = [200.0] if one else [100.0, 100.0]
     drives = [simulate("urban", duration=s, gps="white-1m", seed=i) for i, s in enumerate(lengths)]
     plain, inflated_ = (tune(drives, inflation=m, model="planar8", **SEARCH) for m in (0.0, 0.5))
@@ -126,7 +126,7 @@ def test_a_model_with_roll_and_pitch_has_a_longer_reference_duration(model: str,
     assert inflate(problem, space.low, 0.96, None)[2] == pytest.approx(10**decades)
 
 
-def test_a_linear_search_has_no_factor():
+def test_a_linear_search_rejects_an_inflation():
     with pytest.raises(
         InputError, match="inflation needs scale = log10, since it multiplies process noise variances"
     ):
@@ -134,7 +134,7 @@ def test_a_linear_search_has_no_factor():
 
 
 LEAST = {"q_tilt": 2e-9, "q_gyro_bias_xy": 1e-12, "accel_bias_std": 0.005, "gyro_bias_std": 2e-4}
-"""At 100 Hz: 0.01 of what a second has."""
+"""At 100 Hz: 0.01 of the variance per second."""
 
 
 @pytest.mark.parametrize(
@@ -146,11 +146,11 @@ LEAST = {"q_tilt": 2e-9, "q_gyro_bias_xy": 1e-12, "accel_bias_std": 0.005, "gyro
 def test_a_tilted_model_has_lower_limits(
     model: str, cost_per_decade: float, objective: str, drives: int, biases: bool
 ):
-    """A noise below its limit is set to it, whether the cost allows a factor or not."""
+    """A noise below its limit is set to the limit, whether or not the cost permits a factor."""
     space = search_space(model, "log10", 0.01, kind="ekf", use=("lateral",))
 
     class Lowest:
-        """Its optimum is where all is as small as can be."""
+        """A problem whose optimum is at the lower bounds."""
 
         data: ClassVar = [{"duration_s": 100.0 / drives}] * drives
         config = TuneConfig(model="tilted12", objective=objective)
@@ -194,7 +194,7 @@ def seen(*bias: float) -> SimpleNamespace:
 
 
 def inflated_gyro_bias_std(starts: Sequence, true_biases: Sequence[float]) -> float:
-    """The standard deviation of the gyro's initial bias after inflation, on which the cost does not depend."""
+    """Return the standard deviation of the gyro's initial bias after inflation, if the cost does not depend on it."""
     space = search_space("tilted12", "log10", 0.01, kind="ekf", use=("lateral",))
     problem = SimpleNamespace(
         space=space,
@@ -213,14 +213,14 @@ def inflated_gyro_bias_std(starts: Sequence, true_biases: Sequence[float]) -> fl
 @pytest.mark.parametrize(
     ("starts", "shown"),
     [
-        ([seen(0.12, -0.06, 0.12), seen(0.03, 0.0, -0.03)], 0.0693),  # as with an MPU-6050
+        ([seen(0.12, -0.06, 0.12), seen(0.03, 0.0, -0.03)], 0.0693),  # as for an MPU-6050
         ([seen(0.3, -0.3, 0.3)], 0.298),
-        ([seen(0.03, -0.05, 0.06)], 0.0),  # as with a good gyro
+        ([seen(0.03, -0.05, 0.06)], 0.0),  # as for a good gyro
         ([SimpleNamespace(gyro=None)], 0.0),
         ([], 0.0),
     ],
 )
-def test_biases_that_starts_show_are_the_least_deviation_of_the_gyros_bias(starts: list, shown: float):
+def test_biases_at_the_starts_give_a_lower_limit_of_the_gyro_bias_deviation(starts: list, shown: float):
     assert shown_bias(starts) == pytest.approx(shown, rel=1e-2)
     assert inflated_gyro_bias_std(starts, ()) == pytest.approx(min(max(shown, 1e-5), 0.1), rel=1e-2)
 
@@ -232,7 +232,7 @@ def test_biases_that_starts_show_are_the_least_deviation_of_the_gyros_bias(start
         ([np.nan, np.nan], 0.0),  # truth without a heading
         ([-3e-3], 3e-3),
         ([1e-3, -1e-3, np.nan], 1e-3),
-        ([2e-3, -2e-3, 2e-3, -2e-3], 2e-3 * np.sqrt(2)),  # four of many: Student's t
+        ([2e-3, -2e-3, 2e-3, -2e-3], 2e-3 * np.sqrt(2)),  # Student's t for a sample of four
     ],
 )
 def test_true_biases_predict_the_deviation_on_other_drives(biases: list[float], predicted: float):
@@ -240,9 +240,9 @@ def test_true_biases_predict_the_deviation_on_other_drives(biases: list[float], 
     assert inflated_gyro_bias_std((), biases) == pytest.approx(max(predicted, 1e-5), rel=1e-6)
 
 
-def test_a_truth_shows_the_gyros_bias_not_its_scale():
+def test_truth_shows_the_gyro_bias_independently_of_its_scale():
     drive = simulate("urban", seed=1, duration=60.0, imu="ideal")
-    for scale in (1.0, 1.02):  # a drive that turns mostly to one side
+    for scale in (1.0, 1.02):  # the drive turns mostly to one side
         gz = scale * drive.imu.gz + 2e-3
         biased = replace(drive, imu=replace(drive.imu, gz=gz))
         assert true_gyro_bias(biased) == pytest.approx(2e-3, abs=5e-5)
@@ -250,7 +250,7 @@ def test_a_truth_shows_the_gyros_bias_not_its_scale():
     problem = car_problem([biased] * 3, TuneConfig(model="tilted12", objective="truth-pose"))
     assert problem.true_gyro_biases() == pytest.approx([2e-3] * 3, abs=5e-5)
     problem = car_problem([biased] * 3, TuneConfig(model="tilted12", objective="innovation-t"))
-    assert not len(problem.true_gyro_biases())  # truth only with objectives that use it
+    assert not len(problem.true_gyro_biases())  # only objectives with truth use it
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from support import DRIVES, make_drive, needs_shared
 
 
 def planted(drive: Drive, forward: float, left: float) -> Drive:
-    """The drive with fixes of an antenna away from the IMU; its truth gives the heading."""
+    """Return the drive with fixes of an antenna at this lever arm; truth gives the heading."""
     gps, truth = drive.gps, drive.truth
     theta = np.interp(gps.time, truth.time, np.unwrap(truth.theta))
     c, s = np.cos(theta), np.sin(theta)
@@ -26,7 +26,7 @@ def planted(drive: Drive, forward: float, left: float) -> Drive:
 
 
 def by_least_squares(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
-    """Arm and its standard deviations, m, by the acceleration and heading of truth: z = p0 + v0 t + p(t) + R l."""
+    """Return the arm and its std, m, given the true acceleration and heading: z = p0 + v0 t + p(t) + R l."""
     gps, truth = drive.gps, drive.truth
     theta = np.interp(gps.time, truth.time, np.unwrap(truth.theta))
     x, y = (np.interp(gps.time, truth.time, column) for column in (truth.x, truth.y))
@@ -39,7 +39,7 @@ def by_least_squares(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
 
 
 def quiet(drive: Drive, model: str, **options: float) -> FilterParameters:
-    """A filter for an IMU with next to no noise."""
+    """Return a filter for an IMU with almost no noise."""
     kind = "ukf" if model == "planar5" else "ekf"
     like = FilterParameters(
         *(0.1, 2.0, 0.0, (1.0,) * len(MODELS[model].states), (1.0,) * 2),
@@ -54,12 +54,12 @@ def quiet(drive: Drive, model: str, **options: float) -> FilterParameters:
 
 
 @pytest.mark.parametrize("model", ["planar5", "planar8", "tilted12", "robot-localization"])
-def test_the_estimate_is_that_of_least_squares_with_truth(model: str):
+def test_the_estimate_agrees_with_least_squares_with_truth(model: str):
     drive = planted(make_drive(duration=150.0, seed=4, imu_rate=50.0), -1.5, 0.6)
     expected, least = by_least_squares(drive)
     found = estimate_lever_arm(drive, quiet(drive, model))
     std = np.array(found.std)
-    assert np.all(std > 0.95 * least)  # no filter knows more than least squares with truth
+    assert np.all(std > 0.95 * least)  # no filter is more certain than least squares with truth
     assert np.all(std < 4 * least)
     assert np.all(np.abs([found.forward, found.left] - expected) < 2.5 * std)
     assert np.all(np.abs(np.array([found.forward, found.left]) - (-1.5, 0.6)) < 3 * std)
@@ -67,7 +67,7 @@ def test_the_estimate_is_that_of_least_squares_with_truth(model: str):
 
 @pytest.fixture(scope="module")
 def urban() -> Drive:
-    """Five minutes of a good IMU: the turns show the arm."""
+    """Return five minutes with a good IMU and enough turns to determine the arm."""
     drive = sigmaswarm.simulate(
         "urban", imu="gnss-ins-sim-mid", gps="white-1m", duration=300.0, seed=11, imu_rate=50.0
     )
@@ -79,7 +79,7 @@ def found(urban: Drive) -> LeverArmEstimate:
     return estimate_lever_arm(replace(urban, truth=None), within=0.25)
 
 
-def test_an_urban_drive_shows_the_arm_without_truth(found: LeverArmEstimate):
+def test_an_urban_drive_determines_the_arm_without_truth(found: LeverArmEstimate):
     assert found.observable == (True, True)
     assert abs(found.forward - 2.1) < 0.2
     assert abs(found.left + 0.7) < 0.2
@@ -88,7 +88,7 @@ def test_an_urban_drive_shows_the_arm_without_truth(found: LeverArmEstimate):
     )
 
 
-def test_an_estimate_becomes_the_stated_arm_and_the_height_stays(urban: Drive, found: LeverArmEstimate):
+def test_the_estimate_replaces_the_stated_arm_and_keeps_the_height(urban: Drive, found: LeverArmEstimate):
     stated = replace(urban, metadata={**urban.metadata, "gps_lever_arm_m": [0.0, 0.0, 1.1]})
     copy = found.applied(stated)
     assert copy.lever_arm.tolist() == [round(found.forward, 4), round(found.left, 4)]
@@ -108,7 +108,7 @@ def test_an_estimate_becomes_the_stated_arm_and_the_height_stays(urban: Drive, f
     assert np.mean(error["copy"]) < np.mean(error[urban.name])
 
 
-def test_what_the_turns_do_not_show_stays_as_it_is(urban: Drive):
+def test_an_arm_that_the_turns_do_not_determine_is_not_changed(urban: Drive):
     begin = sigmaswarm.simulate("cruise", gps="white-1m", seed=1)
     drive = replace(planted(begin, 1.0, 0.0), metadata={**begin.metadata, "gps_lever_arm_m": [0.7, 0.2]})
     found = estimate_lever_arm(drive, quiet(drive, "planar8"))
@@ -118,8 +118,8 @@ def test_what_the_turns_do_not_show_stays_as_it_is(urban: Drive):
     assert found.applied(drive) is drive
 
 
-def test_each_axis_counts_by_itself(urban: Drive):
-    """The turns often show the axis across the road before the one along it."""
+def test_each_axis_is_judged_separately(urban: Drive):
+    """Turns often determine the lateral axis before the longitudinal one."""
     found = LeverArmEstimate(1.5, -0.6, std=(0.12, 0.06), stated=(0.7, 0.2), within=0.15)
     assert found.observable == (False, True)
     assert str(found) == (
@@ -148,7 +148,7 @@ def test_a_stated_arm_is_a_prior_with_its_standard_deviation(urban: Drive):
     assert "; drive.toml states 1.00 m ahead and 1.00 m left" in str(arms[0.01])
 
 
-def test_two_drives_of_one_vehicle_show_more_than_one():
+def test_two_drives_of_one_vehicle_determine_it_better_than_one():
     drives = [planted(make_drive(duration=100.0, seed=seed, imu_rate=50.0), 0.8, -0.3) for seed in (1, 2)]
     parameters = quiet(drives[0], "planar8")
     single, other, both = (estimate_lever_arm(some, parameters) for some in (drives[0], drives[1], drives))
@@ -156,7 +156,7 @@ def test_two_drives_of_one_vehicle_show_more_than_one():
     assert np.all(np.abs(np.array([both.forward - 0.8, both.left + 0.3])) < 3 * np.array(both.std))
 
 
-def test_outliers_do_not_move_it():
+def test_outliers_have_little_effect():
     drive = planted(make_drive(duration=150.0, seed=4, imu_rate=50.0), -1.5, 0.6)
     parameters = quiet(drive, "planar8", robust_dof=4.0)
     x = drive.gps.x.copy()
@@ -168,14 +168,14 @@ def test_outliers_do_not_move_it():
 @pytest.mark.long
 @needs_shared
 @pytest.mark.filterwarnings("ignore::sigmaswarm.errors.DriveWarning")  # a gap of 0.13 s
-def test_a_real_drive_shows_a_planted_arm_within_its_standard_deviation():
+def test_a_planted_arm_in_a_real_drive_is_estimated_within_its_standard_deviation():
     drive = planted(sigmaswarm.read_drive(DRIVES / "kitti-09-26-0022"), -1.5, 0.6)
     found = estimate_lever_arm(drive)
     assert max(found.std) < 0.5
     assert np.all(np.abs(np.array([found.forward + 1.5, found.left - 0.6])) < 3 * np.array(found.std))
 
 
-def test_a_mistake_is_one_line(urban: Drive):
+def test_errors_are_reported_with_one_line(urban: Drive):
     other = replace(urban, metadata={**urban.metadata, "gps_lever_arm_m": [1.0, 0.0]})
     with pytest.raises(InputError, match="there are no drives; pass at least one"):
         estimate_lever_arm([])

@@ -1,4 +1,4 @@
-"""Costs from scores: the formulas of the design, and inf for a failure."""
+"""Costs from scores: formulas of the objectives, and inf for a failure."""
 
 import math
 import re
@@ -16,7 +16,7 @@ from sigmaswarm.tuning.objectives import OBJECTIVES, conditional_value_at_risk, 
 
 
 def scores(**given) -> Scores:
-    """Two sets on two drives."""
+    """Return the scores of two sets on two drives."""
     table = {
         "position_rmse": [[1.0, 3.0], [2.0, 2.5]],
         "heading_rmse": np.radians([[10.0, 20.0], [5.0, 1.0]]),
@@ -35,7 +35,7 @@ def scores(**given) -> Scores:
     return Scores(np.array(numbers, dtype=float))
 
 
-def test_the_three_objectives_are_there():
+def test_the_three_objectives_are_defined():
     assert {"truth-rmse", "truth-pose", "gps-rmse"} <= set(OBJECTIVES)
     assert [OBJECTIVES[n].needs_truth for n in ("truth-rmse", "truth-pose", "gps-rmse")] == [
         True,
@@ -81,7 +81,7 @@ def test_a_failure_on_any_drive_costs_infinity(name: str):
     assert math.isfinite(costs[1])
 
 
-def test_what_can_not_be_scored_costs_infinity():
+def test_a_score_that_is_nan_costs_infinity():
     costs = parse_objective("truth-rmse").costs(scores(position_rmse=[[np.nan, 1.0], [1.0, np.inf]]))
     assert costs.tolist() == [np.inf, np.inf]
     costs = parse_objective("truth-pose").costs(scores(outage_drift=[[np.inf, 1.0], [1.0, 1.0]]))
@@ -89,18 +89,18 @@ def test_what_can_not_be_scored_costs_infinity():
     assert math.isfinite(costs[1])
 
 
-def test_a_drive_without_outages_or_headings_has_no_such_term():
+def test_terms_without_outages_or_headings_are_omitted():
     none = [[np.nan, np.nan]] * 2
     costs = parse_objective("truth-pose").costs(scores(outage_drift=none, heading_rmse=none))
     np.testing.assert_allclose(costs, [2.0, 2.25])
 
 
-def test_only_the_paper_s_objective_warns():
+def test_only_the_paper_s_objective_has_a_warning():
     assert "copies the fixes" in OBJECTIVES["gps-rmse"].warning
     assert OBJECTIVES["truth-rmse"].warning is OBJECTIVES["truth-pose"].warning is None
 
 
-def test_an_unknown_name_is_answered_with_the_known_ones():
+def test_the_error_for_an_unknown_name_lists_the_known_ones():
     with pytest.raises(
         InputError, match=r"no objective is called 'rmse'; choose one of truth-rmse, truth-pose, innovation"
     ):
@@ -118,12 +118,12 @@ def test_an_unknown_name_is_answered_with_the_known_ones():
         ("1e999 nees", "must be positive"),
     ],
 )
-def test_a_sum_that_can_not_be_read_is_refused(name: str, said: str):
+def test_a_sum_that_can_not_be_parsed_is_rejected(name: str, said: str):
     with pytest.raises(InputError, match=re.escape(said)):
         parse_objective(name)
 
 
-def test_a_sum_needs_what_its_terms_need():
+def test_a_sum_needs_the_data_of_its_terms():
     both = parse_objective("gps-rmse + 0.25 truth-pose + outage-rmse")
     assert both.name == "gps-rmse + 0.25 truth-pose + outage-rmse"
     assert both.needs_truth
@@ -144,27 +144,27 @@ def test_the_worst_mean_is_the_conditional_value_at_risk(costs: np.ndarray, shar
     np.testing.assert_allclose(conditional_value_at_risk(costs, 1.0), costs.mean(axis=1))
 
 
-def test_one_bad_drive_is_not_averaged_away():
+def test_with_worst_a_single_bad_drive_determines_the_cost():
     table = scores(position_rmse=[[1.0, 1.0, 7.0], [4.0, 4.0, 4.0]], failed=np.zeros((2, 3), bool))
     truth = parse_objective("truth-rmse")
     assert truth.costs(table).tolist() == [3.0, 4.0]
     assert truth.costs(table, 1 / 3).tolist() == [7.0, 4.0]
 
 
-def test_a_rise_of_a_likelihood_is_one_of_errors():
+def test_an_increase_of_a_likelihood_equals_the_increase_of_errors():
     assert parse_objective("truth-rmse").relative_increase(2.2, 2.0) == pytest.approx(0.1)
-    # errors larger by 10% on two axes, with S to match, cost 2 ln 1.1 nats, whatever the zero of the scale
+    # errors larger by 10% on two axes, with S to match, cost 2 ln 1.1 nats, independent of the value of the cost
     nll = parse_objective("innovation-nll")
     assert nll.relative_increase(-3.0 + 2 * math.log(1.1), -3.0) == pytest.approx(0.1)
     assert nll.relative_increase(np.array([np.inf, 0.0]), 0.0).tolist() == [np.inf, 0.0]
-    # whatever the weight, and however many numbers a measurement has
+    # independent of the weight and of the number of elements of a measurement
     for weight in ("0.01", "100"):
         part = parse_objective(f"{weight} innovation-nll")
         assert part.relative_increase(5.0 + 2 * float(weight) * math.log(1.1), 5.0) == pytest.approx(0.1)
     halves = parse_objective("0.5 innovation-t + 0.5 forecast-t")
     assert halves.needs_forecasts and not halves.needs_truth
     assert halves.relative_increase(-3.0 + 2 * math.log(1.1), -3.0) == pytest.approx(0.1)
-    with_rmse = parse_objective("innovation-t + truth-rmse")  # counted as if all were nats
+    with_rmse = parse_objective("innovation-t + truth-rmse")  # all terms count as nats
     assert with_rmse.relative_increase(-3.0 + 2 * math.log(1.1), -3.0) == pytest.approx(0.1)
     assert nll.relative_increase(3 * math.log(1.1), 0.0, elements=3) == pytest.approx(0.1)
     assert parse_objective("nis + nees").relative_increase(0.001 + 4 * math.log(1.1), 0.001) == pytest.approx(
@@ -174,10 +174,10 @@ def test_a_rise_of_a_likelihood_is_one_of_errors():
 
 
 @pytest.mark.parametrize("share", [0.0, -1.0, 1.5, math.nan])
-def test_a_share_that_is_none_is_refused(share: float):
+def test_an_invalid_share_is_rejected(share: float):
     with pytest.raises(InputError, match="worst = "):
         conditional_value_at_risk(np.ones((1, 3)), share)
 
 
-def test_failures_beyond_the_worst_share_are_no_nan():
+def test_failures_beyond_the_worst_share_give_no_nan():
     assert conditional_value_at_risk(np.array([[np.inf, np.inf, 1.0, 2.0]]), 0.25).tolist() == [np.inf]

@@ -11,7 +11,7 @@ pytestmark = pytest.mark.usefixtures("undiagnosed")
 
 
 @pytest.mark.filterwarnings("ignore:gps-rmse compares the filter")
-def test_the_paper_s_setting_is_that_of_the_paper():
+def test_the_setting_equals_that_of_the_paper():
     config = tune(make_drive(duration=12.0), paper=True, seed=4, inertia=0.6).config
     asked = ("optimizer", "scale", "objective", "model", "kind", "particles", "generations", "polish", "seed")
     values = [getattr(config, name) for name in asked]
@@ -28,11 +28,11 @@ def test_the_paper_s_setting_is_that_of_the_paper():
     ],
     ids=str,
 )
-def test_what_contradicts_it_is_refused(option: dict):
+def test_options_that_contradict_it_are_rejected(option: dict):
     (name,) = option
     with pytest.raises(InputError, match=f"{name} = .* contradicts the paper's setting"):
         tune(make_drive(duration=12.0), paper=True, **option)
 
 
-def test_what_agrees_with_it_is_welcome():
+def test_options_that_agree_with_it_are_accepted():
     assert paper_options({"scale": "linear", "use": [], "trials": 20})["trials"] == 20

@@ -1,4 +1,4 @@
-"""The priors: by hand, where they act, and their purpose.
+"""The priors: their values, the objectives that use them, and their purpose.
 
 The prior on R is for receivers that smooth their fixes, that on the other parameters for logs that do not determine
 them.
@@ -36,7 +36,7 @@ def without_statement(drive: Drive) -> Drive:
 
 
 def smoothed(drive: Drive) -> Drive:
-    """What a receiver does that trusts its own filter: fixes right to 2 cm from one to the next, off by 1.5 m."""
+    """Return fixes as of a smoothing receiver: relative errors of 2 cm between fixes, slow errors of 1.5 m."""
     truth, gps, rng = drive.truth, drive.gps, np.random.default_rng(7)
     assert truth is not None
     x, y = (np.interp(gps.time, truth.time, v) for v in (truth.x, truth.y))
@@ -48,7 +48,7 @@ def smoothed(drive: Drive) -> Drive:
 
 
 def seldom(drive: Drive) -> Drive:
-    """Sound fixes every four seconds."""
+    """Return accurate fixes every four seconds."""
     truth, silent = drive.truth, without_statement(drive)
     assert truth is not None
     gps = silent.gps.select(np.arange(len(silent.gps)) % 20 == 0)
@@ -65,7 +65,7 @@ def parameters(r: tuple[float, float], scale: float | None = None) -> FilterPara
     std=st.floats(0.01, 30.0),
     scale=st.none() | st.floats(1e-3, 10.0),
 )
-def test_it_is_half_a_decade_of_a_log_normal_below_what_is_stated(r, std, scale):
+def test_the_prior_is_a_half_log_normal_with_half_a_decade_below_the_stated_variance(r, std, scale):
     drive = replace(without_statement(town()), metadata={"gps_std_m": std})
     by_hand = 0.0
     for each in r:
@@ -77,15 +77,15 @@ def test_it_is_half_a_decade_of_a_log_normal_below_what_is_stated(r, std, scale)
     )
 
 
-def test_the_receivers_own_word_comes_first():
+def test_the_stated_accuracy_has_priority():
     silent = without_statement(town())
-    assert receiver_std(silent) == pytest.approx((1.0, 1.0), rel=0.1)  # its fixes show it
+    assert receiver_std(silent) == pytest.approx((1.0, 1.0), rel=0.1)  # estimated from the fixes
     assert stated_std(silent) is None
     assert receiver_std(smoothed(town())) == (UNSTATED_GPS_STD, UNSTATED_GPS_STD)
     assert receiver_std(seldom(town())) == (
         UNSTATED_GPS_STD,
         UNSTATED_GPS_STD,
-    )  # what differs there is motion
+    )  # the differences are due to motion
     told = replace(silent, metadata={"gps_std_m": 0.3})
     assert receiver_std(told) == stated_std(told) == (0.3, 0.3)
     n = len(silent.gps)
@@ -93,7 +93,7 @@ def test_the_receivers_own_word_comes_first():
     assert receiver_std(replace(told, gps=each)) == pytest.approx((0.5, 2.0))
 
 
-def test_a_receiver_that_smooths_its_fixes_is_not_copied():
+def test_with_the_prior_a_filter_does_not_copy_a_receiver_that_smooths():
     drive = smoothed(town())
     copied, held = (
         tune(drive, objective="innovation-nll", prior=prior, inflation=0.0, **SEARCH) for prior in (0.0, 1.0)
@@ -109,7 +109,7 @@ def test_a_receiver_that_smooths_its_fixes_is_not_copied():
     assert knows < 0.8 * follows
 
 
-def test_what_it_adds_is_the_costs_difference():
+def test_the_prior_is_added_to_the_cost():
     tuning = tune(town(), objective="innovation-t", inflation=0.0, **SEARCH)
     plain = run_batch([town()], [tuning.parameters], objective="innovation-t").costs[0]
     assert tuning.config.prior == 1.0
@@ -120,7 +120,7 @@ def test_what_it_adds_is_the_costs_difference():
     assert tuning.cost == plain + prior_costs([tuning.parameters], np.array([receiver_std(town())]))[0, 0]
 
 
-TYPICAL = {  # in units per second, at 50 Hz, and decades
+TYPICAL = {  # per second, at 50 Hz; width in decades
     **{"q_xy": (1e-7 / 50, 3), "q_vxy": (1e-4 / 50, 2), "q_theta": (1e-8 / 50, 2), "q_tilt": (1e-8 / 50, 2)},
     **{"q_accel_bias": (1e-8 / 50, 2), "q_gyro_bias_xy": (1e-11 / 50, 2), "q_gyro_bias_z": (1e-11 / 50, 2)},
     **{"accel_bias_std": (0.05, 1), "gyro_bias_std": (5e-4, 1), "robust_dof": (4.0, 0.5)},
@@ -129,7 +129,7 @@ TYPICAL = {  # in units per second, at 50 Hz, and decades
 
 
 @pytest.mark.parametrize(("duration", "weight"), [(60.0, 1 / 250), (150.0, 1 / 250), (300.0, 1 / 500)])
-def test_typical_values_by_hand(duration: float, weight: float):
+def test_the_prior_agrees_with_its_definition(duration: float, weight: float):
     use = ("lateral", "standstill", "robust")
     config = TuneConfig(model="tilted12", use=use, objective="innovation-t", prior=1.0)
     problem = replace(car_problem([town()], config), data=[{"duration_s": duration / 2}] * 2)
@@ -149,7 +149,7 @@ def test_typical_values_by_hand(duration: float, weight: float):
     np.testing.assert_allclose(added, priors, rtol=1e-9, atol=1e-9)
 
 
-def test_a_parameter_that_a_log_does_not_show_stays_near_its_typical_value():
+def test_a_parameter_that_a_log_does_not_determine_stays_near_its_typical_value():
     drive = town()
     free, near = (
         tune(drive, objective="innovation-t", prior=prior, inflation=0.0, model="tilted12", generations=25)
@@ -194,17 +194,17 @@ def test_other_models_and_a_linear_search_of_noises_have_no_typical_values(model
         ({"objective": "gps-rmse"}, 0.0, 0.0),
     ],
 )
-def test_it_stands_where_truth_has_no_say(asked, prior, inflation):
+def test_the_prior_and_the_inflation_are_used_without_truth(asked, prior, inflation):
     config = with_default_guards(TuneConfig(**asked))
     assert (config.prior, config.inflation) == (prior, inflation)
 
 
-def test_metres_and_nats_do_not_add_up():
+def test_a_prior_in_nats_can_not_be_added_to_meters():
     with pytest.raises(InputError, match="prior = 1: the prior is in nats, but truth-rmse is not"):
         tune(town(), objective="truth-rmse", prior=1.0, **SEARCH)
 
 
-def test_a_validation_is_no_matter_of_what_a_receiver_states():
+def test_the_cost_of_a_validation_contains_no_prior():
     far = replace(
         simulate("urban", duration=60.0, gps="white-1m", seed=4, imu_rate=50.0), metadata={"gps_std_m": 20.0}
     )

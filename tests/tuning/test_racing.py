@@ -36,7 +36,7 @@ tune = partial(tune_by_default, model="planar5", objective="truth-rmse")
 
 
 class Table:
-    """Costs that are written down, shape (n, m); a point is its row's number. Remembers what it was asked."""
+    """A problem with given costs of shape (n, m); a point is the number of its row. It records the evaluations."""
 
     def __init__(self, costs: np.ndarray) -> None:
         self.table, self.steps = costs, 100 + np.arange(costs.shape[1])
@@ -66,7 +66,7 @@ def raced(costs: np.ndarray, order):
     st.integers(0, 2**32),
     st.floats(0, 0.5),
 )
-def test_against_a_race_in_plain_words(n: int, m: int, seed: int, failing: float):
+def test_a_race_agrees_with_a_plain_implementation(n: int, m: int, seed: int, failing: float):
     rng = np.random.default_rng(seed)
     costs = rng.normal(size=(n, m))
     costs[rng.random((n, m)) < failing / m] = np.inf
@@ -86,7 +86,7 @@ def test_against_a_race_in_plain_words(n: int, m: int, seed: int, failing: float
     for level in levels:
         took |= {(i, d) for i in level for d in order[:reach]}
         reach *= 2
-    assert sorted(table.asked) == sorted(took)  # each candidate once on each drive that it reached
+    assert sorted(table.asked) == sorted(took)  # each candidate once on each drive of its rungs
     assert result.steps == sum(100 + d for _, d in took)
     for i in alive:  # full costs, bit for bit
         assert result.costs[i] == costs[i].mean()
@@ -94,7 +94,7 @@ def test_against_a_race_in_plain_words(n: int, m: int, seed: int, failing: float
         bool(np.isinf([costs[i, d] for j, d in took if j == i]).any()) for i in range(n)
     )
     best_behind = max((result.costs[i] for i in alive if np.isfinite(result.costs[i])), default=np.inf)
-    for level in reversed(levels):  # behind, and in their own order
+    for level in reversed(levels):  # dropped candidates are behind, in their own order
         assert all(result.costs[i] > best_behind or np.isinf(result.costs[i]) for i in level)
         best_behind = max([best_behind, *(c for c in result.costs[level] if np.isfinite(c))])
     if len(alive) < n and np.isfinite(result.costs).any():
@@ -104,12 +104,12 @@ def test_against_a_race_in_plain_words(n: int, m: int, seed: int, failing: float
 def test_the_rungs_of_successive_halving():
     assert rungs(30, 6) == [(30, 1), (15, 2), (8, 4), (4, 6)]
     assert rungs(30, 1) == [(30, 1)]
-    assert rungs(1, 4) == [(1, 1), (1, 2), (1, 4)]  # who is alone goes all the way
+    assert rungs(1, 4) == [(1, 1), (1, 2), (1, 4)]  # a single candidate is evaluated on all drives
     _, result = raced(np.ones((30, 8)), range(8))
     assert result.steps < 0.36 * 30 * sum(100 + d for d in range(8))
 
 
-def test_dropped_together_they_keep_their_distances():
+def test_candidates_dropped_together_keep_their_differences():
     costs = np.array([[1.0, 5.0], [2.0, 6.0], [3.0, 0.0], [3.5, 0.0]])
     _, result = raced(costs, [0, 1])
     assert result.costs.tolist() == pytest.approx([3.0, 4.0, 4.0, 4.5])  # 3 and 3.5 are shifted by 1
@@ -122,8 +122,8 @@ def test_if_all_finished_candidates_fail_no_dropped_candidate_wins():
     assert result.failures == 1
 
 
-def test_steps_are_counted_as_a_naive_count_does(monkeypatch: pytest.MonkeyPatch):
-    """Every step of every filter that is run, over passes, from the timelines themselves."""
+def test_steps_agree_with_a_plain_count(monkeypatch: pytest.MonkeyPatch):
+    """Count the steps of all filters that are run, over all passes, from the timelines."""
     config = TuneConfig(objective="truth-pose", racing=True, **SMALL)
     problem = car_problem(DRIVES, config)
     single = car_problem(DRIVES, TuneConfig(objective="truth-rmse")).steps
@@ -170,7 +170,7 @@ def test_with_one_drive_it_changes_no_bit():
 def test_every_optimizer_can_race(optimizer: str, tmp_path: Path):
     asked = {**SMALL, "optimizer": optimizer, "racing": True, "polish": 9}
     tuning = tune(DRIVES, **asked)
-    assert tuning.cost == run_batch(DRIVES, [tuning.parameters]).costs[0]  # the best went all the way
+    assert tuning.cost == run_batch(DRIVES, [tuning.parameters]).costs[0]  # on all drives
     assert tuning.trials[0].evaluations <= 36
     with ThreadPoolExecutor(3) as pool:
         assert bits(tune(DRIVES, executor=pool, **asked)) == bits(tuning)
@@ -185,7 +185,7 @@ def test_every_optimizer_can_race(optimizer: str, tmp_path: Path):
 
 
 class Bowls:
-    """A bowl a drive, each with a bottom of its own; some points fail on one drive. Counts what it was asked."""
+    """A problem with a bowl for each drive; some points fail on one drive. It counts evaluations."""
 
     def __init__(self, n_drives: int) -> None:
         rng = np.random.default_rng(7)
@@ -219,13 +219,13 @@ def searched(problem: Bowls, folder: ResultFolder | None = None, progress=None, 
     return TrialRunner(problem, None, folder, progress).trial(0)
 
 
-def test_among_many_drives_it_begins_with_some():
+def test_with_many_drives_the_first_rung_has_several():
     assert rungs(30, 350) == [(30, 29), (15, 58), (8, 116), (4, 232), (2, 350)]
     assert (rungs(30, MIN_RACED_DRIVES)[0], rungs(30, MIN_RACED_DRIVES - 1)[0]) == ((30, 8), (30, 1))
 
 
-def test_a_candidate_that_is_clearly_not_better_than_the_best_is_dropped():
-    """Drives differ by much more than candidates do, so that only a comparison on the same drives can tell."""
+def test_a_candidate_that_is_clearly_worse_than_the_best_is_dropped():
+    """Drives differ much more than candidates, so that only a comparison on the same drives is conclusive."""
     rng = np.random.default_rng(0)
     hard = rng.uniform(0, 100, 120)
     noise = rng.normal(0, 0.1, (6, 120))
@@ -236,9 +236,9 @@ def test_a_candidate_that_is_clearly_not_better_than_the_best_is_dropped():
     result = race(table, np.arange(4.0)[:, None], order, None, leader)
     assert {drive for _, drive in table.asked} == set(
         order[: 120 // FIRST_DIVISOR].tolist()
-    )  # nobody went on
+    )  # no candidate reached the second rung
     assert result.leader is leader
-    assert result.costs == pytest.approx(costs[1:5].mean(axis=1), abs=1.0)  # told for all drives
+    assert result.costs == pytest.approx(costs[1:5].mean(axis=1), abs=1.0)  # extrapolated to all drives
     assert (result.costs > leader.cost).all()
 
     table = Table(costs[[1, 5, 2]])
@@ -250,7 +250,7 @@ def test_a_candidate_that_is_clearly_not_better_than_the_best_is_dropped():
     assert result.steps < 0.55 * 3 * table.steps.sum()
 
 
-def test_without_a_best_and_alone_all_drives_are_seen():
+def test_without_a_best_or_with_one_candidate_all_drives_are_evaluated():
     costs = np.random.default_rng(1).normal(size=(4, MIN_RACED_DRIVES))
     costs[2, 3] = np.inf
     table, result = raced(costs, range(MIN_RACED_DRIVES))
@@ -263,14 +263,14 @@ def test_without_a_best_and_alone_all_drives_are_seen():
     assert (alone.costs[0], alone.leader) == (costs[0].mean(), best)
 
 
-def test_of_equal_costs_the_first_leads():
+def test_of_equal_costs_the_first_remains_the_leader():
     costs = np.tile(np.random.default_rng(2).normal(size=MIN_RACED_DRIVES), (2, 1))
     first = Leader(float(costs[0].mean()), costs[0])
     alone = race(Table(costs), np.zeros((1, 1)), range(MIN_RACED_DRIVES), None, first)
     assert alone.leader is first
 
 
-def test_many_drives_cost_a_fraction_and_the_best_is_found():
+def test_many_drives_need_a_fraction_of_the_evaluations_and_the_best_is_found():
     raced_, plain = Bowls(100), Bowls(100)
     found = searched(raced_)
     best = float(plain.costs(plain.bottoms.mean(axis=0)[None], None)[0])
@@ -281,7 +281,7 @@ def test_many_drives_cost_a_fraction_and_the_best_is_found():
 
 
 @pytest.mark.parametrize("polish", [0, 40])
-def test_among_many_drives_it_goes_on_in_the_same_bits(tmp_path: Path, polish: int):
+def test_with_many_drives_it_resumes_with_the_same_bits(tmp_path: Path, polish: int):
     whole = searched(Bowls(100), polish=polish)
     for stopped in (1, 7, 29):
         folder = ResultFolder(tmp_path / f"{polish}-{stopped}", {}, resume=True)
@@ -297,7 +297,7 @@ def test_among_many_drives_it_goes_on_in_the_same_bits(tmp_path: Path, polish: i
             assert getattr(again, name).tobytes() == getattr(whole, name).tobytes()
 
 
-def test_who_led_is_looked_up_in_the_same_bits():
+def test_the_leader_is_restored_with_the_same_bits():
     problem = Bowls(120)
     points = np.random.default_rng(3).uniform(-0.5, 0.5, (9, 3))
     result = race(problem, points, np.random.default_rng(4).permutation(120), None)

@@ -25,7 +25,7 @@ def town() -> Drive:
 
 @cache
 def unstated() -> Drive:
-    """Without truth, and without what the receiver states."""
+    """Return a drive without truth and without the receiver's stated accuracy."""
     return replace(town(), truth=None, metadata={}, gps=replace(town().gps, std_x=None, std_y=None))
 
 
@@ -61,7 +61,7 @@ def with_r(std: float):
         (0.9, FixNoise(NONE, NONE), ""),
     ],
 )
-def test_r_is_held_against_the_receiver_and_the_scatter(std: float, noise: FixNoise, said: str):
+def test_r_is_compared_with_the_stated_accuracy_and_the_scatter(std: float, noise: FixNoise, said: str):
     found = noise_warnings(with_r(std), [noise])
     assert len(found) == bool(said)
     assert all(said in one and "A log without truth does not show" in one for one in found)
@@ -70,23 +70,23 @@ def test_r_is_held_against_the_receiver_and_the_scatter(std: float, noise: FixNo
 
 
 @pytest.mark.parametrize(("scale", "said"), [(None, False), (0.004, True), (0.1, False), (1.0, False)])
-def test_a_stated_accuracy_that_plays_no_part_is_named(scale: float | None, said: bool):
+def test_an_accuracy_without_effect_is_reported(scale: float | None, said: bool):
     filters = replace(with_r(1.0), accuracy_scale=scale)
     found = accuracy_warnings(filters, [1.0])
     assert ["`accuracy` has hardly any effect" in one for one in found] == [True] * said
     assert accuracy_warnings(filters, [NONE]) == []
 
 
-def test_a_drive_tells_what_is_stated_and_how_the_fixes_scatter():
+def test_the_stated_accuracy_and_the_scatter_of_a_drive():
     found = fix_noise(stating(unstated(), 3.0))
     assert found.stated == 3.0
-    assert found.scatter == pytest.approx(1.0, rel=0.2)  # white noise of 1 m
+    assert found.scatter == pytest.approx(1.0, rel=0.2)  # the white noise is 1 m
     assert np.isnan(fix_noise(unstated()).stated)
     assert fix_noise(replace(unstated(), metadata={"gps_std_m": 2.0})).stated == 2.0
 
 
 def test_errors_that_are_only_assumed_to_be_correlated_are_reported():
-    """Where the receiver states nothing, no log shows whether it smooths or is precise."""
+    """If the receiver states no accuracy, the log does not show whether its fixes are smooth or accurate."""
     p = FilterParameters(1.0, 2.0, 0.0, (1e-3,) * 5, (1.0, 1.0), kind="ekf", fix_error=0.5)
     (said,) = noise_warnings(p, [FixNoise(np.nan, 0.1)])
     assert "correlated errors with a standard deviation of 2.1 m per axis" in said
@@ -95,7 +95,7 @@ def test_errors_that_are_only_assumed_to_be_correlated_are_reported():
         assert noise_warnings(p, [noise]) == []
 
 
-def test_a_tuning_without_truth_says_so_and_one_with_truth_does_not():
+def test_only_a_tuning_without_truth_warns_about_the_stated_accuracy():
     blind = tune(stating(unstated(), 30.0), model="planar5", particles=2, generations=1)
     assert any("the receiver states a standard deviation of 30 m" in remark for remark in blind.remarks)
     assert blind.to_dict()["result"]["warnings"] == list(blind.warnings)
@@ -103,8 +103,8 @@ def test_a_tuning_without_truth_says_so_and_one_with_truth_does_not():
     assert not [doubt for doubt in seen.warnings if "the receiver states" in doubt]
 
 
-def test_the_doctor_leaves_a_smooth_receiver_its_stated_deviation():
-    """Errors that last don't scatter: a receiver's 3 m must not be mended into 0.05 m."""
+def test_the_doctor_keeps_the_stated_accuracy_of_a_smooth_receiver():
+    """Correlated errors do not scatter, so a stated 3 m must not be replaced with 0.05 m."""
     time = town().gps.time
     truth = town().truth
     assert truth is not None
@@ -112,12 +112,12 @@ def test_the_doctor_leaves_a_smooth_receiver_its_stated_deviation():
     smooth = stating(replace(unstated(), gps=replace(unstated().gps, x=x, y=y)), 3.0)
     assert "gps-noise" not in diagnose(smooth).codes
     assert "gps-correlated" in diagnose(smooth).codes
-    assert "gps-noise" in diagnose(stating(unstated(), 30.0)).codes  # white noise shows whole
+    assert "gps-noise" in diagnose(stating(unstated(), 30.0)).codes  # white noise is scatter
 
 
 @pytest.mark.long
-def test_of_a_long_drive_the_middle_is_looked_at(monkeypatch: pytest.MonkeyPatch):
-    """Fixes that are wild in its first and last minute, and calm between: its scatter is that of the middle."""
+def test_only_the_middle_of_a_long_drive_is_used(monkeypatch: pytest.MonkeyPatch):
+    """Fixes of the first and last minute have large errors; the scatter is that of the minutes between."""
     monkeypatch.setattr("sigmaswarm.tuning.receiver.SPAN", 90.0)
     drive = simulate("urban", seed=4, duration=220.0, gps="f9p-rtk")
     early_late = (drive.gps.time < 60) | (drive.gps.time > 160)
@@ -137,7 +137,7 @@ def test_the_scatter_of_a_drive_is_computed_once(monkeypatch: pytest.MonkeyPatch
     assert kept != fix_noise(replace(drive, gps=replace(drive.gps, y=1.5 * drive.gps.y))).scatter
 
 
-def test_the_baseline_uses_the_accuracy_that_the_truth_of_the_training_drives_shows():
+def test_the_baseline_uses_the_accuracy_that_truth_shows_on_the_training_drives():
     rng, plain = np.random.default_rng(5), simulate("urban", duration=100.0, gps="white-1m", imu_rate=50.0)
     time, truth = plain.gps.time, plain.truth
     assert truth is not None
@@ -160,7 +160,7 @@ def test_the_baseline_uses_the_accuracy_that_the_truth_of_the_training_drives_sh
     assert baseline(blind, seen.parameters, 0.02) == baseline(test, seen.parameters, 0.02)
 
 
-def test_a_lever_arm_is_no_error_of_the_fixes():
+def test_a_lever_arm_is_not_counted_as_an_error_of_the_fixes():
     rng, plain = np.random.default_rng(5), simulate("urban", duration=40.0, imu_rate=50.0)
     time, truth = plain.gps.time, plain.truth
     assert truth is not None

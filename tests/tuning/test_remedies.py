@@ -1,4 +1,4 @@
-"""Each remedy of a TO DO improves the figure in its reason, and names no option that was not given."""
+"""Each recommended remedy improves the value in its reason, and names no option that was not given."""
 
 import re
 from dataclasses import replace
@@ -26,7 +26,7 @@ FEW = {"trials": 1, "particles": 12, "generations": 10}
 
 
 def smooth(std: float | None = None) -> Drive:
-    """Fixes with errors of 0.3 m that last 10 s, without truth; ``std``: what drive.toml states, m."""
+    """Return fixes without truth whose errors of 0.3 m last 10 s (time constant); drive.toml states ``std``."""
     time, rng = town().gps.time, np.random.default_rng(3)
     stay = np.exp(-np.median(np.diff(time)) / 10.0)
     pushes = 0.3 * np.sqrt(1 - stay**2) * rng.standard_normal((2, len(time)))
@@ -45,7 +45,7 @@ def drift_of(drive: Drive, tuning: Tuning[Any]) -> float:
 
 
 def with_errors(white: float, slow: float) -> Drive:
-    """Fixes at 1 Hz with white errors and with Gauss-Markov errors of 60 s, m per axis; without stated accuracy."""
+    """Return fixes at 1 Hz with white and Gauss-Markov (60 s) errors, m per axis, and without stated accuracy."""
     drive, rng = (
         simulate("urban", run=4, duration=150.0, imu_rate=50.0, gps="white-1m"),
         np.random.default_rng(7),
@@ -61,7 +61,7 @@ def with_assumed_std(drive: Drive) -> Drive:
     return replace(drive, metadata={"gps_std_m": UNSTATED_GPS_STD})
 
 
-def test_the_scatter_of_accurate_fixes_reduces_the_drift_on_another_part():
+def test_using_the_scatter_of_accurate_fixes_reduces_the_drift_on_another_part():
     train, test = split_time(with_errors(0.1, 0.0), 0.6)
     options = {"model": "planar8", "use": ["lateral", "robust"], **FEW}
     shown, assumed = (tune(drive, **options) for drive in (train, with_assumed_std(train)))
@@ -70,10 +70,10 @@ def test_the_scatter_of_accurate_fixes_reduces_the_drift_on_another_part():
     assert "m per axis, since with it the baseline drifts" in said and not said.startswith(TO_DO)
     assert drift_of(test, shown) < 0.8 * drift_of(test, assumed)
     radius = [evaluate(test, t).record.radius[test.name]["tracking"].radius_95_m for t in (shown, assumed)]
-    assert radius[0] > 0.8 * radius[1]  # slow errors of the fixes may still be as large as assumed
+    assert radius[0] > 0.8 * radius[1]  # slow errors of the fixes can still be as large as assumed
 
 
-def test_a_scatter_with_which_the_baseline_drifts_as_much_is_not_used():
+def test_a_scatter_that_does_not_reduce_the_baseline_s_drift_is_not_used():
     tuning = tune(with_errors(0.3, 2.0), model="planar8", use=["lateral", "robust"], **FEW)
     assert tuning.record.shown_std is None
     (said,) = [remark for remark in tuning.remarks if "gps_std_m" in remark]
@@ -81,14 +81,14 @@ def test_a_scatter_with_which_the_baseline_drifts_as_much_is_not_used():
 
 
 def test_fix_error_keeps_the_assumed_standard_deviation():
-    """It models slow errors of the assumed size, of which the scatter shows nothing."""
+    """The option models slow errors of the assumed size, which the scatter does not show."""
     tuning = tune(with_errors(0.1, 0.0), model="planar8", kind="ekf", use=["lateral", "fix-error"], **FEW)
     assert tuning.record.shown_std is None
     assert tuning.parameters.fix_std == UNSTATED_GPS_STD
 
 
 @pytest.mark.long
-def test_the_scatter_brings_the_nis_of_a_smooth_receiver_up():
+def test_using_the_scatter_increases_the_nis_of_a_smooth_receiver():
     options = {"model": "planar8", "use": ["lateral"], **FEW}
     shown, assumed = (tune(drive, **options) for drive in (smooth(), with_assumed_std(smooth())))
     nis = [evaluate(smooth(), t.parameters).consistency[town().name].mean_nis for t in (assumed, shown)]
@@ -97,7 +97,7 @@ def test_the_scatter_brings_the_nis_of_a_smooth_receiver_up():
     assert nis[1] > 2 * nis[0], nis
 
 
-def test_an_r_that_copies_the_fixes_leads_to_gps_std_m_or_the_accuracy():
+def test_an_r_that_copies_the_fixes_leads_to_advice_on_gps_std_m_or_the_accuracy():
     copying = replace(tune(smooth(0.05), model="planar8", use=["lateral"], **FEW).parameters)
     copying = replace(copying, measurement_noise=(0.01**2, 0.01**2))
     (said,) = noise_warnings(copying, [FixNoise(float("nan"), 0.1)], use=["lateral"])
@@ -107,7 +107,7 @@ def test_an_r_that_copies_the_fixes_leads_to_gps_std_m_or_the_accuracy():
     assert "tune with --use lateral accuracy" in said
 
 
-def test_without_the_accuracy_that_plays_no_part_nothing_is_said_of_it():
+def test_following_the_advice_on_the_accuracy_removes_the_advice():
     drive = replace(town(), truth=None)
     std = np.random.default_rng(1).uniform(1.0, 3.0, len(drive.gps))
     drive = replace(drive, gps=replace(drive.gps, std_x=std, std_y=std))
@@ -128,7 +128,7 @@ def test_without_the_accuracy_that_plays_no_part_nothing_is_said_of_it():
     quickly([("truth-rmse", "truth-rmse + 0.2 nees"), ("truth-pose", "truth-pose + 0.2 nees")],
             lambda objective, better: objective == "truth-rmse"),
 )  # fmt: skip
-def test_nees_in_the_objective_sets_the_scale_of_the_covariances(objective: str, better: str):
+def test_nees_in_the_objective_determines_the_scale_of_the_covariances(objective: str, better: str):
     options = {"model": "planar8", "use": ["lateral"], **FEW}
     free = tune(town(), objective=objective, **options)
     assert f"tune with '{better}'" in to_dos(free, "scale of the covariances")[0]
@@ -153,7 +153,7 @@ def test_the_lateral_constraint_determines_the_heading():
 
 
 @pytest.mark.long
-def test_states_for_errors_that_last_whiten_the_innovations():
+def test_states_for_correlated_errors_whiten_the_innovations():
     options: dict[str, Any] = {"model": "planar8", "kind": "ekf", **FEW}
     plain = tune(smooth(0.3), use=["lateral"], **options)
     use = re.findall(r"tune with --use (.*?):", to_dos(plain, "correlated")[0])[0].split()
@@ -166,14 +166,14 @@ def test_states_for_errors_that_last_whiten_the_innovations():
     assert abs(lag[1]) < lag[0]
 
 
-def test_few_fixes_get_no_states_for_their_errors():
-    """With 142 fixes these states doubled the drift."""
+def test_few_fixes_lead_to_no_advice_on_fix_error():
+    """With 142 fixes, these states doubled the drift."""
     few = clip(smooth(0.3), 0.0, 45.0)
     assert not to_dos(tune(few, model="planar8", kind="ekf", use=["lateral"], **FEW), "correlated")
 
 
 @pytest.mark.long
-def test_a_log_that_begins_in_reverse_is_cut_as_the_doctor_says():
+def test_splitting_a_log_that_starts_in_reverse_as_the_doctor_recommends_prevents_divergence():
     whole = robot(True, 0)
     (found,) = [f for f in diagnose(whole).findings if f.code == "reverse-start"]
     at = float(re.findall(r"--at (\d+)", found.remedy)[0])
@@ -183,6 +183,6 @@ def test_a_log_that_begins_in_reverse_is_cut_as_the_doctor_says():
     assert not to_dos(tune(part), "DO NOT USE THIS FILTER")
 
 
-def test_no_remedy_of_a_tuning_without_options_speaks_of_leaving_them_out():
+def test_without_given_options_no_advice_recommends_leaving_one_out():
     found = tune(smooth(), trials=1, particles=4, generations=2)
     assert not [r for r in found.remarks if "leave" in r]

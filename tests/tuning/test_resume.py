@@ -1,4 +1,4 @@
-"""Interrupted tunings: resumed, they end with the same bits, or a message states why they can't be resumed."""
+"""Interrupted tunings: resumed, they end with the same bits, or an error states why they can't be resumed."""
 
 import json
 import os
@@ -41,16 +41,16 @@ GENERATIONS = 50
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Every file of a result, by its name."""
+    """Return the content of each file of a result, by its name."""
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
 class Interruption(Exception):
-    """As if the process had died."""
+    """Stands for the end of the process."""
 
 
 def interrupted(drives: list[Drive], out: Path, at: int, *, resume: bool = False, **options) -> None:
-    """Tune until ``at`` generations are done."""
+    """Tune until ``at`` generations are finished."""
 
     def stop(progress: Progress) -> None:
         if progress.done >= at:
@@ -61,7 +61,7 @@ def interrupted(drives: list[Drive], out: Path, at: int, *, resume: bool = False
 
 
 def test_the_callback_stops_a_tuning(tmp_path: Path):
-    """It ends with an error that names the way on; what is saved is enough to resume without the options."""
+    """The error names the command to resume, and the saved files are sufficient to resume without the options."""
     seen: list[Progress] = []
 
     def stop(progress: Progress) -> bool:
@@ -114,13 +114,13 @@ def test_a_resumed_tuning_ends_in_the_same_bytes(tmp_path: Path, uninterrupted, 
     assert contents(out) == uninterrupted
 
 
-def test_interrupted_after_every_generation(tmp_path: Path, uninterrupted):
+def test_interrupting_after_every_generation_gives_the_same_bytes(tmp_path: Path, uninterrupted):
     out = tmp_path / "out"
     for generation in range(1, 13):
         interrupted(DRIVES, out, generation, resume=generation > 1, **OPTIONS)
     told: list[Progress] = []
     tune(DRIVES, out=out, resume=True, progress=told.append, **OPTIONS)
-    assert told == []  # nothing was left to do but to finish
+    assert told == []  # all generations were finished
     assert contents(out) == uninterrupted
 
 
@@ -133,12 +133,12 @@ def test_resuming_a_finished_tuning_computes_nothing(tmp_path: Path, uninterrupt
     assert contents(out) == uninterrupted
 
 
-def test_resuming_what_was_never_started_starts(tmp_path: Path, uninterrupted):
+def test_resume_starts_a_tuning_that_does_not_exist(tmp_path: Path, uninterrupted):
     tune(DRIVES, out=tmp_path / "new" / "out", resume=True, **OPTIONS)
     assert contents(tmp_path / "new" / "out") == uninterrupted
 
 
-def test_patience_counts_on_after_an_interruption(tmp_path: Path):
+def test_patience_is_counted_across_an_interruption(tmp_path: Path):
     options = {"particles": 3, "generations": 40, "seed": 3, "patience": 3}
     whole = tune(DRIVES[:1], out=tmp_path / "whole", **options)
     length = len(whole.trials[0].best)
@@ -148,8 +148,8 @@ def test_patience_counts_on_after_an_interruption(tmp_path: Path):
     assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
 
 
-def test_failures_are_counted_over_an_interruption(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """In the paper's box no filter fails, so an objective that can't score everything stands in."""
+def test_failures_are_counted_across_an_interruption(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Within the paper's bounds no filter fails, so the test uses an objective that fails for some scores."""
 
     def picky(scores: Scores) -> np.ndarray:
         return np.where(scores.position_rmse > 2.0, np.nan, scores.position_rmse)
@@ -164,12 +164,12 @@ def test_failures_are_counted_over_an_interruption(tmp_path: Path, monkeypatch: 
     assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
 
 
-# --- Killed ------------------------------------------------------------------------------------------------
+# --- Killed processes --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kills", [2, pytest.param(6, marks=pytest.mark.long)])
-def test_killed_several_times_it_ends_in_the_same_bytes(tmp_path: Path, kills: int):
-    """SIGKILL at random moments between the first checkpoint and the end."""
+def test_a_tuning_killed_several_times_ends_in_the_same_bytes(tmp_path: Path, kills: int):
+    """SIGKILL is sent at random times between the first checkpoint and the end."""
     for drive in DRIVES:
         write_drive(drive, tmp_path / "drives" / drive.name)
     options = ["--model", "planar5", "--objective", "truth-rmse"]
@@ -180,18 +180,18 @@ def test_killed_several_times_it_ends_in_the_same_bytes(tmp_path: Path, kills: i
 
     uninterrupted = Process(COMMAND, [*command, "--out", whole])
     chance = random.Random(2024)
-    saved = [0]  # generations that each kill left behind
+    saved = [0]  # finished generations after each kill
     for moment in sorted(chance.sample(range(1, GENERATIONS * 8 // 10), kills)):
         run = Process(COMMAND, [*command, "--out", killed, *["--resume"] * (len(saved) > 1)])
         while generations_in(checkpoint) <= max(moment, saved[-1]):
-            assert run.poll() is None, "it ended before it could be killed"
+            assert run.poll() is None, "the process ended before it was killed"
             time.sleep(0.005)
-        time.sleep(chance.uniform(0.0, 0.01))  # anywhere within a generation, in the middle of saving too
+        time.sleep(chance.uniform(0.0, 0.01))  # at any time within a generation, also while it is saved
         run.kill()
         assert run.wait() == -signal.SIGKILL
         saved.append(generations_in(checkpoint))
         assert not (killed / "trial-000").exists()
-    assert saved == sorted(set(saved))  # each run went on where the one before was killed
+    assert saved == sorted(set(saved))  # each run continued the previous one
     print(f"killed after generations {saved[1:]} of {GENERATIONS}")
 
     assert Process(COMMAND, [*command, "--out", killed, "--resume"]).wait() == 0
@@ -205,7 +205,7 @@ def generations_in(checkpoint: Path) -> int:
     return len(saved[0]["best"]) if saved else 0
 
 
-# --- What can't be resumed ---------------------------------------------------------------------------------
+# --- Folders that can't be resumed -------------------------------------------------------------------------
 
 
 def refusal(drives, out: Path, **options) -> str:
@@ -216,7 +216,7 @@ def refusal(drives, out: Path, **options) -> str:
     print(message)
     assert "\n" not in message
     assert str(out) in message
-    assert contents(out) == before  # and nothing is lost
+    assert contents(out) == before  # no file changes
     return message
 
 
@@ -250,11 +250,11 @@ def test_a_folder_with_results_needs_resume(started: Path):
     ],
     ids=lambda v: next(iter(v)) if isinstance(v, dict) else "",
 )
-def test_another_configuration_is_named(started: Path, change: dict, said: str):
+def test_the_error_names_a_different_configuration(started: Path, change: dict, said: str):
     assert said in refusal(DRIVES, started, resume=True, **(OPTIONS | change))
 
 
-def test_other_drives_are_named(started: Path):
+def test_the_error_names_different_drives(started: Path):
     message = refusal(DRIVES[:1], started, resume=True, **OPTIONS)
     assert "drives d0 (" in message
     assert "d1 (" in message
@@ -277,7 +277,7 @@ CORRUPTIONS = {
     "corruption",
     quickly([(c,) for c in CORRUPTIONS], lambda corruption: corruption in ("cut-short", "flipped")),
 )
-def test_a_corrupted_checkpoint_is_named(started: Path, corruption: str):
+def test_the_error_names_a_corrupted_checkpoint(started: Path, corruption: str):
     file = started / "checkpoint-000.npz"
     file.write_bytes(CORRUPTIONS[corruption](file.read_bytes()))
     message = refusal(DRIVES, started, resume=True, **OPTIONS)
@@ -287,7 +287,7 @@ def test_a_corrupted_checkpoint_is_named(started: Path, corruption: str):
     tune(DRIVES, out=started, resume=True, **OPTIONS)
 
 
-def test_a_checkpoint_that_lacks_something_is_named(started: Path):
+def test_the_error_names_a_checkpoint_without_an_array(started: Path):
     file = started / "checkpoint-000.npz"
     arrays, notes = load_checkpoint(file)
     del arrays["first.velocities"]
@@ -296,14 +296,14 @@ def test_a_checkpoint_that_lacks_something_is_named(started: Path):
 
 
 @pytest.mark.parametrize("content", ["", "{", "[]", "3"])
-def test_a_corrupted_configuration_is_named(started: Path, content: str):
+def test_the_error_names_a_corrupted_configuration(started: Path, content: str):
     (started / "config.json").write_text(content)
     assert "config.json" in refusal(DRIVES, started, resume=True, **OPTIONS)
 
 
 @pytest.mark.parametrize("file", ["result.json", "history.npz"])
 @pytest.mark.parametrize("content", [b"", b"nonsense", None])
-def test_a_corrupted_trial_is_named(tmp_path: Path, file: str, content: bytes | None):
+def test_the_error_names_a_corrupted_trial(tmp_path: Path, file: str, content: bytes | None):
     out = tmp_path / "out"
     interrupted(DRIVES, out, 8, **OPTIONS)
     broken = out / "trial-000" / file
@@ -315,7 +315,7 @@ def test_a_corrupted_trial_is_named(tmp_path: Path, file: str, content: bytes | 
 # --- Writing -----------------------------------------------------------------------------------------------
 
 
-def test_a_file_is_replaced_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_file_is_replaced_atomically(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     file = tmp_path / "a.txt"
     write_atomically(file, b"first")
 
@@ -352,7 +352,7 @@ def test_a_checkpoint_keeps_a_generator_s_big_numbers(tmp_path: Path):
     assert arrays["x"].tobytes() == np.array([np.inf, np.nan, 1e-320]).tobytes()
 
 
-def test_the_configuration_says_what_was_asked(started: Path):
+def test_the_configuration_contains_the_options(started: Path):
     config = json.loads((started / "config.json").read_text())
     assert OPTIONS.items() <= config.items()
     assert [d["name"] for d in config["data"]] == ["d0", "d1"]
@@ -366,12 +366,12 @@ def test_a_search_from_a_start_is_resumed_with_the_same_bits(tmp_path: Path):
     assert contents(tmp_path / "killed") == contents(tmp_path / "whole")
 
 
-def test_a_run_that_lacks_later_entries_of_its_drives_is_resumed(tmp_path: Path):
+def test_a_run_without_entries_of_later_versions_is_resumed(tmp_path: Path):
     interrupted(DRIVES, tmp_path / "run", 2, **OPTIONS)
     file = tmp_path / "run" / "config.json"
     config = json.loads(file.read_text())
     assert config.pop("center")
     for drive in config["data"]:
-        drive["slow"] = True  # as another version could save it
+        drive["slow"] = True  # as another version could write it
     file.write_text(json.dumps(config))
     assert tune(DRIVES, out=tmp_path / "run", resume=True, **OPTIONS).cost > 0

@@ -1,4 +1,4 @@
-"""The ranges of parameters, compared with closed forms, and on a filter with a known result."""
+"""Ranges of parameters: closed forms, and a filter with a known result."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -35,10 +35,10 @@ class Bowl:
         return np.asarray(costs) / best - 1
 
 
-def test_a_bowl_gives_its_widths():
+def test_the_ranges_of_a_bowl_agree_with_its_closed_form():
     bowl = Bowl([1.0, 0.01, 0.0], [0.5, -1.0, 0.0], logarithmic=False)
     sharp, wide, free = sensitivities(bowl, bowl.optimum, 1.0, POOL)
-    # weight x^2 = 0.01; the steps are linear in between, so a little inside
+    # weight x^2 = 0.01; linear interpolation gives slightly smaller ranges
     assert sharp.lowest == pytest.approx(0.4, abs=0.02)
     assert sharp.highest == pytest.approx(0.6, abs=0.02)
     assert wide.lowest == pytest.approx(-2.0, abs=0.1)
@@ -47,7 +47,7 @@ def test_a_bowl_gives_its_widths():
     assert (free.lowest, free.highest) == (None, None)
 
 
-def test_ranges_are_told_in_the_units_of_the_parameter():
+def test_ranges_have_the_units_of_the_parameter():
     bowl = Bowl([0.01], [1.0], logarithmic=True)
     (found,) = sensitivities(bowl, bowl.optimum, 1.0, POOL)
     assert found.value == pytest.approx(10.0)
@@ -62,14 +62,14 @@ def test_a_parameter_at_its_bound_can_still_be_identified():
     assert found.identified
 
 
-def test_a_search_that_had_not_ended_is_told():
+def test_a_search_that_has_not_converged_is_reported():
     bowl = Bowl([0.1, 1.0], [2.0, 0.0], logarithmic=False)
     slope, level = sensitivities(bowl, np.zeros(2), 1.4, POOL)
     assert slope.lowest_rise == pytest.approx(1 / 1.4 - 1, abs=0.02)
     assert level.lowest_rise == 0.0
 
 
-def test_all_noises_together_are_moved_two_decades():
+def test_the_common_scale_of_all_noises_is_varied():
     tuning = tune(make_drive(duration=30.0), particles=4, generations=2)
     assert tuning.sensitivities[-1].name == NOISE_SCALE
     flat = replace(tuning, sensitivities=(Sensitivity(NOISE_SCALE, 1.0, None, None),))
@@ -85,7 +85,7 @@ def test_failures_bound_a_range():
     assert 0.5 <= found.highest <= 1.0
 
 
-def test_only_a_likelihood_fixes_the_scale_of_the_noise():
+def test_only_a_likelihood_determines_the_scale_of_the_noise():
     drives = [make_drive(duration=40.0, seed=s) for s in range(2)]
     scale = {}
     for objective in ("truth-rmse", "innovation-nll"):
@@ -95,5 +95,5 @@ def test_only_a_likelihood_fixes_the_scale_of_the_noise():
     sharp = scale["innovation-nll"]
     assert sharp.value == 1.0
     assert 0.7 < sharp.lowest < 1.0 < sharp.highest < 1.4
-    blunt = scale["truth-rmse"]  # not quite without effect: the covariance of the start is not scaled
+    blunt = scale["truth-rmse"]  # a small effect remains, since the initial covariance is not scaled
     assert (blunt.highest or 100.0) / (blunt.lowest or 0.01) > 3 * sharp.highest / sharp.lowest

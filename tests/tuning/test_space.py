@@ -96,7 +96,7 @@ def test_touched_bounds_are_named(scale):
     ("model", "use"), [("planar8", ()), ("planar8", ("lateral",)), ("planar5", ("lateral",))]
 )
 @given(seed=st.integers(0, 2**32 - 1))
-def test_noise_does_not_know_the_compass(model, use, seed: int):
+def test_noise_variances_are_equal_in_east_and_north(model, use, seed: int):
     space = search_space(model, "log10", use=use)
     (p,) = space.decode(np.random.default_rng(seed).uniform(space.low, space.high)[None])
     x, y, vx, vy, theta, *biases = p.process_noise
@@ -104,29 +104,29 @@ def test_noise_does_not_know_the_compass(model, use, seed: int):
     assert (x, vx, east) == (y, vy, north)
     assert len(biases) == {"planar5": 0, "planar8": 3}[model]
     noises = (x, vx, theta, *biases, east)
-    assert len(set(noises)) == len(noises)  # each of its own
+    assert len(set(noises)) == len(noises)  # all others differ
     assert {"q_xy", "q_vxy", "r_xy"} <= set(space.names)
     assert not {"q_x", "q_vy", "r_y"} & set(space.names)
 
 
 @pytest.mark.parametrize("scale", ["log10", "linear"])
-def test_fixes_of_cities_have_room(scale: str):
-    def box(model: str, *use: str) -> dict[str, tuple[float, float]]:
+def test_the_bounds_include_large_errors_of_urban_fixes(scale: str):
+    def bounds(model: str, *use: str) -> dict[str, tuple[float, float]]:
         space = search_space(model, scale, use=use)
         return dict(
             zip(space.names, zip(space.lowest.tolist(), space.highest.tolist(), strict=True), strict=True)
         )
 
-    assert box("planar5", "lateral")["r_xy"] == (1e-5, 10.0)  # the paper's
-    assert box("planar8")["r_xy"] == (1e-5, 1e3)
+    assert bounds("planar5", "lateral")["r_xy"] == (1e-5, 10.0)  # as in the paper
+    assert bounds("planar8")["r_xy"] == (1e-5, 1e3)
     for model, name in (("planar5", "r_y"), ("planar8", "r_xy")):
-        found = box(model, "accuracy", "robust")
+        found = bounds(model, "accuracy", "robust")
         assert found[name] == (1e-4, 1e3)
         assert found["accuracy_scale"] == (1e-3, 10.0)
         assert found["robust_dof"] == (1.0, 30.0)
 
 
-def test_stated_accuracy_is_among_the_noises_that_scale_together():
+def test_the_scale_of_the_stated_accuracy_belongs_to_the_noises():
     space = search_space("planar8", "log10", use=("accuracy", "robust"))
     noises = np.array(space.names)[space.noises]
     assert {"accuracy_scale", "r_xy"} <= set(noises)
@@ -143,19 +143,19 @@ def test_stated_accuracy_is_among_the_noises_that_scale_together():
         ("adaptive-ukf", ("accuracy",), "accuracy can't be combined with adaptive-ukf"),
     ],
 )
-def test_what_does_not_go_together_is_refused(kind, use, said: str):
+def test_incompatible_options_are_rejected(kind, use, said: str):
     with pytest.raises(InputError, match=said) as refusal:
         search_space("planar8", "log10", kind=kind, use=use)
     assert "\n" not in str(refusal.value) and "leave" in str(refusal.value)
 
 
-def test_the_interval_is_passed_on():
+def test_the_parameters_have_the_nominal_interval():
     space = search_space("planar5", "log10", 0.02)
     assert space.decode(space.low[None])[0].nominal_interval == 0.02
     assert search_space("planar5", "log10").decode(space.low[None])[0].nominal_interval is None
 
 
-def test_tire_slip_is_searched_where_it_is_chosen():
+def test_tire_slip_is_searched_if_it_is_selected():
     assert "tire_slip" not in search_space("planar8", "log10", use=("lateral",)).names
     space = search_space("planar8", "log10", use=("lateral", "slip"), has_truth=True)
     at = space.names.index("tire_slip")
@@ -172,8 +172,8 @@ def test_an_unknown_scale_is_refused():
         search_space("planar5", "cubic")
 
 
-def test_the_bounds_of_tilted12_are_per_second_for_any_rate_of_the_imu():
-    box = {
+def test_the_bounds_of_tilted12_are_per_second_for_any_imu_rate():
+    bounds = {
         interval: {d.name: d for d in search_space("tilted12", "log10", interval, kind="ekf").dimensions}
         for interval in (0.01, 0.02)
     }
@@ -182,10 +182,10 @@ def test_the_bounds_of_tilted12_are_per_second_for_any_rate_of_the_imu():
         "q_tilt": (1e-10, 1e-2), "q_gyro_bias_xy": (1e-14, 1e-4),
     }  # fmt: skip
     names = ["q_xy", *per_second, "r_xy", "accel_bias_std", "gyro_bias_std"]
-    assert list(box[0.01]) == names
-    for interval, dimensions in box.items():
+    assert list(bounds[0.01]) == names
+    for interval, dimensions in bounds.items():
         for name, (low, high) in per_second.items():
             assert dimensions[name].lowest == pytest.approx(low * interval)
             assert dimensions[name].highest == pytest.approx(high * interval)
         assert (dimensions["q_xy"].lowest, dimensions["q_xy"].highest) == (1e-12, 10.0)
-    assert sum(d.entries for d in box[0.01].values() if d.field == "process_noise") == 12
+    assert sum(d.entries for d in bounds[0.01].values() if d.field == "process_noise") == 12

@@ -1,4 +1,4 @@
-"""`tune`: the same bits for the same seed, better than random, with warnings on objectives and bounds."""
+"""`tune`: the same bits for the same seed, better than random, and warnings about objectives and bounds."""
 
 import shutil
 import tomllib
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.usefixtures("undiagnosed")
 DRIVES = [make_drive(duration=25.0, seed=s, name=f"d{s}", imu_rate=50.0) for s in range(2)]
 SMALL = {"particles": 6, "generations": 5}
 tune = partial(tune_by_default, model="planar5", objective="truth-rmse")
-"""Of the search: the smallest filter and objective. What is taken by default has tests of its own."""
+"""The search with the smallest filter and objective; other tests check the defaults."""
 
 
 def bits(tuning: Tuning) -> list[bytes]:
@@ -39,14 +39,14 @@ def bits(tuning: Tuning) -> list[bytes]:
     return [a.tobytes() for a in arrays] + [repr((tuning.parameters, tuning.cost)).encode()]
 
 
-def test_robust_is_told_of_a_likelihood_that_it_does_not_go_with():
+def test_a_likelihood_that_is_incompatible_with_robust_causes_a_warning():
     blind = [replace(d, truth=None) for d in DRIVES]
     with pytest.warns(SigmaswarmWarning, match="even if the filter uses robust; use innovation-t"):
         tune(blind, use=["robust"], objective="innovation-nll + nis", **SMALL)
 
 
-def test_the_same_seed_gives_the_same_bits_whatever_the_number_of_workers():
-    # more particles than lanes, so that there is work to share
+def test_the_same_seed_gives_the_same_bits_for_any_number_of_workers():
+    # more particles than lanes, so that the work is divided
     options = {"particles": 40, "generations": 4, "objective": "truth-pose", "trials": 2, "seed": 5}
     results = [tune(DRIVES, **options)]
     for workers in (1, 2, 4):
@@ -56,14 +56,14 @@ def test_the_same_seed_gives_the_same_bits_whatever_the_number_of_workers():
     assert bits(tune(DRIVES, **(options | {"seed": 6}))) != bits(results[0])
 
 
-def test_trials_differ_and_the_best_is_kept():
+def test_trials_differ_and_the_best_is_selected():
     tuning = tune(DRIVES, trials=4, seed=2, **SMALL)
     costs = [trial.cost for trial in tuning.trials]
     assert len(set(costs)) == 4
     assert tuning.cost == min(costs)
     assert tuning.best_trial == costs.index(min(costs))
     assert tuning.to_dict()["result"]["trial_costs"] == costs
-    # a trial does not depend on how many others there are
+    # a trial does not depend on the number of trials
     assert tune(DRIVES, trials=1, seed=2, **SMALL).trials[0].best.tolist() == tuning.trials[0].best.tolist()
 
 
@@ -74,7 +74,7 @@ def test_the_cost_is_that_of_the_parameters():
         assert run_batch(DRIVES, [tuning.parameters], objective=objective).costs[0] == tuning.cost
 
 
-def test_the_history_is_that_of_a_swarm():
+def test_the_history_contains_best_and_median_costs():
     tuning = tune(DRIVES, particles=6, generations=7)
     (trial,) = tuning.trials
     assert trial.best.shape == trial.median.shape == (7,)
@@ -117,7 +117,7 @@ def test_the_paper_s_first_generation_is_uniform():
 
 
 @pytest.mark.parametrize("scale", quickly([("log10",), ("linear",)], lambda scale: scale == "linear"))
-def test_it_beats_random_search_and_the_defaults(scale: str):
+def test_it_is_better_than_random_search_and_the_defaults(scale: str):
     wins = []
     for seed in range(5):
         tuning = tune(DRIVES, scale=scale, particles=15, generations=20, seed=seed)
@@ -144,11 +144,11 @@ def test_parameters_stay_within_the_bounds_and_touched_bounds_are_reported():
         "kappa": p.kappa in (0.0, 5.0),
     }
     assert {t.parameter for t in tuning.touched_bounds} == {name for name, at in at_bound.items() if at}
-    assert tuning.touched_bounds  # an exact IMU wants less Q than the box allows
+    assert tuning.touched_bounds  # for an exact IMU, the optimal Q is below the bounds
 
 
 @pytest.mark.filterwarnings("ignore:gps-rmse compares the filter")
-def test_gps_rmse_copies_the_gps_and_is_worse_against_truth():
+def test_gps_rmse_copies_the_fixes_and_is_worse_with_respect_to_truth():
     drives = [simulate("urban", run=run, duration=60.0, gps="white-1m", imu_rate=50.0) for run in range(2)]
     options = {"particles": 20, "generations": 20}
     honest, copying = (tune(drives, objective=o, **options).parameters for o in ("truth-rmse", "gps-rmse"))
@@ -161,7 +161,7 @@ def test_gps_rmse_copies_the_gps_and_is_worse_against_truth():
     assert truth[1] > 1.4 * truth[0]
 
 
-def test_the_search_scale_reaches_the_search():
+def test_the_search_uses_the_scale():
     log, linear = (tune(DRIVES, scale=scale, **SMALL) for scale in ("log10", "linear"))
     for tuning, value in ((log, lambda v: 10**v), (linear, lambda v: v)):
         point = tuning.trials[0].point
@@ -175,25 +175,25 @@ def test_the_search_scale_reaches_the_search():
     [{"inertia": 0.3}, {"cognitive": 0.1}, {"social": 0.1}, {"zero_velocity_at_bounds": True}],
     ids=str,
 )
-def test_each_constant_reaches_the_swarm(change: dict):
+def test_the_swarm_uses_each_constant(change: dict):
     swarm = SMALL | {"optimizer": "pso"}
     plain, changed = tune(DRIVES, **swarm), tune(DRIVES, **swarm, **change)
     assert changed.trials[0].best[0] == plain.trials[0].best[0]
     assert changed.trials[0].median[-1] != plain.trials[0].median[-1]
 
 
-def test_patience_ends_a_trial_that_stalls():
+def test_patience_ends_a_trial_without_progress():
     full = tune(DRIVES[:1], particles=3, generations=40, seed=3).trials[0].best
     patience = 3
     stalled = [g for g in range(patience, 40) if full[g] >= full[g - patience]]
-    assert stalled[0] < 35  # or the test says nothing
+    assert stalled[0] < 35  # otherwise, the test is not sensitive
     cut = tune(DRIVES[:1], particles=3, generations=40, seed=3, patience=patience)
     assert cut.trials[0].best.tolist() == full[: stalled[0] + 1].tolist()
     assert cut.trials[0].evaluations == 3 * (stalled[0] + 1)
     assert tune(DRIVES[:1], particles=3, generations=6, patience=40).trials[0].best.size == 6
 
 
-def test_progress_is_told_after_every_generation():
+def test_progress_is_reported_after_every_generation():
     told: list[Progress] = []
     tuning = tune(DRIVES, trials=2, progress=told.append, **SMALL)
     assert [(p.trial, p.generation) for p in told] == [(t, g) for t in range(2) for g in range(1, 6)]
@@ -202,7 +202,7 @@ def test_progress_is_told_after_every_generation():
     assert [p.best_cost for p in told] == [*tuning.trials[0].best, *tuning.trials[1].best]
 
 
-def test_the_file_holds_all_that_is_needed_to_run_it_again(tmp_path: Path):
+def test_the_file_contains_everything_needed_to_repeat_the_tuning(tmp_path: Path):
     tuning = tune(DRIVES, out=tmp_path / "out", seed=4, objective="truth-pose", **SMALL)
     table = tomllib.loads((tmp_path / "out" / "tuning.toml").read_text())
     assert FilterParameters.load(tmp_path / "out") == tuning.parameters
@@ -217,7 +217,7 @@ def test_the_file_holds_all_that_is_needed_to_run_it_again(tmp_path: Path):
     assert bits(tune(DRIVES, **table["config"])) == bits(tuning)
 
 
-def test_the_fingerprint_tells_data_apart():
+def test_the_fingerprint_depends_on_the_data():
     print_of = [
         tune(d, particles=2, generations=1).data[0]["sha256"] for d in (DRIVES[0], DRIVES[0], DRIVES[1])
     ]
@@ -250,7 +250,7 @@ def test_nothing_is_written_without_a_folder(tmp_path: Path, monkeypatch: pytest
     ],
     ids=str,
 )
-def test_a_wrong_option_is_named(option: dict, name: str):
+def test_the_error_names_a_wrong_option(option: dict, name: str):
     with pytest.raises(InputError) as caught:
         tune(DRIVES, **option)
     assert name in str(caught.value)
@@ -258,7 +258,7 @@ def test_a_wrong_option_is_named(option: dict, name: str):
     assert "\n" not in str(caught.value)
 
 
-def test_drives_that_can_not_be_tuned_on_are_refused(tmp_path: Path):
+def test_drives_that_can_not_be_used_for_tuning_are_rejected(tmp_path: Path):
     with pytest.raises(InputError, match="no drives"):
         tune([])
     with pytest.raises(
@@ -275,23 +275,23 @@ def test_drives_that_can_not_be_tuned_on_are_refused(tmp_path: Path):
     still = replace(DRIVES[0], gps=replace(DRIVES[0].gps, x=zero, y=zero))
     with pytest.raises(AlignmentError, match="d0: the vehicle never travels 20 m"):
         tune(still, out=tmp_path / "out")
-    assert not (tmp_path / "out").exists()  # a mistake leaves nothing that stands in the way of the next try
+    assert not (tmp_path / "out").exists()  # no folder remains that would prevent the next attempt
 
 
-def test_without_truth_the_fixes_are_forecast():
+def test_without_truth_the_objective_is_the_prediction_of_the_fixes():
     blind = [replace(d, truth=None) for d in DRIVES]
     auto = partial(tune, objective="auto", **SMALL)
     assert auto(blind).config.objective == "innovation-t"
     assert auto(DRIVES).config.objective == "truth-pose + 0.2 nees"
     with pytest.warns(SigmaswarmWarning, match="d1 has no truth, so the objective is innovation-t"):
         assert auto([DRIVES[0], blind[1]]).config.objective == "innovation-t"
-    # truth, where there is some, has no part in it
+    # truth has no effect
     seen, unseen = (tune(d, objective="innovation-nll + outage-rmse", **SMALL) for d in (DRIVES, blind))
     assert bits(seen) == bits(unseen)
 
 
 @pytest.mark.parametrize("whole", [True, False])
-def test_a_tuning_is_read_as_it_was_written(tmp_path: Path, whole: bool):
+def test_a_saved_tuning_is_read_unchanged(tmp_path: Path, whole: bool):
     options = {
         "optimizer": "random",
         "trials": 2,
@@ -301,7 +301,7 @@ def test_a_tuning_is_read_as_it_was_written(tmp_path: Path, whole: bool):
     }
     tuning = tune(DRIVES[:1], validation=DRIVES[1:], out=tmp_path / "t", **SMALL, **options)
     file = tmp_path / "t" / "tuning.toml"
-    if not whole:  # the file alone, as it is sent to a colleague
+    if not whole:  # only the file, as it could be sent to a colleague
         file = Path(shutil.copy(file, tmp_path / "alone.toml"))
     read = Tuning.load(tmp_path / "t" if whole else file)
     assert read.to_dict() == tuning.to_dict()
@@ -319,7 +319,7 @@ def test_a_tuning_is_read_as_it_was_written(tmp_path: Path, whole: bool):
 
 
 def test_a_tuning_of_0_3_0_is_read(tmp_path: Path):
-    """Its option was called margin, its keys doubts and margin_raised_by."""
+    """In that version, the option was called margin, and the keys were doubts and margin_raised_by."""
     tuning = tune(DRIVES, **SMALL, inflation=0.1, objective="innovation-t")
     tuning.save(tmp_path / "t.toml")
     text = (tmp_path / "t.toml").read_text()
@@ -343,7 +343,7 @@ def test_a_tuning_of_0_3_0_is_read(tmp_path: Path):
 
 
 class Walk:
-    """An optimizer of the user's own: asks around its best point, forgets everything else."""
+    """An optimizer of a user: it proposes points around its best point and stores nothing else."""
 
     def __init__(self, low, high, population, rng):
         self.low, self.high, self.population, self.rng = low, high, population, rng
@@ -365,7 +365,7 @@ class Walk:
         self.at, self.cost = np.array(state["at"]), float(state["cost"])
 
 
-def test_an_optimizer_of_the_user_s_own_is_resumed_bit_for_bit(tmp_path: Path):
+def test_an_optimizer_of_a_user_is_resumed_bit_for_bit(tmp_path: Path):
     options = {"particles": 4, "generations": 6, "optimizer": Walk, "polish": 8}
     whole = tune(DRIVES, **options)
     assert whole.config.model_dump()["optimizer"].endswith(":Walk")
@@ -384,7 +384,7 @@ def test_an_optimizer_of_the_user_s_own_is_resumed_bit_for_bit(tmp_path: Path):
         )
 
 
-def test_validation_drives_are_scored_but_choose_nothing():
+def test_validation_drives_are_scored_and_do_not_change_the_result():
     training, other = DRIVES[:1], make_drive(duration=25.0, seed=9, gps_std=4.0, name="noisy", imu_rate=50.0)
     plain = tune(training, **SMALL)
     assert plain.validation is None
@@ -416,7 +416,7 @@ def test_validation_drives_are_scored_but_choose_nothing():
         lambda optimizer: optimizer in ("ga-pso", "nelder-mead"),
     ),
 )
-def test_every_optimizer_tunes_within_the_same_budget(optimizer: str, tmp_path: Path):
+def test_every_optimizer_uses_the_same_budget(optimizer: str, tmp_path: Path):
     asked = {"optimizer": optimizer, "particles": 8, "generations": 6, "polish": 12, "seed": 3}
     tuning = tune(DRIVES[:1], **asked)
     (trial,) = tuning.trials
@@ -438,7 +438,7 @@ def test_every_optimizer_tunes_within_the_same_budget(optimizer: str, tmp_path: 
     assert bits(tune(DRIVES[:1], out=tmp_path, resume=True, **asked)) == bits(tuning)
 
 
-def test_a_coefficient_of_the_swarm_is_refused_for_others(tmp_path: Path):
+def test_a_coefficient_of_the_swarm_is_rejected_for_other_optimizers(tmp_path: Path):
     with pytest.raises(InputError, match="inertia is an option of the optimizer pso, not of de"):
         tune(DRIVES[:1], optimizer="de", inertia=0.5, **SMALL)
     with pytest.raises(InputError, match=r"polish = 30 must be less than particles x generations = 30"):
@@ -453,21 +453,21 @@ def test_a_validation_drive_of_another_rate_is_run_with_the_same_noise_per_secon
     assert tuning.validation.cost == run_batch(other, [tuning.parameters]).costs[0]
 
 
-def test_what_was_tuned_on_validates_nothing():
+def test_a_training_drive_is_rejected_for_validation():
     with pytest.raises(InputError, match="d0 is also a training drive"):
         tune(DRIVES, validation=DRIVES[:1], **SMALL)
     with pytest.raises(InputError, match="got a str"):
         tune(DRIVES, validation=["drives/x"], **SMALL)
 
 
-def test_validation_may_be_added_to_a_tuning_that_is_done(tmp_path: Path):
+def test_validation_can_be_added_to_a_finished_tuning(tmp_path: Path):
     plain = tune(DRIVES[:1], out=tmp_path, **SMALL)
     checked = tune(DRIVES[:1], validation=DRIVES[1], out=tmp_path, resume=True, **SMALL)
     assert bits(checked) == bits(plain)
     assert "validation_cost" in (tmp_path / "tuning.toml").read_text()
 
 
-def test_what_the_objective_can_not_tell_is_named_once():
+def test_each_undetermined_parameter_is_reported_once():
     tuning = tune(DRIVES, **SMALL)
     free = replace(
         tuning,
@@ -493,7 +493,7 @@ def test_densities_are_those_of_continuous_noise():
     assert told.endswith(" m/s/sqrt(s)")
 
 
-def test_patience_leaves_the_polish_to_do(tmp_path: Path):
+def test_patience_still_runs_the_polish(tmp_path: Path):
     asked = {"particles": 3, "generations": 40, "patience": 3, "polish": 30, "seed": 1}
     tuning = tune(DRIVES[:1], **asked)
     (trial,) = tuning.trials
@@ -514,20 +514,20 @@ def test_patience_leaves_the_polish_to_do(tmp_path: Path):
     assert bits(tune(DRIVES[:1], out=tmp_path / "again", resume=True, **asked)) == bits(tuning)
 
 
-def test_the_worst_drives_can_count_alone():
+def test_the_cost_can_consist_of_the_worst_drives_only():
     drives = [DRIVES[0], make_drive(duration=25.0, seed=9, gps_std=3.0, imu_rate=50.0)]
     tuning = tune(drives, worst=0.5, **SMALL)
     each = [run_batch(d, [tuning.parameters]).costs[0] for d in drives]
     assert tuning.cost == max(each)
 
 
-def test_truth_of_another_time_is_refused():
+def test_truth_outside_the_time_of_the_drive_is_rejected():
     late = replace(DRIVES[0], truth=replace(DRIVES[0].truth, time=DRIVES[0].truth.time + 1e4))
     with pytest.raises(InputError, match=r"d0.*truth"):
         tune(late, **SMALL)
 
 
-def test_filters_that_all_fail_are_an_error():
+def test_an_error_is_raised_if_all_filters_fail():
     ax = DRIVES[0].imu.ax.copy()
     ax[-5] = np.nan
     with pytest.raises(InputError, match=r"no parameter set gave a finite cost.*NaN"):

@@ -29,7 +29,7 @@ LOW, HIGH = np.array([-5.0, 0.0]), np.array([5.0, 2.0])
 
 
 def valley(points: np.ndarray) -> np.ndarray:
-    """Curved, with its floor at (1, 1.3); far off it costs thousands, and a strip fails."""
+    """Return a curved valley with its minimum at (1, 1.3); distant costs are in the thousands, and a strip fails."""
     costs = 10 * (points[:, 1] - 1.3 - 0.1 * (points[:, 0] - 1)) ** 2 + np.expm1(
         np.abs(points[:, 0] - 1) ** 1.5
     )
@@ -47,23 +47,23 @@ def lowest(name: str, seed: int, budget: int = 30) -> float:
 
 
 @pytest.mark.long
-def test_it_learns_from_thirty_costs_what_even_points_do_not():
-    """Of a landscape as filters have them: a narrow place to be in, costs by the thousand, failures."""
+def test_it_is_better_than_a_quasi_random_search_with_thirty_costs():
+    """The costs resemble those of filters: a narrow minimum, costs in the thousands, and failures."""
     ours, even = ([lowest(name, seed) for seed in range(3)] for name in ("bo", "sobol"))
     assert max(ours) < 0.05
     assert max(ours) < 0.3 * min(even)
 
 
 def naive_improvement(points, costs, length, at):
-    """Expected improvement by the book: Jones et al. (1998), eq. 15, of a Matern 5/2 process of these lengths."""
+    """Return the expected improvement, Jones et al. (1998), eq. 15, of a Matern 5/2 process of these lengths."""
 
-    def alike(a, b):
+    def kernel(a, b):
         r = np.sqrt(5 * (((a[:, None] - b) / length) ** 2).sum(axis=2))
         return (1 + r + r**2 / 3) * np.exp(-r)
 
     y = (costs - costs.mean()) / costs.std()
-    inverse = np.linalg.inv(alike(points, points) + NOISE * np.eye(len(points)))
-    near = alike(at, points)
+    inverse = np.linalg.inv(kernel(points, points) + NOISE * np.eye(len(points)))
+    near = kernel(at, points)
     mean = near @ inverse @ y
     std = np.sqrt(np.maximum(1 - np.einsum("ij,jk,ik->i", near, inverse, near), 1e-16))
     z = (y.min() - mean) / std
@@ -75,7 +75,7 @@ def data(n: int) -> tuple[np.ndarray, np.ndarray]:
     return points, normalized_costs(valley(LOW + points * (HIGH - LOW)))
 
 
-def test_the_improvement_is_that_of_the_book_and_its_slope_its_own():
+def test_the_improvement_follows_its_equation_and_the_gradient_is_its_derivative():
     points, costs = data(14)
     lengths = np.array([0.3, 0.8])
     ours = Improvement(lengths, points, costs)
@@ -91,8 +91,8 @@ def test_the_improvement_is_that_of_the_book_and_its_slope_its_own():
         np.testing.assert_allclose(slope, by_steps, rtol=1e-4, atol=1e-4)
 
 
-def test_forecasts_and_improvements_are_those_of_the_package():
-    """bayesian-optimization, with the lengths that are found here; it looks for what is high, so signs are turned."""
+def test_predictions_and_improvements_agree_with_another_package():
+    """The package is bayesian-optimization, with the lengths fitted here; it maximizes, so signs are reversed."""
     acquisition = pytest.importorskip(
         "bayes_opt.acquisition", reason="the oracle needs the dependency group test"
     )
@@ -112,7 +112,7 @@ def test_forecasts_and_improvements_are_those_of_the_package():
     np.testing.assert_allclose(ours(at) * ours.scale, expected.base_acq(mean, std), rtol=1e-4, atol=1e-9)
 
 
-def test_the_next_point_is_where_the_improvement_is_highest():
+def test_the_next_point_maximizes_the_improvement():
     points, costs = data(14)
     (found,) = next_points(points, costs, 1, (2000, 3), np.random.default_rng(5))
     grid = np.stack(np.meshgrid(*2 * [np.linspace(0, 1, 60)]), axis=2).reshape(-1, 2)
@@ -121,7 +121,7 @@ def test_the_next_point_is_where_the_improvement_is_highest():
     assert naive_improvement(points, costs, lengths, found[None])[0] > 0.999 * best
 
 
-def test_points_of_one_batch_lie_apart():
+def test_the_points_of_a_batch_are_distinct():
     batch = next_points(*data(10), 4, (500, 2), np.random.default_rng(5))
     apart = np.linalg.norm(batch[:, None] - batch, axis=2)[np.triu_indices(4, 1)]
     assert apart.min() > 1e-3
@@ -131,7 +131,7 @@ def test_points_of_one_batch_lie_apart():
     costs=st.lists(st.integers(-999, 999).map(float) | st.just(np.inf), min_size=1, max_size=30),
     scale=st.sampled_from([2.0**-9, 0.5, 1024.0]),
 )
-def test_leveled_costs_keep_their_order_and_failures_are_the_worst(costs: list[float], scale: float):
+def test_normalized_costs_keep_their_order_and_failures_are_the_worst(costs: list[float], scale: float):
     told = np.array(costs)
     finite = np.isfinite(told)
     if not finite.any():
@@ -140,10 +140,10 @@ def test_leveled_costs_keep_their_order_and_failures_are_the_worst(costs: list[f
     assert np.isfinite(found).all() and found.min() == 0
     assert (np.diff(found[finite][np.argsort(told[finite], kind="stable")]) >= 0).all()
     assert (found[~finite] == found.max()).all()
-    np.testing.assert_array_equal(normalized_costs(scale * told), found)  # units do not matter
+    np.testing.assert_array_equal(normalized_costs(scale * told), found)  # units have no effect
 
 
-def test_leveled_costs_are_even_near_the_best_and_logarithmic_far_off():
+def test_normalized_costs_are_linear_near_the_best_and_logarithmic_far_away():
     costs = np.array([2.0, 2.1, 2.2, 3.0, 4.0, 1002.0, np.inf])
     above = np.array([0.0, 0.1, 0.2, 1.0, 2.0, 1000.0, 1000.0])
     np.testing.assert_allclose(normalized_costs(costs), np.log(1 + above / 1.0))
@@ -160,7 +160,7 @@ def test_of_many_costs_the_best_and_the_latest_are_fitted():
 
 
 @pytest.mark.long
-def test_two_at_once_leave_warnings_alone_and_find_what_one_finds():
+def test_parallel_searches_keep_the_warning_filters_and_give_the_same_results():
     def found(seed: int) -> float:
         return lowest("bo", seed, budget=14)
 
@@ -171,7 +171,7 @@ def test_two_at_once_leave_warnings_alone_and_find_what_one_finds():
     assert warnings.filters == before
 
 
-def test_where_the_package_is_missing_one_line_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path):
+def test_a_missing_package_is_reported_with_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path):
     monkeypatch.setattr(config, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"needs scikit-learn, .* pip install scikit-learn"):
         tune(make_drive(duration=20.0), optimizer="bo", out=tmp_path / "out")

@@ -23,25 +23,25 @@ def made(name: str, seed: int = 0, **changes):
     return create_optimizer(name, LOW, HIGH, rng=np.random.default_rng(seed), **asked)
 
 
-def test_without_a_polish_the_optimizer_is_itself():
+def test_without_a_polish_the_optimizer_is_not_changed():
     bare, budgeted = OPTIMIZERS["pso"](LOW, HIGH, 30, np.random.default_rng(0)), made("pso")
     while len(points := budgeted.ask()) == 30:
         np.testing.assert_array_equal(points, bare.ask())
         costs = LANDSCAPES["Rosenbrock"](points)
         bare.tell(costs)
         budgeted.tell(costs)
-    assert len(points) == 1000 % 30  # the last batch is cut
+    assert len(points) == 1000 % 30  # the last batch is truncated
     assert budgeted.global_cost == bare.global_cost
 
 
 @pytest.mark.parametrize(
     ("population", "budget", "polish", "whole"), [(30, 1000, 200, 26), (40, 1000, 999, 0)]
 )
-def test_the_polish_gets_its_share(population: int, budget: int, polish: int, whole: int):
+def test_the_polish_gets_its_share_of_the_budget(population: int, budget: int, polish: int, whole: int):
     optimizer = made("pso", population=population, budget=budget, polish=polish)
     sizes = batches(optimizer, LANDSCAPES["Rosenbrock"])
     assert sum(sizes) == optimizer.spent == budget
-    whole = max(whole, 1)  # a start must be known
+    whole = max(whole, 1)  # the polish starts from a known point
     assert sizes[: whole + 1] == [population] * whole + [
         10
     ]  # then the rest of a simplex, from the best point
@@ -62,7 +62,7 @@ def test_the_polish_waits_for_a_finite_cost():
 @pytest.mark.parametrize(
     "landscape", quickly([(name,) for name in LANDSCAPES], lambda name: [*LANDSCAPES].index(name) % 2 == 0)
 )
-def test_a_polish_is_worth_its_evaluations(landscape: str):
+def test_a_polish_improves_the_result(landscape: str):
     found = {}
     for polish in (0, 300):
         found[polish] = []
@@ -73,7 +73,7 @@ def test_a_polish_is_worth_its_evaluations(landscape: str):
     assert mannwhitneyu(found[300], found[0], alternative="less").pvalue < 0.05
 
 
-def test_sobol_points_are_scipy_s_and_more_even_than_random_ones():
+def test_sobol_points_agree_with_scipy_and_are_more_even_than_random_points():
     search = SobolSearch(np.zeros(3), np.ones(3), 20, np.random.default_rng(4))
     points = []
     for _ in range(8):

@@ -21,7 +21,7 @@ NEEDS = {"bo": pytest.mark.skipif(find_spec("sklearn") is None, reason="bo needs
 everyone = pytest.mark.parametrize(
     "name", [pytest.param(name, marks=NEEDS.get(name, ()), id=name) for name in OPTIMIZERS]
 )
-# of a Gaussian process: what it promises is the same however little it looks around
+# cheap settings of the Gaussian process; the tested properties do not depend on them
 CHEAP = {"bo": {"batch": 6, "candidates": 30, "searches": 0}}
 with_and_without = pytest.mark.parametrize("polish", [0, 25])
 without_a_process = pytest.mark.parametrize(
@@ -35,7 +35,7 @@ def made(name: str, seed: int = 3, **changes: Any) -> Optimizer:
 
 
 def bowl(points: np.ndarray) -> np.ndarray:
-    costs = np.sum((points - [1.0, 3.0, 1.2]) ** 2, axis=1)  # the second coordinate pulls out of the box
+    costs = np.sum((points - [1.0, 3.0, 1.2]) ** 2, axis=1)  # minimum outside the bounds
     costs[points[:, 0] < -3] = np.nan
     costs[points[:, 0] > 3.5] = np.inf
     return costs
@@ -51,7 +51,7 @@ def generations(optimizer: Optimizer, cost=bowl, most: int = 200) -> list[bytes]
 
 
 def reborn(optimizer: Optimizer, path: Path, **made_with: Any) -> Optimizer:
-    """A fresh optimizer that goes on from a checkpoint, as `tune` writes it."""
+    """Return a new optimizer restored from a checkpoint that is written as `tune` writes it."""
     state = optimizer.state()
     save_checkpoint(path, state, {"rng": state.pop("rng")})
     arrays, notes = load_checkpoint(path) or pytest.fail("no checkpoint")
@@ -68,13 +68,13 @@ def reborn(optimizer: Optimizer, path: Path, **made_with: Any) -> Optimizer:
         lambda polish, between: between == "asked",
     ),
 )
-def test_a_restored_optimizer_goes_on_bit_for_bit(name: str, polish: int, between: str, tmp_path: Path):
+def test_a_restored_optimizer_continues_bit_for_bit(name: str, polish: int, between: str, tmp_path: Path):
     whole = generations(made(name, polish=polish))
     optimizer, seen = made(name, polish=polish), []
     while True:
         if between == "asked":
             optimizer.ask()
-        # restored again and again: in the end every generation has come from a checkpoint
+        # restore in each generation, so that every generation comes from a checkpoint
         optimizer = reborn(optimizer, tmp_path / "checkpoint.npz", name=name, polish=polish)
         step = generations(optimizer, most=1)
         if not step:
@@ -86,11 +86,11 @@ def test_a_restored_optimizer_goes_on_bit_for_bit(name: str, polish: int, betwee
 
 @without_a_process
 @with_and_without
-def test_a_restored_optimizer_ignores_what_its_fresh_copy_had_done(name: str, polish: int, tmp_path: Path):
+def test_restoring_overwrites_the_whole_state_of_an_optimizer(name: str, polish: int, tmp_path: Path):
     for stop in (3, 9) if name == "bo" else (2, 5, 9):
         optimizer, other = made(name, polish=polish), made(name, seed=9, polish=polish)
         generations(optimizer, most=stop)
-        generations(other)  # to the end, so that its polish has begun
+        generations(other)  # to the end, so that its polish has started
         state = optimizer.state()
         save_checkpoint(tmp_path / "checkpoint.npz", state, {"rng": state.pop("rng")})
         arrays, notes = load_checkpoint(tmp_path / "checkpoint.npz") or pytest.fail("no checkpoint")
@@ -100,18 +100,18 @@ def test_a_restored_optimizer_ignores_what_its_fresh_copy_had_done(name: str, po
 
 @without_a_process
 @with_and_without
-def test_one_seed_one_result(name: str, polish: int):
+def test_one_seed_gives_one_result(name: str, polish: int):
     first = generations(made(name, polish=polish))
     assert first == generations(made(name, polish=polish))
     assert first != generations(made(name, seed=4, polish=polish))
 
 
 @everyone
-def test_asking_twice_is_asking_once(name: str):
+def test_calling_ask_twice_equals_calling_it_once(name: str):
     optimizer, patient = made(name, polish=20), made(name, polish=20)
     seen = []
     while len(points := optimizer.ask()):
-        points[:] = 99.0  # what was handed out is not the optimizer's own
+        points[:] = 99.0  # changing the returned points does not change the optimizer
         again = optimizer.ask()
         optimizer.tell(bowl(again))
         seen.append(again.tobytes() + np.append(optimizer.global_best, optimizer.global_cost).tobytes())
@@ -129,13 +129,13 @@ def test_asking_twice_is_asking_once(name: str):
     width=st.floats(1e-6, 1e3),
     failing=st.sampled_from([0.0, 0.3, 0.9]),
 )
-def test_box_and_budget_hold_and_failures_never_win(
+def test_bounds_and_budget_are_respected_and_failures_are_never_best(
     name, seed, population, dimensions, budget, polished, corner, width, failing
 ):
     chance = np.random.default_rng(seed)
     low = np.full(dimensions, corner)
     high = low + width * chance.uniform(0.5, 1, dimensions)
-    pull = chance.uniform(-1, 1, dimensions)  # to a corner of the box
+    pull = chance.uniform(-1, 1, dimensions)  # minimum in a corner of the bounds
     optimizer = create_optimizer(
         name,
         low,
@@ -162,7 +162,7 @@ def test_box_and_budget_hold_and_failures_never_win(
         assert not best_points or optimizer.global_best.tolist() in best_points
     assert spent <= budget
     if name != "nelder-mead" and not polished:
-        assert spent == budget  # only a simplex may have nothing left to try
+        assert spent == budget  # only a simplex may converge before the end
 
 
 @everyone
@@ -188,7 +188,7 @@ def test_a_plateau(name: str):
 
 
 @without_a_process
-def test_it_goes_on_where_the_optimum_is_found_to_the_last_bit(name: str):
+def test_it_continues_after_the_exact_optimum_is_found(name: str):
     optimizer = made(name, budget=120 if name == "bo" else 6000)
     while len(points := optimizer.ask()):
         assert np.isfinite(points).all()
@@ -197,9 +197,9 @@ def test_it_goes_on_where_the_optimum_is_found_to_the_last_bit(name: str):
 
 
 @everyone
-def test_the_global_random_states_are_left_alone(name: str):
-    generations(made(name, polish=20))  # the import of a library may draw numbers
-    numpys, pythons = np.random.get_state()[1].copy(), random.getstate()  # noqa: NPY002 (the state that must not change)
+def test_the_global_random_states_do_not_change(name: str):
+    generations(made(name, polish=20))  # the import of a library may use random numbers
+    numpys, pythons = np.random.get_state()[1].copy(), random.getstate()  # noqa: NPY002 (compared below)
     generations(made(name, polish=20))
     np.testing.assert_array_equal(np.random.get_state()[1], numpys)  # noqa: NPY002 (as above)
     assert random.getstate() == pythons
@@ -210,7 +210,7 @@ def test_options_and_optimizers_have_the_same_names():
 
 
 @everyone
-def test_costs_of_another_shape_are_refused(name: str):
+def test_costs_of_another_shape_are_rejected(name: str):
     optimizer = OPTIMIZERS[name](LOW, HIGH, 6, np.random.default_rng(0))
     n = len(optimizer.ask())
     for shape in ((n + 1,), (n, 1), ()):
@@ -234,18 +234,18 @@ def test_costs_of_another_shape_are_refused(name: str):
         ("pso", {"polish": -1}, "polish = -1"),
     ],
 )
-def test_mistakes_are_told(name: str, changes: dict, said: str):
+def test_wrong_options_are_reported(name: str, changes: dict, said: str):
     with pytest.raises(InputError, match=said):
         made(name, **changes)
 
 
 @everyone
-def test_a_search_begins_at_a_point(name: str):
+def test_a_search_starts_at_a_given_point(name: str):
     point = np.array([1.0, 1.9, 1.2])
     optimizer = made(name)
     optimizer.begin_near(point)
     first = optimizer.ask()
-    if name == "cma-es":  # the first distribution is around it
+    if name == "cma-es":  # the first distribution is centered at the point
         assert np.abs(first - point).mean() < np.abs(made(name).ask() - point).mean()
     else:
         assert first[0].tolist() == point.tolist()

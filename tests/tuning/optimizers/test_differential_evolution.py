@@ -14,7 +14,7 @@ def bowl(points: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("base", ["best", "rand"])
 @pytest.mark.parametrize("population", [4, 6])
-def test_trials_come_from_differences(base: str, population: int):
+def test_trials_are_combinations_of_members(base: str, population: int):
     search = DifferentialEvolution(LOW, HIGH, population, np.random.default_rng(1), base=base)
     search.tell(bowl(search.ask()))
     copied = scaled = outside = 0
@@ -25,7 +25,7 @@ def test_trials_come_from_differences(base: str, population: int):
         factor = replay.uniform(0.5, 1.0)
         trials = search.ask()
         for i in range(population):
-            # every coordinate is the parent's, or base + F (x_r1 - x_r2) for one choice of others, or put back
+            # every coordinate is the parent's, or base + F (x_r1 - x_r2) of one choice of members, or redrawn
             own = trials[i] == x[i]
             others = [k for k in range(population) if k != i]
             bases = [int(np.argmin(costs))] if base == "best" else others
@@ -50,7 +50,7 @@ def test_trials_come_from_differences(base: str, population: int):
     assert min(copied, scaled, outside) > 0
 
 
-def test_the_mutant_gives_its_share():
+def test_the_mutant_contributes_the_fraction_cr():
     search = DifferentialEvolution(LOW, HIGH, 500, np.random.default_rng(1))
     search.tell(bowl(search.ask()))
     own = search.ask() == search.members
@@ -58,7 +58,7 @@ def test_the_mutant_gives_its_share():
     assert not own.all(axis=1).any()
 
 
-def test_others_are_three_different_ones():
+def test_the_other_members_are_three_different_ones():
     search = DifferentialEvolution(LOW, HIGH, 7, np.random.default_rng(0))
     counts = np.zeros((7, 7))
     for _ in range(2000):
@@ -70,9 +70,9 @@ def test_others_are_three_different_ones():
     np.testing.assert_allclose(off, 1 / 6, atol=0.04)
 
 
-def test_coordinates_outside_the_bounds_are_drawn_again_within_them():
+def test_coordinates_outside_the_bounds_are_redrawn_within_them():
     search = DifferentialEvolution(np.zeros(2), np.ones(2), 40, np.random.default_rng(0), scale=(1.9, 1.9))
     search.tell(np.sum(search.ask(), axis=1))
     points = np.concatenate([search._next() for _ in range(50)])
-    assert points.min() > 0 and points.max() < 1  # projection would leave some on the bounds
-    assert np.mean(points) > 0.3  # although the best is in the corner
+    assert points.min() > 0 and points.max() < 1  # clipping would put some on the bounds
+    assert np.mean(points) > 0.3  # although the best point is in the corner

@@ -1,4 +1,4 @@
-"""The genetic operators, compared with pymoo's, and the renewal of the population."""
+"""The genetic operators, compared with pymoo's, and the selection of the next population."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ BOX = (np.array([0.0]), np.array([1.0]))
 
 
 @pytest.mark.parametrize("parents", [(0.3, 0.6), (0.02, 0.9), (0.97, 0.99)])
-def test_children_are_spread_like_pymoo_s(parents: tuple[float, float]):
+def test_children_are_distributed_as_in_pymoo(parents: tuple[float, float]):
     sbx = pytest.importorskip("pymoo.operators.crossover.sbx")
     couple = np.array(parents)[:, np.newaxis]
     ours = offspring(couple, np.zeros(2), N, BOX, np.random.default_rng(0), crossover=1.0)
@@ -23,7 +23,7 @@ def test_children_are_spread_like_pymoo_s(parents: tuple[float, float]):
     assert ks_2samp(*moved).pvalue > 0.01
 
 
-def test_hardly_anybody_mates_with_itself():
+def test_few_members_mate_with_themselves():
     parents = np.arange(8.0)[:, np.newaxis]
     children = offspring(
         parents, np.arange(8.0), 8, (np.zeros(1), np.full(1, 8.0)), np.random.default_rng(0), crossover=0.0
@@ -33,7 +33,7 @@ def test_hardly_anybody_mates_with_itself():
 
 
 @pytest.mark.parametrize("place", [0.5, 0.01, 1.0])
-def test_mutants_are_spread_like_pymoo_s(place: float):
+def test_mutants_are_distributed_as_in_pymoo(place: float):
     pm = pytest.importorskip("pymoo.operators.mutation.pm")
     points = np.full((N, 1), place)
     ours = mutated(points, BOX, np.random.default_rng(0))
@@ -50,11 +50,11 @@ def test_one_coordinate_in_d_is_mutated():
     assert changed.mean() == pytest.approx(1 / 8, abs=0.01)
 
 
-def test_everybody_competes_equally_often_and_the_better_wins():
+def test_every_member_competes_equally_often_and_the_better_wins():
     costs = np.array([3.0, 1.0, 2.0, 0.0, np.inf, 5.0])
     winners = np.concatenate([_winners(costs, 6, np.random.default_rng(seed)) for seed in range(300)])
     counts = np.bincount(winners, minlength=6) / 300
-    assert counts[3] == 2.0  # wins both of its tournaments, always
+    assert counts[3] == 2.0  # always wins both of its tournaments
     assert counts[4] == 0.0
     assert counts[3] > counts[1] > counts[2] > counts[0] > counts[5]
 
@@ -63,19 +63,19 @@ def bowl(points: np.ndarray) -> np.ndarray:
     return np.sum(points**2, axis=1)
 
 
-def test_the_best_of_parents_and_children_live_on():
+def test_the_best_of_parents_and_children_are_kept():
     search = GeneticAlgorithm(np.full(3, -1.0), np.ones(3), 7, np.random.default_rng(0))
     search.tell(bowl(search.ask()))
     for _ in range(20):
         before = np.concatenate([search.member_costs, bowl(children := search.ask())])
-        assert not any((children[:, np.newaxis] == search.members).all(axis=2).ravel())  # no copies
+        assert not any((children[:, np.newaxis] == search.members).all(axis=2).ravel())  # no duplicates
         search.tell(bowl(children))
         np.testing.assert_array_equal(search.member_costs, np.sort(before)[:7])
         np.testing.assert_array_equal(bowl(search.members), search.member_costs)
 
 
 @pytest.mark.parametrize("population", [2, 7, 8])
-def test_of_the_hybrid_the_better_half_flies_and_the_rest_is_bred(population: int):
+def test_the_better_half_of_the_hybrid_moves_as_a_swarm_and_the_rest_is_bred(population: int):
     d = 3
     search = GeneticSwarm(np.full(d, -1.0), np.ones(d), population, np.random.default_rng(0))
     search.tell(bowl(search.ask()))

@@ -11,7 +11,7 @@ from support import quickly
 BOUNDED = LANDSCAPES | {"at bounds": ellipsoid_at_bounds}
 
 
-def asked(search: NelderMead, cost, budget: int) -> np.ndarray:
+def points_of(search: NelderMead, cost, budget: int) -> np.ndarray:
     points = []
     while len(points) < budget and len(batch := search.ask()):
         points += batch.tolist()
@@ -21,7 +21,7 @@ def asked(search: NelderMead, cost, budget: int) -> np.ndarray:
 
 @pytest.mark.parametrize("landscape", BOUNDED)
 @pytest.mark.parametrize("seed", quickly([(0,), (1,), (2,)], lambda seed: seed == 1))
-def test_the_simplex_goes_scipy_s_way(landscape: str, seed: int):
+def test_the_simplex_evaluates_the_points_of_scipy(landscape: str, seed: int):
     cost, budget = BOUNDED[landscape], 600
     search = NelderMead(LOW, HIGH, 30, np.random.default_rng(seed))
     simplex, theirs = search.simplex.copy(), []
@@ -33,8 +33,8 @@ def test_the_simplex_goes_scipy_s_way(landscape: str, seed: int):
     options = {"initial_simplex": simplex, "adaptive": True, "maxfev": budget, "xatol": 0, "fatol": 0}
     bounds = list(zip(LOW, HIGH, strict=True))
     minimize(seen, simplex[0], method="Nelder-Mead", bounds=bounds, options=options)
-    # rounding grows along the way: the first part to the last digits, all of it to what decides
-    ours = asked(search, cost, budget)
+    # rounding errors grow: compare the first points exactly, then the best cost
+    ours = points_of(search, cost, budget)
     np.testing.assert_allclose(ours[:200], theirs[:200], rtol=1e-9, atol=1e-9)
     assert search.global_cost == pytest.approx(min(cost(np.array(theirs))), rel=1e-2, abs=1e-9)
 
@@ -43,8 +43,8 @@ def test_the_simplex_goes_scipy_s_way(landscape: str, seed: int):
 def test_few_dimensions(dimensions: int):
     low, high = np.full(dimensions, -5.0), np.full(dimensions, 5.0)
     search = NelderMead(low, high, 2, np.random.default_rng(0))
-    points = asked(search, lambda x: np.sum((x - 1) ** 2, axis=1), 2000)
-    assert len(points) < 2000  # nothing left to try
+    points = points_of(search, lambda x: np.sum((x - 1) ** 2, axis=1), 2000)
+    assert len(points) < 2000  # converged
     assert len(search.ask()) == 0
     assert search.global_cost < 1e-20
 
@@ -61,14 +61,14 @@ def test_several_vertices_at_a_time_need_fewer_batches(parallel: int):
     assert batches[1] < 0.9 * batches[0] < 1800
 
 
-def test_a_known_start_is_not_asked_for_again():
-    start = np.full(10, 4.9)  # so near the upper bounds that the simplex must grow downward
+def test_a_known_start_is_not_evaluated_again():
+    start = np.full(10, 4.9)  # so near the upper bounds that the simplex must extend downward
     search = NelderMead(LOW, HIGH, 30, np.random.default_rng(0), start=start, start_cost=7.0, size=0.1)
     assert search.global_cost == 7.0
     np.testing.assert_array_equal(search.global_best, start)
     np.testing.assert_allclose(search.ask(), start - np.eye(10))
 
 
-def test_an_unknown_start_is_asked_for():
+def test_an_unknown_start_is_evaluated():
     search = NelderMead(LOW, HIGH, 30, np.random.default_rng(0), start=np.zeros(10))
     np.testing.assert_allclose(search.ask(), np.vstack([np.zeros(10), 0.5 * np.eye(10)]))

@@ -14,7 +14,7 @@ LOW, HIGH = np.array([-5.0, 0.0, 1.0]), np.array([5.0, 2.0, 1.5])
 
 
 def bowl(points: np.ndarray) -> np.ndarray:
-    return np.sum((points - [1.0, 3.0, 1.2]) ** 2, axis=1)  # the second coordinate pulls out of the box
+    return np.sum((points - [1.0, 3.0, 1.2]) ** 2, axis=1)  # minimum outside the bounds
 
 
 @pytest.mark.parametrize("stop_at_bounds", [False, True])
@@ -50,11 +50,11 @@ def test_no_particle_leaves_the_bounds(seed: int, low: float, width: float, n: i
     for _ in range(6):
         points = swarm.ask()
         assert np.all((points >= low) & (points <= high))
-        swarm.tell(-points[:, 0])  # ever farther to the upper bound
+        swarm.tell(-points[:, 0])  # the minimum is at the upper bound
     assert np.all((swarm.global_best >= low) & (swarm.global_best <= high))
 
 
-def test_velocity_is_kept_or_zeroed_where_a_bound_stops_a_particle():
+def test_the_velocity_at_a_bound_is_kept_or_set_to_zero():
     for zeroed in (False, True):
         swarm = ParticleSwarm(LOW, HIGH, 8, np.random.default_rng(0), zero_velocity_at_bounds=zeroed)
         stopped = 0
@@ -69,7 +69,7 @@ def test_velocity_is_kept_or_zeroed_where_a_bound_stops_a_particle():
 
 
 @given(seed=st.integers(0, 1000), data=st.data())
-def test_nan_and_infinity_never_win(seed: int, data):
+def test_nan_and_infinity_are_never_best(seed: int, data):
     swarm = ParticleSwarm(LOW, HIGH, 6, np.random.default_rng(seed))
     cost = st.one_of(st.floats(-1e6, 1e6), st.sampled_from([np.nan, np.inf, -np.inf]))
     best = np.inf
@@ -87,7 +87,7 @@ def test_nan_and_infinity_never_win(seed: int, data):
         assert np.isfinite(swarm.positions).all()
 
 
-def test_a_swarm_of_failures_goes_on():
+def test_a_swarm_of_failures_continues():
     swarm = ParticleSwarm(LOW, HIGH, 5, np.random.default_rng(0))
     for _ in range(4):
         swarm.ask()
@@ -97,19 +97,19 @@ def test_a_swarm_of_failures_goes_on():
     assert np.isfinite(swarm.global_cost)
 
 
-def test_asking_twice_moves_once():
+def test_calling_ask_twice_moves_once():
     swarm = ParticleSwarm(LOW, HIGH, 5, np.random.default_rng(0))
     np.testing.assert_array_equal(swarm.ask(), swarm.ask())
     swarm.tell(bowl(swarm.ask()))
     first = swarm.ask()
     np.testing.assert_array_equal(swarm.ask(), first)
-    first[:] = 99.0  # what was handed out is not the swarm's own
+    first[:] = 99.0  # changing the returned points does not change the swarm
     assert np.all(swarm.ask() <= HIGH)
 
 
 @pytest.mark.parametrize("generation", range(6))
 @pytest.mark.parametrize("told", [True, False])
-def test_a_restored_swarm_goes_on_bit_for_bit(generation: int, told: bool):
+def test_a_restored_swarm_continues_bit_for_bit(generation: int, told: bool):
     def run(swarm: ParticleSwarm, times: int) -> list[bytes]:
         seen = []
         for _ in range(times):
@@ -128,7 +128,7 @@ def test_a_restored_swarm_goes_on_bit_for_bit(generation: int, told: bool):
     assert other.global_cost == swarm.global_cost
 
 
-def test_it_finds_the_bottom_of_a_bowl():
+def test_it_finds_the_minimum_of_a_bowl():
     dimensions = 10
     low, high = np.full(dimensions, -5.0), np.full(dimensions, 5.0)
     found = []

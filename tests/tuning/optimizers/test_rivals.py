@@ -1,4 +1,4 @@
-"""No optimizer is worse than other implementations: a rank test over 20 seeds, at the same budget."""
+"""No optimizer is worse than another implementation: a rank test over 20 seeds with the same budget."""
 
 from functools import cache
 
@@ -17,9 +17,8 @@ from support import quickly
 
 POPULATION, BUDGET, SEEDS = 30, 1500, 20
 QUICK = "ellipsoid"
-SIGNIFICANCE = 0.01  # of each of 20 comparisons; the seeds are fixed
-# The whole table, with pycma and the simplex (which test_nelder_mead.py holds to scipy's point by point), is
-# written by benchmarks/optimizers.py.
+SIGNIFICANCE = 0.01  # for each of 20 comparisons; the seeds are fixed
+# benchmarks/optimizers.py writes the whole table, with pycma and the simplex (see test_nelder_mead.py).
 PAIRS = [
     (name, rival)
     for name, rivals in RIVALS.items()
@@ -29,7 +28,7 @@ PAIRS = [
 
 
 def ours(name: str, landscape: str, seed: int, budget: int = BUDGET) -> float:
-    rng = np.random.default_rng(1000 + seed)  # other chance than the rivals': two independent samples
+    rng = np.random.default_rng(1000 + seed)  # independent of the other's random numbers
     optimizer = create_optimizer(name, LOW, HIGH, population=POPULATION, budget=budget, rng=rng)
     while len(points := optimizer.ask()):
         optimizer.tell(LANDSCAPES[landscape](points))
@@ -46,7 +45,7 @@ def theirs(rival, landscape: str, budget: int = BUDGET) -> tuple[float, ...]:
     quickly([(name,) for name in LANDSCAPES], lambda name: name == QUICK),
 )
 @pytest.mark.parametrize(("name", "rival"), quickly(PAIRS, lambda _, rival: "pymoo" not in rival))
-def test_no_optimizer_is_worse_than_its_rival(name: str, rival: str, landscape: str):
+def test_no_optimizer_is_worse_than_another_implementation(name: str, rival: str, landscape: str):
     budget = BUDGET // 2 if landscape == QUICK else BUDGET
     found = [ours(name, landscape, seed, budget) for seed in range(SEEDS)]
     rivals = theirs(RIVALS[name][rival], landscape, budget)
