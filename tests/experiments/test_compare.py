@@ -1,4 +1,4 @@
-"""`compare`: each run is a tuning, resumed runs have the same bytes, and the statistics equal the definitions."""
+"""`compare`: each run is a tuning, resumed runs have the same bytes, and the statistics follow their definitions."""
 
 import shutil
 from dataclasses import replace
@@ -88,7 +88,7 @@ def test_the_number_of_threads_changes_no_byte(whole, tmp_path: Path):
 
 
 @pytest.mark.long
-def test_interrupted_after_any_run_it_ends_in_the_same_bytes(whole, tmp_path: Path):
+def test_a_comparison_interrupted_after_a_run_ends_in_the_same_bytes(whole, tmp_path: Path):
 
     def stop(done: int, total: int):
         assert total == 24
@@ -102,7 +102,7 @@ def test_interrupted_after_any_run_it_ends_in_the_same_bytes(whole, tmp_path: Pa
     assert contents(tmp_path) == contents(whole[1])
 
 
-def test_where_every_run_was_interrupted_the_files_are_the_same(whole, tmp_path: Path):
+def test_if_every_run_was_interrupted_the_times_are_empty(whole, tmp_path: Path):
     shutil.copytree(whole[1], tmp_path / "killed")
     for file in (tmp_path / "killed").rglob("run.json"):
         file.unlink()
@@ -111,7 +111,7 @@ def test_where_every_run_was_interrupted_the_files_are_the_same(whole, tmp_path:
     assert (tmp_path / "killed" / "times.csv").read_text() == "optimizer,scale,seed,cpu_seconds\n"
 
 
-def test_the_tables_say_what_the_runs_were(whole):
+def test_the_tables_contain_the_costs_of_the_runs(whole):
     comparison, folder = whole
     row = comparison.frame.row(1, named=True)
     assert (row["optimizer"], row["scale"], row["seeds"]) == ("random", "log10", 3)
@@ -143,7 +143,7 @@ def test_the_fixes_alone_are_fitted_to_the_training_drives(whole):
     assert f"held-out RMSE of {comparison.fixes_alone_rmse:.4g} m" in (folder / "comparison.md").read_text()
 
 
-def test_with_enough_seeds_the_table_has_tests(whole):
+def test_with_enough_seeds_the_table_contains_tests(whole):
     few = whole[0]
     enough = replace(few, runs={label: runs * 2 for label, runs in few.runs.items()})
     assert enough.seeds == 6 == MIN_SEEDS
@@ -154,9 +154,9 @@ def test_with_enough_seeds_the_table_has_tests(whole):
     assert signed_rank(np.arange(1.0, MIN_SEEDS), np.zeros(MIN_SEEDS - 1)) > 0.05
 
 
-def test_the_curves_are_a_naive_count(whole):
+def test_the_curves_agree_with_a_plain_count(whole):
     comparison, _ = whole
-    label, at = "pso, log10", 50  # after half of 24 evaluations one generation of 8 is over
+    label, at = "pso, log10", 50  # after half of 24 evaluations, one generation of 8 is finished
     rows = comparison.curves.filter(comparison.curves["optimizer"] == "pso")
     row = rows.row(at - 1, named=True)
     assert row["full_evaluations"] == 12
@@ -178,7 +178,7 @@ def test_each_drive_is_aligned_once(monkeypatch: pytest.MonkeyPatch):
     assert sorted(aligned) == ["d0", "d1", "other"]
 
 
-# --- Mistakes ------------------------------------------------------------------------------------------------
+# --- Errors --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -200,7 +200,7 @@ def test_each_drive_is_aligned_once(monkeypatch: pytest.MonkeyPatch):
     ],
     ids=str,
 )
-def test_a_mistake_is_named_before_any_work(change: dict, said: str, tmp_path: Path):
+def test_a_wrong_option_is_named_before_any_work(change: dict, said: str, tmp_path: Path):
     with pytest.raises(InputError) as caught:
         compare(DRIVES, out=tmp_path / "out", **(OPTIONS | change))
     assert said in str(caught.value)
@@ -208,7 +208,7 @@ def test_a_mistake_is_named_before_any_work(change: dict, said: str, tmp_path: P
     assert not (tmp_path / "out").exists()
 
 
-def test_another_comparison_is_not_gone_on_with(whole, tmp_path: Path):
+def test_a_different_or_corrupted_comparison_is_not_resumed(whole, tmp_path: Path):
     shutil.copytree(whole[1], tmp_path / "out")
     asked = {**OPTIONS, "scales": ("log10", "linear"), "out": tmp_path / "out"}
     with pytest.raises(InputError, match="add --resume"):
@@ -220,7 +220,7 @@ def test_another_comparison_is_not_gone_on_with(whole, tmp_path: Path):
         compare(DRIVES, resume=True, **asked)
 
 
-def test_by_default_it_compares_on_the_filter_that_suits_the_drives():
+def test_by_default_it_compares_with_the_default_filter_of_the_drives():
     found = compare(DRIVES, optimizers=("random",), seeds=1, particles=4, generations=1)
     config = found.contenders[0].config
     assert (config.model, config.use) == ("planar8", ("lateral", "standstill", "robust"))

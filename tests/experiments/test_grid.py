@@ -29,7 +29,7 @@ def kill(task: int, report: Report) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def stumble(task: int, report: Report) -> None:
+def fail(task: int, report: Report) -> None:
     {}["nothing"]
 
 
@@ -56,7 +56,7 @@ def test_tasks_are_run_and_reported(processes: int):
 
 
 @pytest.mark.parametrize("processes", [0, 1])
-def test_the_longest_begin_first_and_order_stays(processes: int, tmp_path: Path):
+def test_the_longest_tasks_start_first_and_results_keep_the_order(processes: int, tmp_path: Path):
     def run(task: str, report: Report) -> str:
         with (tmp_path / "begun").open("a") as file:
             file.write(f"{task} ")
@@ -69,25 +69,25 @@ def test_the_longest_begin_first_and_order_stays(processes: int, tmp_path: Path)
 
 
 class HalfError(Exception):
-    """An error that is pickled but not unpickled."""
+    """An error that can be pickled, but not unpickled."""
 
     def __reduce__(self) -> tuple[type, tuple[str]]:
         return int, ("no number",)
 
 
-def test_an_error_is_the_task_s_own_and_has_its_traceback():
+def test_the_error_of_a_task_is_raised_with_its_traceback():
     def refuse(task: int, report: Report) -> None:
         raise InputError(f"{task}: is refused")
 
     with pytest.raises(InputError, match="is refused"):
         grid(refuse)
     with pytest.raises(KeyError) as stumbled:
-        grid(stumble)
+        grid(fail)
     assert "in stumble" in str(stumbled.value.__cause__)
 
 
 def test_an_error_ends_long_tasks_at_once():
-    """The pool breaks while tasks wait; its thread must not fail on them, which pytest would report."""
+    """The pool breaks while tasks wait. Its thread must not raise an error, which pytest would report."""
 
     def run(task: int, report: Report) -> None:
         if not task:
@@ -95,12 +95,12 @@ def test_an_error_ends_long_tasks_at_once():
             raise InputError("is refused")
         time.sleep(60)
 
-    for _ in range(3):  # a race: without the remedy seven of ten end in an error of the thread
+    for _ in range(3):  # a race: without the remedy, the thread raised an error in seven of ten cases
         with pytest.raises(InputError, match="is refused"):
             grid(run, tasks=20)
 
 
-def test_an_interruption_ends_the_others(tmp_path: Path):
+def test_an_interruption_ends_the_other_tasks(tmp_path: Path):
     def run(task: int, report: Report) -> None:
         for k in range(1, 1000):
             with (tmp_path / str(task)).open("a") as file:
@@ -131,7 +131,7 @@ def test_a_lost_process_is_reported(stray: Callable[[int, Report], object]):
 
 
 @pytest.mark.parametrize("kind", [ConnectionResetError, EOFError])
-def test_an_error_of_the_progress_is_no_lost_process(kind: type[Exception]):
+def test_an_error_of_the_progress_is_not_reported_as_a_lost_process(kind: type[Exception]):
     def lose(*_: int) -> None:
         raise kind("of the progress bar")
 
@@ -139,7 +139,7 @@ def test_an_error_of_the_progress_is_no_lost_process(kind: type[Exception]):
         grid(lambda task, report: None, progress=lose)
 
 
-def test_where_nothing_can_be_forked_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch):
+def test_if_processes_can_not_be_started_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch):
     def refuse() -> int:
         raise BlockingIOError(11, "Resource temporarily unavailable")
 
@@ -148,7 +148,7 @@ def test_where_nothing_can_be_forked_the_remedy_is_named(monkeypatch: pytest.Mon
         grid(lambda task, report: None)
 
 
-def test_a_fork_ends_with_its_parent(tmp_path: Path):
+def test_a_process_ends_with_its_parent(tmp_path: Path):
     program = (
         "import os, signal, time\n"
         "from pathlib import Path\n"
@@ -161,11 +161,11 @@ def test_a_fork_ends_with_its_parent(tmp_path: Path):
         "    os.kill(os.getpid(), signal.SIGKILL)\n"
         "run_grid([0], run, None, processes=1, rounds=2, progress=die)\n"
     )
-    assert run_program(program).returncode == -signal.SIGKILL  # and nobody writes to its outputs any more
+    assert run_program(program).returncode == -signal.SIGKILL  # its outputs have no writer any more
     assert not (tmp_path / "outlived").exists()
 
 
-def test_a_folder_is_free_when_the_forks_have_ended(tmp_path: Path):
+def test_a_folder_is_unlocked_when_the_processes_have_ended(tmp_path: Path):
     def look(*_: int) -> None:
         with pytest.raises(InputError, match="another run is writing to it"), locked_folder(tmp_path):
             pass

@@ -1,4 +1,4 @@
-"""Rivals of a study: the same drives and scores as for filters, and the same bytes after any number of kills."""
+"""Other methods in a study: the same drives and scores as for filters, and the same bytes after any number of kills."""
 
 import csv
 import json
@@ -63,7 +63,7 @@ REAL = {name: LEARNERS[name] for name in NETWORKS}
 
 @pytest.fixture(scope="module", autouse=True)
 def quick(quick_study: None) -> Iterator[None]:
-    """Networks train within a second; `tests/learned` looks at how they really do."""
+    """Replace the networks by ones that train within a second; `tests/learned` checks the real ones."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(LEARNERS, "outage-lstm", QuickOutages)
         patch.setitem(LEARNERS, "noise-gru", QuickNoises)
@@ -73,7 +73,9 @@ def quick(quick_study: None) -> Iterator[None]:
 @pytest.fixture(scope="module", params=[pytest.param(None, marks=pytest.mark.long, id="trained")])
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Study:
     found = run_study(TINY, tmp_path_factory.mktemp("rivals") / "whole")
-    with pytest.MonkeyPatch.context() as patch:  # only the figure of rivals; test_study has the others
+    with (
+        pytest.MonkeyPatch.context() as patch
+    ):  # only the figure of the other methods; test_study has the others
         patch.setattr(
             reports, "study_figures", lambda of: {"learning-curve": study_figures(of)["learning-curve"]}
         )
@@ -87,7 +89,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def scores(folder: Path, trial: int, method: str) -> dict[tuple[str, str], float]:
-    """By drive and measure."""
+    """Return the scores of a method by drive and measure."""
     with (folder / "scores.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if (row["trial"], row["method"]) == (str(trial), method)]
     return {
@@ -96,26 +98,26 @@ def scores(folder: Path, trial: int, method: str) -> dict[tuple[str, str], float
 
 
 def rms(drive: Drive, time: np.ndarray, mean: np.ndarray, at: np.ndarray) -> float:
-    """m: root mean square of what positions are off at some moments, (k,)."""
+    """Return the RMS position error at some times (k,), m."""
     t = drive.truth
     off = [np.interp(at, time, mean[:, i]) - np.interp(at, t.time, (t.x, t.y)[i]) for i in range(2)]
     return float(np.sqrt(np.mean(np.square(off).sum(axis=0))))
 
 
 def blinded(drive: Drive, length: float) -> tuple[PreparedDrive, np.ndarray]:
-    """A drive whose fixes in outages never came, and when these end."""
+    """Return a drive without the fixes in outages, and the ends of the outages."""
     ready = PreparedDrive(drive, as_recorded=True)
     windows = outage_windows(drive, ready.initial, length=length, seed=0)
     hidden = replace(drive, gps=drive.gps.select(~hidden_fixes(drive.gps.time, windows)))
     return PreparedDrive(hidden, ready.initial, as_recorded=True), windows[:, 1]
 
 
-# ---- what is scored ----
+# ---- scores ----
 
 
 @pytest.mark.parametrize("network", quickly([(n,) for n in NETWORKS], lambda network: network == "noise-gru"))
-def test_a_network_s_scores_are_those_of_a_run_of_its_own(whole: Study, network: str):
-    """From its folder, on the drive that the trial held back, told plainly."""
+def test_the_scores_of_a_network_agree_with_a_separate_run(whole: Study, network: str):
+    """Load the network from its folder and run it on the drives that the trial held out."""
     trial = 1
     learned = load_learned(whole.folder / f"learned/{network}/trial-001")
     parameters = FilterParameters.load(whole.folder / f"learned/{network}/trial-001" / "tuning.toml")
@@ -145,7 +147,7 @@ def test_a_network_s_scores_are_those_of_a_run_of_its_own(whole: Study, network:
     assert all(told[drive.name, key] != alone[drive.name, key] for drive in tested)
 
 
-def test_the_rivals_that_are_tuned_are_what_tune_finds(whole: Study):
+def test_the_tuned_methods_agree_with_tune(whole: Study):
     train = [whole.design.drives[i] for i in whole.design.split(0)[0]]
     usual = {
         "particles": 4,
@@ -169,7 +171,7 @@ def test_bayesian_optimization_has_a_hundred_evaluations(whole: Study):
         assert (asked.particles * asked.generations, asked.racing) == (most, False)
 
 
-def test_a_filter_s_drift_over_longer_outages_is_told_of_the_same_ones(whole: Study):
+def test_the_drift_of_a_filter_uses_the_same_longer_outages(whole: Study):
     own = scores(whole.folder, 0, "pso-planar8")
     p = whole.parameters[Task("honest", "pso-planar8", "all", 0)]
     for i in whole.design.split(0)[1]:
@@ -179,13 +181,13 @@ def test_a_filter_s_drift_over_longer_outages_is_told_of_the_same_ones(whole: St
         assert own[drive.name, "outage_drift_15_s_m"] == pytest.approx(
             rms(drive, found.time, found.mean, ends)
         )
-        assert (drive.name, "outage_drift_60_s_m") not in own  # none fits
+        assert (drive.name, "outage_drift_60_s_m") not in own  # no outage of 60 s fits
 
 
-# ---- what is learned from ----
+# ---- training data ----
 
 
-def test_lessons_are_minutes_of_the_trial_s_own_training_drives(whole: Study):
+def test_training_data_are_parts_of_the_trial_s_training_drives(whole: Study):
     for trial in range(2):
         ours = {whole.design.drives[i].name for i in whole.design.split(trial)[0]}
         few, more = (training_drives(whole.design, trial, minutes) for minutes in (1.2, 2.4))
@@ -205,7 +207,7 @@ def test_lessons_are_minutes_of_the_trial_s_own_training_drives(whole: Study):
     assert len(everything.training) + len(everything.held_back) == len(whole.design.split(0)[0])
 
 
-def test_what_a_network_saw_is_in_its_folder(whole: Study):
+def test_the_folder_of_a_network_lists_its_training_data(whole: Study):
     for network in NETWORKS:
         for trial in range(2):
             learned = load_learned(whole.folder / f"learned/{network}/trial-{trial:03d}")
@@ -216,9 +218,7 @@ def test_what_a_network_saw_is_in_its_folder(whole: Study):
             assert learned.record.training.seed == trial
 
 
-def test_drives_that_are_too_short_are_told_before_anything_is_tuned(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_too_short_drives_are_rejected_before_any_tuning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(TrialRunner, "trial", lambda *_: pytest.fail("tuned already"))
     with pytest.raises(InputError, match=r"too little data to train networks.*add drives"):
         run_study(TINY.model_copy(update={"maneuvers": ("brake",)}), tmp_path / "out")
@@ -227,7 +227,7 @@ def test_drives_that_are_too_short_are_told_before_anything_is_tuned(
 # ---- tables ----
 
 
-def test_the_rivals_stand_in_the_tables(whole: Study):
+def test_the_tables_contain_the_other_methods(whole: Study):
     tables = {name: table.to_markdown() for name, table in study_tables(whole.results).items()}
     for name in ("table-2", "table-3", "rivals", "elsewhere-1", "elsewhere-2"):
         for label in (method.label for method in METHODS.values() if method.rival):
@@ -268,7 +268,7 @@ def test_networks_are_compared_with_the_filter_that_they_assist(whole: Study):
     assert "favor the network" in table
 
 
-def test_what_a_network_leaves_as_it_is_is_not_told(whole: Study):
+def test_a_measure_that_a_network_does_not_change_is_omitted(whole: Study):
     position, drift = np.random.default_rng(0).uniform(1.0, 2.0, (2, 2, len(whole.design.drives)))
     values = {
         ("honest", "pso-planar8"): {"position_rmse_m": position, "outage_drift_m": drift},
@@ -279,7 +279,7 @@ def test_what_a_network_leaves_as_it_is_is_not_told(whole: Study):
     assert (gain.measure, gain.improvement) == ("outage_drift_m", pytest.approx(10.0))
 
 
-def test_simulated_roads_and_the_shaking_are_the_config_s():
+def test_other_simulated_drives_have_the_vibration_and_terrain_of_the_configuration():
     few = {"maneuvers": ("turns",), "environments": ("clear",), "runs": 2, "rivals": True}
     home = make_design(StudyConfig(**few, vibration=1.0, terrain="rolling"))
     elsewhere = [drive for other in designs_elsewhere(home).values() for drive in other.drives]
@@ -288,7 +288,7 @@ def test_simulated_roads_and_the_shaking_are_the_config_s():
         assert (scenario["vibration"], scenario["terrain"]) == (1.0, "rolling")
 
 
-def test_times_stand_in_files_of_their_own(whole: Study):
+def test_times_are_in_separate_files(whole: Study):
     assert "per sample, us" not in (whole.folder / "tables/rivals.md").read_text()
     text = (whole.folder / "tables/runtime-rivals.md").read_text()
     assert "training, s" in text
@@ -306,7 +306,7 @@ def test_times_stand_in_files_of_their_own(whole: Study):
     assert times["honest-bo-ukf"]["training_s"] == pytest.approx(np.mean(kept))
 
 
-def test_elsewhere_are_other_sensors_and_another_car(whole: Study):
+def test_the_other_drives_have_another_imu_or_another_car(whole: Study):
     (imu, car) = designs_elsewhere(whole.design).values()
     assert {d.metadata["imu_noise"]["grade"] for d in imu.drives} == {"mpu-6050"}
     assert {d.metadata["vehicle"] for d in car.drives} == {"model3-carla"}
@@ -322,7 +322,7 @@ def test_elsewhere_are_other_sensors_and_another_car(whole: Study):
     assert {name for name, _ in own} == {d.name for d in imu.drives}
 
 
-def test_the_learning_curve_ends_in_the_study_s_own_network(whole: Study):
+def test_the_learning_curve_ends_with_the_study_s_network(whole: Study):
     curve = [p for p in whole.results.rivals.curve if (p.method, p.measure) == ("noise-gru", "nis")]
     assert [p.minutes for p in curve] == pytest.approx([0.0, 2.0, 2.4], abs=0.35)
     for point, method in ((curve[0], "pso-planar8"), (curve[-1], "noise-gru")):
@@ -332,16 +332,16 @@ def test_the_learning_curve_ends_in_the_study_s_own_network(whole: Study):
     assert (whole.folder / "figures/learning-curve.png").stat().st_size > 0
 
 
-def test_the_page_shows_them(whole: Study):
+def test_the_page_contains_the_other_methods(whole: Study):
     section = next(s for s in read_report(whole.folder).sections if s.title == "Rivals")
     captions = [table.caption.split(":")[0] for table in section.tables]
     alone = "Networks compared with PSO-UKF, planar8 (tuned with truth) without a network"
     assert captions == ["Rivals", alone, "Other drives", "Other drives", "Learning curves"]
     assert "per sample, us" in [column.title for column in section.tables[0].columns]
-    assert len(section.charts) == 3  # of 30 s nothing is known
+    assert len(section.charts) == 3  # there is no result for 30 s
 
 
-# ---- interruptions, mistakes ----
+# ---- interruptions and errors ----
 
 
 class Stopped(Exception):
@@ -349,8 +349,8 @@ class Stopped(Exception):
 
 
 @pytest.mark.long
-def test_interrupted_it_ends_in_the_same_bytes(whole: Study, tmp_path: Path):
-    """In a training of a trial, then in one of a learning curve: epochs that are done are not repeated."""
+def test_an_interrupted_study_ends_in_the_same_bytes(whole: Study, tmp_path: Path):
+    """Interrupt the training in a trial, then in a learning curve; finished epochs are not repeated."""
     out = tmp_path / "parts"
     made = ("tables", "figures", "elsewhere", "results.json", "scores.csv")
     shutil.copytree(whole.folder, out, ignore=shutil.ignore_patterns("learned", *made))
@@ -374,7 +374,7 @@ def test_interrupted_it_ends_in_the_same_bytes(whole: Study, tmp_path: Path):
     assert contents(out) == kept
 
 
-def test_what_is_trained_is_not_trained_again(whole: Study, monkeypatch: pytest.MonkeyPatch):
+def test_a_trained_network_is_not_trained_again(whole: Study, monkeypatch: pytest.MonkeyPatch):
     def scores(*_: object) -> None:
         raise Stopped
 
@@ -387,7 +387,7 @@ def test_what_is_trained_is_not_trained_again(whole: Study, monkeypatch: pytest.
     assert contents(whole.folder) == before
 
 
-def test_the_configuration_is_saved_with_it(whole: Study):
+def test_the_configuration_is_saved_with_the_study(whole: Study):
     assert read_config(whole.folder / "study.toml") == TINY
     plain = StudyConfig()
     assert not re.search("rivals|learn_minutes|elsewhere", plain.to_toml())
@@ -396,7 +396,7 @@ def test_the_configuration_is_saved_with_it(whole: Study):
 
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*gaps; the longest")
-def test_drives_of_one_s_own_and_drives_elsewhere(whole: Study, tmp_path: Path):
+def test_drives_of_the_user_for_training_and_for_the_other_test(whole: Study, tmp_path: Path):
     for drive in whole.design.drives[:5]:
         write_drive(drive, tmp_path / "mine" / drive.name)
     other = replace(simulate("outages", seed=9, imu="adis16488"), name="other")
@@ -420,8 +420,8 @@ def test_drives_of_one_s_own_and_drives_elsewhere(whole: Study, tmp_path: Path):
 
 
 @pytest.mark.long
-def test_trained_in_earnest(whole: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """With the learners as they are; about two minutes."""
+def test_a_study_with_the_real_networks(whole: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The test takes about two minutes."""
     for name, learner in REAL.items():
         monkeypatch.setitem(LEARNERS, name, learner)
     found = run_study(TINY.model_copy(update={"learn_minutes": 2.0}), tmp_path / "out")

@@ -18,7 +18,7 @@ sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 from study_coverage import coverage
 
 NAN = math.nan
-# Three trials, five drives; each trial held two back.
+# Three trials and five drives; each trial held out two drives.
 FROZEN = np.array(
     [
         [1.0, 3.0, NAN, NAN, NAN],
@@ -37,12 +37,12 @@ def draws() -> s.Draws:
     return s.Draws(0)
 
 
-def test_means_by_hand():
+def test_means_agree_with_manual_calculations():
     np.testing.assert_array_equal(s.trial_means(FROZEN), [2.0, 3.5, 4.5])
     np.testing.assert_array_equal(s.drive_means(FROZEN), [2.0, 4.0, 2.0, 6.0, NAN])
 
 
-def test_the_summary_by_hand():
+def test_the_summary_agrees_with_manual_calculations():
     found = summarize(FROZEN, STRATA, 2 / 3, draws())
     mean, sd = 10 / 3, math.sqrt(((2 - 10 / 3) ** 2 + (3.5 - 10 / 3) ** 2 + (4.5 - 10 / 3) ** 2) / 2)
     assert found.mean == pytest.approx(mean)
@@ -68,7 +68,7 @@ def test_the_paper_s_intervals_are_over_trials():
     assert s.trial_interval(values) == pytest.approx((2.62, 2.98), abs=0.005)
 
 
-def test_the_bootstrap_is_scipy_s_where_there_is_one_stratum():
+def test_the_bootstrap_agrees_with_scipy_for_one_stratum():
     values = np.random.default_rng(3).gamma(2.0, 1.0, 60)
     found = s.bootstrap(np.asarray, [values], ["all"] * 60, draws())
     theirs = stats.bootstrap((values,), np.mean, method="percentile", rng=rng()).confidence_interval
@@ -83,7 +83,7 @@ def test_resampling_stays_within_strata():
 
 
 def test_trials_are_resampled_too():
-    """Drives that are all alike leave open what the trials do."""
+    """If all drives are equal, the interval shows the differences between trials."""
     each = np.array([1.0, 2.0, 3.0, 4.0])
     low, high = s.crossed_bootstrap(np.repeat(each[:, np.newaxis], 5, axis=1), ["all"] * 5, draws())
     assert 0.99 < low < 1.7
@@ -91,8 +91,8 @@ def test_trials_are_resampled_too():
     assert s.crossed_bootstrap(np.full((3, 5), 2.0), ["all"] * 5, draws()) == (2.0, 2.0)
 
 
-def test_levels_are_a_least_squares_fit():
-    """Against a plain least squares fit with a column for each drive and each trial."""
+def test_levels_agree_with_a_least_squares_fit():
+    """The fit has a column for each drive and each trial."""
     chance = np.random.default_rng(4)
     values = chance.normal(size=(6, 9)) + np.arange(9) + 3.0 * np.arange(6)[:, np.newaxis]
     values[chance.random((6, 9)) < 0.5] = NAN
@@ -106,8 +106,8 @@ def test_levels_are_a_least_squares_fit():
 
 
 @pytest.mark.parametrize("n", [2, 3, 10])
-def test_a_mean_varies_as_much_as_theory_says(n: int):
-    """Drawing n of n would give a variance too small by (n - 1) / n: half of it for two drives."""
+def test_the_variance_of_a_mean_agrees_with_theory(n: int):
+    """Drawing n of n would give a variance that is too small by (n - 1) / n, which is half for two drives."""
     values = np.random.default_rng(n).normal(size=3 * n)
     strata = np.repeat(np.arange(3), n)
     found = s._drive_weights([str(k) for k in strata], rng()) @ values / len(values)
@@ -115,15 +115,15 @@ def test_a_mean_varies_as_much_as_theory_says(n: int):
     assert np.var(found) == pytest.approx(theory, rel=0.15)
 
 
-def test_strata_of_one_drive_are_thrown_together():
+def test_strata_of_one_drive_are_merged():
     values = np.array([1.0, 5.0, 9.0])
     assert s.bootstrap(np.asarray, [values], list("abc"), draws()) == s.bootstrap(
         np.asarray, [values], list("aaa"), draws()
     )
 
 
-def test_few_trials_have_students_tails():
-    """Where all drives are alike, the interval is about the t interval of the trials' means."""
+def test_few_trials_give_an_interval_as_wide_as_student_s_t():
+    """If all drives are equal, the interval is approximately the t interval of the means of trials."""
     each = np.array([1.0, 2.0, 4.0, 3.0, 2.5])
     found = s.crossed_bootstrap(np.repeat(each[:, np.newaxis], 4, axis=1), ["all"] * 4, draws())
     wanted = stats.t.interval(0.95, 4, each.mean(), stats.sem(each))
@@ -131,8 +131,8 @@ def test_few_trials_have_students_tails():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_in_a_small_study_the_interval_is_around_the_mean(seed: int):
-    """Three trials each hold one drive of four back; conditions differ much, and some hold one drive back thrice."""
+def test_in_a_small_study_the_interval_contains_the_mean(seed: int):
+    """Each of three trials holds out one of four drives, some drives repeatedly; conditions differ much."""
     chance = np.random.default_rng(seed)
     strata = np.repeat(np.arange(25), 4)
     level = 10.0 ** chance.uniform(-1, 3, 25)
@@ -143,7 +143,7 @@ def test_in_a_small_study_the_interval_is_around_the_mean(seed: int):
     found = summarize(values, [str(k) for k in strata], 1 / 3, draws())
     low, high = found.bootstrap_interval
     assert low < found.mean < high
-    assert high - low < 0.2 * found.mean  # as drives of a condition differ, not as conditions do
+    assert high - low < 0.2 * found.mean  # drives of a condition differ less than conditions
 
 
 def test_a_failed_filter_has_no_intervals():
@@ -153,7 +153,7 @@ def test_a_failed_filter_has_no_intervals():
     assert found.corrected_t_interval == found.bootstrap_interval == (None, None)
 
 
-def test_the_comparison_by_hand():
+def test_the_comparison_agrees_with_manual_calculations():
     tuned = np.array([[1.0, 2.0, 3.0, 4.0]])
     manual = np.array([[2.0, 5.0, 2.5, 8.0]])
     found = compare_paired(tuned, manual, ["all"] * 4, draws())
@@ -172,7 +172,7 @@ def test_the_paper_s_improvement():
     assert np.isnan(s.improvement(np.array([0.5]), np.array([0.0])))
 
 
-def test_only_drives_that_both_were_tested_on_are_compared():
+def test_only_drives_with_results_of_both_methods_are_compared():
     other = np.where(np.isnan(FROZEN), NAN, FROZEN + 1)
     other[:, 3] = NAN
     assert compare_paired(FROZEN, other, STRATA, draws()).n_drives == 3
@@ -180,7 +180,7 @@ def test_only_drives_that_both_were_tested_on_are_compared():
 
 
 @pytest.mark.parametrize("n", [1, 3, 5, 6, 10, 20, 37])
-def test_the_interval_covers_the_median_and_no_narrower_one_does(n: int):
+def test_the_interval_covers_the_median_and_a_narrower_one_does_not(n: int):
     low, high = s.median_interval(np.random.default_rng(n).permutation(n).astype(float))
     cut = int(low)
     assert high == n - 1 - cut
@@ -192,7 +192,7 @@ def test_the_interval_covers_the_median_and_no_narrower_one_does(n: int):
 
 
 @given(st.lists(st.integers(-50, 50), min_size=2, max_size=9, unique_by=abs).filter(lambda v: 0 not in v))
-def test_the_paired_test_against_all_signs(differences: list[int]):
+def test_the_paired_test_agrees_with_an_enumeration_of_signs(differences: list[int]):
     ranks = np.argsort(np.argsort(np.abs(differences))) + 1
     total = sum(r for r, d in zip(ranks, differences, strict=True) if d > 0)
     sums = [sum(r for r, up in zip(ranks, signs, strict=True) if up) for signs in
@@ -209,8 +209,8 @@ def test_the_paired_test_with_ties_and_failures():
     assert s.signed_rank(failing, failing) == 1.0
 
 
-def test_holm_by_hand():
-    # Sorted 0.01, 0.02, 0.03, 0.04 times 4, 3, 2, 1: 0.04, 0.06, 0.06, 0.04, and never below the one before.
+def test_holm_agrees_with_manual_calculations():
+    # Sorted 0.01, 0.02, 0.03, 0.04 times 4, 3, 2, 1 gives 0.04, 0.06, 0.06, 0.04; each is at least the previous one.
     assert s.holm([0.03, 0.01, 0.04, 0.02]) == pytest.approx([0.06, 0.04, 0.06, 0.06])
     assert s.holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
     assert s.holm([0.9, 0.8]) == [1.0, 1.0]
@@ -218,15 +218,15 @@ def test_holm_by_hand():
 
 
 @pytest.mark.long
-def test_intervals_for_new_drives_cover_and_the_naive_one_does_not():
+def test_intervals_for_new_drives_have_the_stated_coverage_and_the_naive_one_does_not():
     naive, corrected, resampled = coverage(150, luck=0.01, conditions=8, runs=10, trials=10)
     assert naive < 0.8
-    assert corrected > 0.91  # of 150: 0.95 less 2.2 standard errors
+    assert corrected > 0.91  # for 150 studies: 0.95 less 2.2 standard errors
     assert 0.90 < resampled < 0.99
 
 
-def test_what_was_drawn_for_the_same_drives_is_not_drawn_again(monkeypatch: pytest.MonkeyPatch):
-    """Neither for other scores nor for other figures, and every figure is what it is alone."""
+def test_resampled_weights_are_reused_for_the_same_drives(monkeypatch: pytest.MonkeyPatch):
+    """They are reused for other scores and other statistics, and each statistic equals that of a separate draw."""
     other = np.where(np.isnan(FROZEN), np.nan, FROZEN**2)
 
     def figures(common: s.Draws | None) -> list[object]:

@@ -47,7 +47,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Study:
-    """A study that nobody interrupted, on one worker."""
+    """Return an uninterrupted study with one worker."""
     study = run_study(TINY, tmp_path_factory.mktemp("study") / "whole", workers=1)
     with no_pictures():
         save_study(study, study.folder)
@@ -61,8 +61,8 @@ def design() -> Design:
 
 @pytest.mark.usefixtures("unpainted")
 @pytest.mark.parametrize("kills", [2, pytest.param(6, marks=pytest.mark.long)])
-def test_killed_several_times_it_ends_in_the_same_bytes(whole: Study, tmp_path: Path, kills: int):
-    """The process is killed (SIGKILL) at moments of its tuning, drawn at random, and resumed."""
+def test_a_study_killed_several_times_ends_in_the_same_bytes(whole: Study, tmp_path: Path, kills: int):
+    """Kill the process (SIGKILL) at random times of its tuning, and resume it."""
     out = tmp_path / "killed"
     (tmp_path / "study.toml").write_text(TINY.to_toml())
     program = (
@@ -89,17 +89,17 @@ def test_killed_several_times_it_ends_in_the_same_bytes(whole: Study, tmp_path: 
 
 
 @pytest.mark.long
-def test_finished_trials_are_not_done_again(whole: Study, monkeypatch: pytest.MonkeyPatch):
+def test_finished_trials_are_not_repeated(whole: Study, monkeypatch: pytest.MonkeyPatch):
     before = contents(whole.folder)
-    # as a run leaves it that is killed after it has kept the trial, and before it has dropped this
+    # the checkpoint remains if a run is killed after saving the trial, and before deleting the checkpoint
     (whole.folder / "trials/paper-pso-ukf/checkpoint-000.npz").write_bytes(b"")
     monkeypatch.setattr(TrialRunner, "_generation", lambda *_: pytest.fail("a finished trial was redone"))
     run_study(TINY, whole.folder, resume=True)
     assert contents(whole.folder) == before
 
 
-def test_as_many_tune_side_by_side_as_there_are_cores(whole: Study, monkeypatch: pytest.MonkeyPatch):
-    """Python's own number of threads is larger, and they would wait for each other; nor does one worker fork."""
+def test_the_number_of_parallel_tunings_is_the_number_of_cores(whole: Study, monkeypatch: pytest.MonkeyPatch):
+    """The default number of threads in Python is larger; one worker starts no process."""
     seen: list[int] = []
 
     def grid(*_: object, processes: int, **__: object) -> object:
@@ -121,10 +121,10 @@ def test_as_many_tune_side_by_side_as_there_are_cores(whole: Study, monkeypatch:
     assert seen == [3, 3, 1, 0, 0]
 
 
-def test_a_trial_is_what_tune_finds_from_a_uniform_generation(
+def test_a_trial_agrees_with_tune_from_a_uniform_generation(
     whole: Study, design: Design, monkeypatch: pytest.MonkeyPatch
 ):
-    """The shared, prepared drives give the same bits as a tuning of its own on the same split."""
+    """The shared, prepared drives give the same bits as a separate tuning with the same split."""
     monkeypatch.setattr("sigmaswarm.tuning.tune._center", lambda problem: None)
     train = [design.drives[i] for i in design.split(0)[0]]
     asked = {
@@ -138,13 +138,13 @@ def test_a_trial_is_what_tune_finds_from_a_uniform_generation(
         assert whole.parameters[task] == tuning.parameters
 
 
-def test_all_race_or_none(design: Design):
+def test_all_trials_race_or_none(design: Design):
     racing = make_design(TINY.model_copy(update={"racing": True}))
     assert all(racing.tune_config(method, protocol).racing for protocol, method in TINY.tuned)
     assert not any(design.tune_config(method, protocol).racing for protocol, method in TINY.tuned)
 
 
-def test_it_races_by_itself_where_training_drives_are_many():
+def test_racing_is_the_default_for_many_training_drives():
     def races(of_each: int, **asked: object) -> bool:
         strata = tuple(name for name in ("turns-clear", "turns-rain") for _ in range(of_each))
         config = TINY.model_copy(update=asked)
@@ -159,7 +159,7 @@ def test_it_races_by_itself_where_training_drives_are_many():
     assert races(3, racing=True)
 
 
-def test_what_racing_was_asked_for_is_kept(tmp_path: Path):
+def test_a_given_value_of_racing_is_saved(tmp_path: Path):
     for racing, kept in ((None, False), (True, True), (False, True)):
         config = TINY.model_copy(update={"racing": racing})
         (tmp_path / "study.toml").write_text(config.to_toml())
@@ -172,7 +172,7 @@ def test_the_budget_counts_the_first_generation(whole: Study):
     assert StudyConfig().particles * StudyConfig().generations == 1500
 
 
-def test_every_trial_splits_every_condition_anew(design: Design):
+def test_every_trial_splits_every_condition_differently(design: Design):
     splits = [design.split(trial) for trial in range(8)]
     assert len({tuple(train) for train, _ in splits}) > 3
     for train, test in splits:
@@ -180,7 +180,7 @@ def test_every_trial_splits_every_condition_anew(design: Design):
         assert [design.conditions[i][0] for i in test] == ["turns", "outages"]
 
 
-def test_scores_are_of_held_out_drives_alone(whole: Study):
+def test_scores_are_of_held_out_drives_only(whole: Study):
     with (whole.folder / "scores.csv").open() as file:
         rows = list(csv.DictReader(file))
     for trial in range(TINY.trials):
@@ -191,7 +191,7 @@ def test_scores_are_of_held_out_drives_alone(whole: Study):
     assert len(found) == 16
 
 
-def test_results_can_be_found_again_in_the_scores(whole: Study):
+def test_results_agree_with_the_scores(whole: Study):
     results = json.loads((whole.folder / "results.json").read_text())
     with (whole.folder / "scores.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["measure"] == "heading_rmse_deg"]
@@ -204,7 +204,7 @@ def test_results_can_be_found_again_in_the_scores(whole: Study):
         assert summary["sd"] == pytest.approx(np.std(each, ddof=1))
 
 
-def test_raw_gps_is_perfect_by_the_paper_s_measure(whole: Study):
+def test_raw_gps_has_no_error_by_the_paper_s_measure(whole: Study):
     raw = whole.results.summary("untuned", "raw-gps", "gps_rmse_m")
     assert raw is not None
     assert raw.mean == 0.0
@@ -232,7 +232,7 @@ def test_the_fixes_alone_are_a_row_without_tuning(whole: Study):
 
 
 @pytest.mark.long
-def test_each_condition_can_be_tuned_by_itself(tmp_path: Path):
+def test_each_condition_can_be_tuned_separately(tmp_path: Path):
     config = TINY.model_copy(update={"per_condition": True, "generations": 1})
     study = run_study(config, tmp_path / "out")
     assert len(study.trials) == 2 * 6 * 2
@@ -242,14 +242,14 @@ def test_each_condition_can_be_tuned_by_itself(tmp_path: Path):
     assert summary.n_drives >= 2
 
 
-def test_a_user_s_own_drives(tmp_path: Path, design: Design):
+def test_drives_of_the_user(tmp_path: Path, design: Design):
     for drive in design.drives[:3]:
         write_drive(drive, tmp_path / "drives" / drive.name)
     config = TINY.model_copy(update={"drives": (str(tmp_path / "drives"),), "generations": 1})
     assert [drive.name for drive in make_design(config).drives] == [d.name for d in design.drives[:3]]
 
 
-def test_a_study_goes_on_only_with_what_it_was_asked_for(whole: Study, tmp_path: Path):
+def test_a_different_study_is_not_resumed(whole: Study, tmp_path: Path):
     with pytest.raises(InputError, match="add --resume"):
         run_study(TINY, whole.folder)
     other = TINY.model_copy(update={"seed": 1})
@@ -257,7 +257,7 @@ def test_a_study_goes_on_only_with_what_it_was_asked_for(whole: Study, tmp_path:
         run_study(other, whole.folder, resume=True)
 
 
-def test_the_configuration_is_saved_with_it(whole: Study):
+def test_the_configuration_is_saved_with_the_study(whole: Study):
     assert read_config(whole.folder / "study.toml") == TINY
 
 
@@ -269,7 +269,7 @@ def test_the_configuration_is_saved_with_it(whole: Study):
         ("trials = [", "not readable"),
     ],
 )
-def test_mistakes_in_the_file_are_told_in_a_line(tmp_path: Path, text: str, message: str):
+def test_errors_in_the_file_are_reported(tmp_path: Path, text: str, message: str):
     path = tmp_path / "study.toml"
     path.write_text(text)
     with pytest.raises(InputError, match=message):
@@ -287,7 +287,7 @@ def test_drives_without_truth_are_refused(tmp_path: Path, design: Design):
 @pytest.mark.long
 @pytest.mark.usefixtures("unpainted")
 def test_each_drive_is_aligned_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """By search, scores, tracks, pictures and timings together; and no search space is made twice."""
+    """Search, scores, tracks, pictures and timings share the alignment; no search space is computed twice."""
     aligned: list[str] = []
     spaces: list[tuple[object, ...]] = []
 

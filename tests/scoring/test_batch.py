@@ -1,4 +1,4 @@
-"""The sums of the compiled filters, compared with the definitions on whole trajectories."""
+"""The sums of the compiled filters, compared with the definitions over whole trajectories."""
 
 import math
 from concurrent.futures import ThreadPoolExecutor
@@ -32,7 +32,7 @@ NUMBERS = ("position_rmse", "heading_rmse", "outage_drift", "fix_rmse", "mean_ni
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_the_compiled_sums_are_the_scores_of_the_trajectories(variant: str):
+def test_the_compiled_sums_give_the_scores_of_the_trajectories(variant: str):
     drive = VARIANTS[variant]
     scores = BatchScorer.prepare([drive]).scores(SETS)
     for i, parameters in enumerate(SETS):
@@ -44,7 +44,7 @@ def test_the_compiled_sums_are_the_scores_of_the_trajectories(variant: str):
 
 
 def drift_by_hand(drive: Drive, parameters: FilterParameters, windows: np.ndarray) -> float:
-    """Run without the fixes in the windows, look at the position where each of them ends."""
+    """Run without the fixes in the windows; return the RMS position error at the ends of the windows."""
     estimate = run_filter(hide_fixes(drive, windows), parameters, initial=initial_state(drive))
     squares = []
     for end in windows[:, 1]:
@@ -58,7 +58,7 @@ def drift_by_hand(drive: Drive, parameters: FilterParameters, windows: np.ndarra
 
 
 @pytest.mark.parametrize(("length", "seed"), [(5.0, 0), (3.0, 1)])
-def test_outage_drift_is_the_error_where_the_windows_end(length: float, seed: int):
+def test_outage_drift_is_the_error_at_the_ends_of_the_windows(length: float, seed: int):
     drive = make_drive(duration=60.0, seed=3, jitter=0.2)
     scores = BatchScorer.prepare(
         [drive], PassOptions(outages=True, outage_length=length, outage_seed=seed)
@@ -74,7 +74,7 @@ def test_outage_drift_is_the_error_where_the_windows_end(length: float, seed: in
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_outage_windows_keep_what_the_design_says(seed: int):
+def test_outage_windows_satisfy_their_rules(seed: int):
     drive = make_drive(duration=80.0, seed=seed, jitter=0.3)
     start = initial_state(drive)
     windows = outage_windows(drive, start, length=5.0, seed=seed)
@@ -94,7 +94,7 @@ def ends_of(drive: Drive) -> np.ndarray:
 
 
 def test_outages_end_where_truth_is_known():
-    """Beyond its ends truth would be taken for standing still."""
+    """Outside its time range, truth would be extrapolated as constant."""
     drive = make_drive(duration=60.0, imu_rate=4.0)
     for first, last in [(30.0, 60.0), (0.0, 35.05), (25.0, 48.0)]:
         known = replace(
@@ -108,13 +108,13 @@ def test_outages_end_where_truth_is_known():
             assert ends.max() <= d.truth.time[-1]
 
 
-def test_outages_end_where_fixes_are_known_if_truth_is_not():
+def test_without_truth_outages_end_within_the_time_of_the_fixes():
     drive = make_drive(duration=60.0, truth=False)
     short = replace(drive, gps=drive.gps.select(drive.gps.time < 40.0))
     assert ends_of(short).max() <= short.gps.time[-1]
 
 
-def test_without_truth_the_drift_is_seen_against_the_hidden_fixes():
+def test_without_truth_the_drift_is_relative_to_the_hidden_fixes():
     drive = make_drive(duration=60.0, truth=False)
     score = BatchScorer.prepare([drive], PassOptions(outages=True)).scores(SETS[2:3])[0, 0]
     start = initial_state(drive)
@@ -136,11 +136,11 @@ def test_a_drive_too_short_for_an_outage_has_no_drift():
     assert not scores.failed.any()
 
 
-# --- At the fixes ------------------------------------------------------------------------------------------
+# --- Scores at the fixes -----------------------------------------------------------------------------------
 
 
 def at_the_fixes(drive: Drive, p: FilterParameters) -> tuple[list[float], list[float]]:
-    """Squared residual after absorbing, and NIS before it, of each fix, by the textbook filter."""
+    """Return the squared residual after each fix and the NIS before it, with the textbook filter."""
     start = initial_state(drive)
     line = timeline_of(drive, start.time)
     points = SigmaPoints(p.alpha, p.beta, p.kappa, first=(THETA,))
@@ -168,7 +168,7 @@ CALM = [
 
 
 @pytest.mark.parametrize("parameters", CALM)
-def test_residual_and_nis_are_the_textbook_s(parameters: FilterParameters):
+def test_residual_and_nis_agree_with_the_textbook(parameters: FilterParameters):
     drive = make_drive(duration=14.0, seed=6, jitter=0.2)
     squares, nis = at_the_fixes(drive, parameters)
     score = BatchScorer.prepare([drive]).scores([parameters])[0, 0]
@@ -177,7 +177,7 @@ def test_residual_and_nis_are_the_textbook_s(parameters: FilterParameters):
     assert score.mean_nis == pytest.approx(np.mean(nis), rel=1e-7)
 
 
-def test_residuals_can_be_read_off_the_trajectory_where_fixes_fall_on_samples():
+def test_residuals_follow_from_the_trajectory_if_fixes_are_at_samples():
     drive = make_drive(duration=20.0, seed=2)
     i = np.arange(30, 2000, 20)
     noise = np.random.default_rng(0).standard_normal((2, len(i)))
@@ -192,8 +192,8 @@ def test_residuals_can_be_read_off_the_trajectory_where_fixes_fall_on_samples():
         assert scores.fix_rmse[row, 0] == pytest.approx(np.sqrt(np.mean(residual**2)), rel=1e-6, abs=1e-9)
 
 
-def test_a_right_covariance_has_a_mean_nis_of_two():
-    """The synthetic IMU is exact: with nearly no Q and the true R the filter is consistent."""
+def test_a_correct_covariance_has_a_mean_nis_of_two():
+    """The synthetic IMU is exact, so the filter is consistent with almost no Q and with the true R."""
     right = FilterParameters(0.5, 2.0, 0.0, (1e-6, 1e-6, 1e-6, 1e-6, 1e-9), (1.0, 1.0))
     drives = [make_drive(duration=60.0, seed=s) for s in range(6)]
     scores = BatchScorer.prepare(drives).scores([right, replace(right, measurement_noise=(4.0, 4.0))])
@@ -205,7 +205,7 @@ def test_a_right_covariance_has_a_mean_nis_of_two():
 # --- Many sets and drives ----------------------------------------------------------------------------------
 
 
-def test_neither_company_nor_workers_change_a_bit():
+def test_neither_other_sets_nor_workers_change_a_bit():
     drives = [make_drive(duration=25.0, seed=s, name=f"d{s}") for s in range(3)]
     replayer = BatchScorer.prepare(drives, PassOptions(outages=True))
     alone = [replayer.scores([p]) for p in SETS]
@@ -225,7 +225,7 @@ def test_neither_company_nor_workers_change_a_bit():
             )
 
 
-def test_a_failing_set_is_marked_and_leaves_the_others_bits():
+def test_a_failing_set_is_marked_and_changes_no_bit_of_the_others():
     drive = make_drive(duration=25.0)
     bad = replace(DEFAULTS, process_noise=(1.0, 1.0, -10.0, 1.0, 1.0))
     sets = SETS[:4]
@@ -238,21 +238,21 @@ def test_a_failing_set_is_marked_and_leaves_the_others_bits():
     assert mixed[1, 0].failed
 
 
-def test_truth_reaches_no_filter():
+def test_filters_do_not_read_truth():
     drive = make_drive(duration=20.0)
     with_truth, without = (run_filter(d, DEFAULTS) for d in (drive, replace(drive, truth=None)))
     for name in ("time", "mean", "covariance"):
         assert getattr(with_truth, name).tobytes() == getattr(without, name).tobytes()
-    # the scores at the fixes, which need no truth, stay too
+    # scores at the fixes do not depend on truth either
     scores = [BatchScorer.prepare([d]).scores(SETS) for d in (drive, replace(drive, truth=None))]
     np.testing.assert_array_equal(scores[0].fix_rmse, scores[1].fix_rmse)
     np.testing.assert_array_equal(scores[0].mean_nis, scores[1].mean_nis)
 
 
-def test_a_subset_scores_as_its_drives_alone():
+def test_a_subset_gives_the_scores_of_its_drives():
     drives = [make_drive(duration=30.0, seed=seed, name=f"d{seed}") for seed in range(4)]
     whole = BatchScorer.prepare(drives, PassOptions(outages=True, forecasts=True))
-    assert whole.steps.sum() > 0  # so that it has been counted before the subset is taken
+    assert whole.steps.sum() > 0  # computes the cached number of steps before the subset is taken
     part, alone = (
         whole.subset([3, 1]),
         BatchScorer.prepare([drives[3], drives[1]], PassOptions(outages=True, forecasts=True)),

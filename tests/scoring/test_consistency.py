@@ -1,4 +1,4 @@
-"""NIS, its band, and whiteness, on innovations with a known distribution."""
+"""NIS, its interval, and whiteness, for innovations with a known distribution."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from support import make_drive
 
 
 def innovations(n: int, seed: int, *, scale: float = 1.0, memory: float = 0.0) -> Innovations:
-    """Drawn from a covariance that differs from fix to fix; ``memory`` correlates neighbours."""
+    """Draw innovations whose covariance changes at each fix; ``memory`` correlates consecutive ones."""
     rng = np.random.default_rng(seed)
     root = np.array([[1.0, 0.0], [0.6, 0.5]]) * rng.uniform(0.5, 2.0, (n, 1, 1))
     white = rng.standard_normal((n, 2))
@@ -23,7 +23,7 @@ def innovations(n: int, seed: int, *, scale: float = 1.0, memory: float = 0.0) -
     return Innovations(np.arange(n, dtype=float), nu, root @ root.transpose(0, 2, 1))
 
 
-def test_a_consistent_filter_lies_in_its_bands_as_often_as_they_say():
+def test_a_consistent_filter_is_inside_its_intervals_with_the_stated_probability():
     found = [consistency_of(innovations(200, seed)) for seed in range(300)]
     inside = np.mean([c.nis_band[0] < c.mean_nis < c.nis_band[1] for c in found])
     white = np.mean([c.white_p > 0.05 for c in found])
@@ -34,11 +34,11 @@ def test_a_consistent_filter_lies_in_its_bands_as_often_as_they_say():
     assert np.mean(np.abs(correlations) < found[0].white_band) == pytest.approx(0.95, abs=0.02)
 
 
-def test_one_that_is_too_sure_or_not_white_is_caught():
+def test_overconfident_and_correlated_innovations_are_detected():
     sure = consistency_of(innovations(1000, 1, scale=1.2))
     assert sure.mean_nis > sure.nis_band[1]
     assert sure.inside_gate < 0.93
-    assert sure.white_p > 0.01  # its size is wrong, not its colour
+    assert sure.white_p > 0.01  # the size is wrong, but the innovations are white
     slow = consistency_of(innovations(1000, 2, memory=0.4))
     assert slow.white_p < 1e-6
     assert slow.autocorrelation[0] == pytest.approx(0.4, abs=0.06)
@@ -50,11 +50,11 @@ def test_a_constant_innovation_is_not_white():
     assert consistency_of(biased).autocorrelation[0] == pytest.approx(0.99)
 
 
-def test_the_gate_is_the_chi_square_s():
+def test_the_gate_is_a_quantile_of_chi_square():
     assert chi2.cdf(GATE_95, 2) == pytest.approx(0.95)
 
 
-def test_too_few_fixes_or_a_failed_filter_are_not_judged():
+def test_too_few_fixes_or_a_failed_filter_give_no_result():
     assert consistency_of(innovations(20, 0)) is None
     drive = make_drive(duration=30.0)
     failing = FilterParameters(0.5, 2.0, 1.0, (-1.0, 1.0, 1.0, 1.0, 1.0), (1.0, 1.0))
@@ -64,18 +64,18 @@ def test_too_few_fixes_or_a_failed_filter_are_not_judged():
     assert evaluation.to_dict()["consistency"] == {drive.name: None}
 
 
-def test_an_evaluation_tells_of_it():
+def test_an_evaluation_contains_the_consistency():
     drive = make_drive(duration=60.0, seed=1)
     parameters = FilterParameters(0.5, 2.0, 1.0, (1e-6, 1e-6, 1e-6, 1e-6, 1e-9), (1.0, 1.0))
     told = evaluate(drive, parameters).to_dict()["consistency"][drive.name]
     found = consistency(drive, parameters)
     assert told["mean_nis"] == found.mean_nis
-    assert 1.5 < found.mean_nis < 2.5  # 1 m of white noise, stated as such
+    assert 1.5 < found.mean_nis < 2.5  # 1 m of white noise, as assumed by R
     assert told["mean_nees"] == BatchScorer.prepare([drive]).scores([parameters])[0, 0].mean_nees
 
 
 def judged(found: list[tuple[float, tuple[float, float], float | None, float] | None]) -> dict[str, str]:
-    """Verdicts on mean NIS with its band, mean NEES, and correlation of neighbors."""
+    """Return verdicts for tuples of mean NIS, its interval, mean NEES, and correlation of consecutive innovations."""
     return verdicts(
         [
             one
@@ -93,7 +93,7 @@ def judged(found: list[tuple[float, tuple[float, float], float | None, float] | 
     )
 
 
-def test_the_verdicts_count_the_drives_of_each_kind():
+def test_the_verdicts_count_the_drives_of_each_class():
     band = (1.8, 2.2)
     optimistic, pessimistic = (2.3, band, 2.5, 0.0), (1.0, band, 1.1, 0.9)
     right = (2.0, band, 2.0, 0.0)
@@ -107,7 +107,7 @@ def test_the_verdicts_count_the_drives_of_each_kind():
     }
     alone = judged([pessimistic])["pessimistic"]
     assert alone.endswith("are 41% too large (mean NIS 1, should be 2)")
-    assert "without truth" not in alone  # there is truth
+    assert "without truth" not in alone  # truth exists
     blind = judged([(1.0, band, None, 0.4)])["pessimistic"]
     assert blind.endswith("predictions of the fixes; without truth, position errors can't be checked")
     assert judged([]) == {}
@@ -116,8 +116,8 @@ def test_the_verdicts_count_the_drives_of_each_kind():
     assert "can't be estimated without truth" in alike["alike"]
 
 
-def test_a_truth_that_contradicts_the_fixes_is_told():
-    """Errors that neighbouring fixes share hide from NIS."""
+def test_a_nees_that_contradicts_the_nis_is_reported():
+    """NIS does not show errors that consecutive fixes have in common."""
     said = judged([(0.43, (1.8, 2.2), 15.4, 0.9)])
     assert list(said) == ["pessimistic", "optimistic_position"]
     assert "too large by a factor of 2.2" in said["pessimistic"]
@@ -125,18 +125,18 @@ def test_a_truth_that_contradicts_the_fixes_is_told():
     assert list(judged([(3.0, (1.8, 2.2), 15.4, 0.9)])) == ["optimistic"]
 
 
-def test_a_right_size_is_not_all():
-    """Errors that are each partly the one before average out less than a filter of the right NIS believes."""
+def test_correlated_innovations_with_a_correct_nis_are_reported():
+    """Correlated errors average out less than the filter assumes, even if NIS is correct."""
     band = (1.8, 2.2)
     said = judged([(2.0, band, None, 0.3), (2.0, band, None, 0.1)])
     assert list(said) == ["correlated", "consistent"]
     assert "on 1 of 2 drives" in said["correlated"]
     assert "of the correct size, but they are correlated" in said["correlated"]
-    assert list(judged([(2.0, band, 2.1, 0.3)])) == ["consistent"]  # the truth bears it out
+    assert list(judged([(2.0, band, 2.1, 0.3)])) == ["consistent"]  # NEES confirms the filter
 
 
-def test_fixes_whose_errors_last_are_told():
-    """They agree with each other, so NIS is low, and the filter is right about the truth all the same."""
+def test_correlated_errors_of_the_fixes_are_reported():
+    """Consecutive fixes agree, so NIS is low although NEES is correct."""
     band = (1.8, 2.2)
     said = judged([(0.2, band, 2.1, 0.9)])
     assert list(said) == ["lasting"]
@@ -145,7 +145,7 @@ def test_fixes_whose_errors_last_are_told():
         (0.2, 0.3),
         (0.9, 1.6),
         (0.2, None),
-    ):  # careful of both, or nothing is known of the truth
+    ):  # both are too low, or there is no NEES
         assert list(judged([(nis, band, nees, 0.1)])) == ["pessimistic"]
     assert list(judged([(0.2, band, 2.1, 0.0), (2.0, band, 2.0, 0.0), (1.0, band, 1.1, 0.0)])) == [
         "pessimistic", "lasting", "consistent",

@@ -1,4 +1,4 @@
-"""The comparison: every method on the same drives, in a format that programs can read."""
+"""The comparison: every method on the same drives, in a machine-readable format."""
 
 import json
 from dataclasses import replace
@@ -41,7 +41,7 @@ def evaluation() -> Evaluation:
     return evaluate(DRIVES, GOOD)
 
 
-def test_the_json_has_the_form_that_machines_rely_on(evaluation: Evaluation):
+def test_the_json_contains_all_methods_and_measures(evaluation: Evaluation):
     said = json.loads(json.dumps(evaluation.to_dict(), allow_nan=False))
     assert list(said["drives"]) == ["drive-0", "drive-1"]
     for methods in [*said["drives"].values(), said["mean"]]:
@@ -57,7 +57,7 @@ def test_the_json_has_the_form_that_machines_rely_on(evaluation: Evaluation):
 
 
 def test_tables_have_no_drift_of_an_outage_for_imu_only(evaluation: Evaluation):
-    """It uses no fix after the start: its error at the end of a window is that since the start."""
+    """IMU-only uses no fix after the start, so its error at the end of a window accumulates since the start."""
     for blind in (False, True):
         drives = [replace(drive, truth=None) for drive in DRIVES] if blind else DRIVES
         view = (evaluate(drives, GOOD) if blind else evaluation).view
@@ -81,20 +81,20 @@ def test_tables_have_no_drift_of_an_outage_for_imu_only(evaluation: Evaluation):
         ),
     ],
 )
-def test_the_tuned_filter_is_called_what_it_is(change: dict, name: str):
+def test_the_name_of_the_tuned_filter_states_its_type_and_model(change: dict, name: str):
     names = evaluate(SHORT[0], replace(GOOD, **change)).names
     assert list(names) == METHODS
     assert list(names.values()) == [name, *NAMES[1:]]
 
 
 def all_ends(drive: Drive, start: InitialState, length: float, seed: int = 0) -> list[np.ndarray]:
-    """When the outages of each placement end."""
+    """Return the times at which the outages of each placement end."""
     seeds = placements(drive, start, length=length, seed=seed)
     return [outage_windows(drive, start, length=length, seed=each)[:, 1] for each in seeds]
 
 
 def drifts_of(drive: Drive, sets: list[FilterParameters], length: float, seed: int = 0) -> np.ndarray:
-    """RMS over all outages of all placements, from one batch each: shape (n_sets,)."""
+    """Return RMS drifts (n_sets,) over all outages of all placements, one batch per placement."""
     seeds = placements(drive, initial_state(drive), length=length, seed=seed)
     each = [
         BatchScorer.prepare([drive], PassOptions(outages=True, outage_length=length, outage_seed=s))
@@ -106,7 +106,7 @@ def drifts_of(drive: Drive, sets: list[FilterParameters], length: float, seed: i
     return np.sqrt(np.average(np.square(each), weights=counts, axis=0))
 
 
-def test_drifts_are_of_many_placements_and_say_how_many_and_what_chance_makes(evaluation: Evaluation):
+def test_drifts_average_many_placements_and_state_their_number_and_range(evaluation: Evaluation):
     drive, name = DRIVES[0], "drive-0"
     start = initial_state(drive)
     ends = all_ends(drive, start, 5.0)
@@ -135,7 +135,7 @@ def test_drifts_are_of_many_placements_and_say_how_many_and_what_chance_makes(ev
 
 
 @pytest.mark.parametrize("in_an_outage", [True, False])
-def test_where_the_tuned_filter_failed_no_drift_of_it_is_told(
+def test_if_the_tuned_filter_failed_its_drift_is_not_described(
     evaluation: Evaluation, capsys: pytest.CaptureFixture[str], in_an_outage: bool
 ):
     good = evaluation.drives["drive-1"]
@@ -157,7 +157,7 @@ def test_where_the_tuned_filter_failed_no_drift_of_it_is_told(
     assert "drift of the tuned filter" not in said
 
 
-def test_a_filter_of_the_users_own_is_the_first_row_of_every_table(evaluation: Evaluation):
+def test_a_filter_of_the_user_is_the_first_row_of_every_table(evaluation: Evaluation):
     own = evaluate(DRIVES, GOOD, against=PLANAR8)
     said, sound = own.to_dict(), evaluation.to_dict()
     assert list(said["mean"]) == ["against", *METHODS]
@@ -199,7 +199,7 @@ def test_each_method_is_scored_by_its_definition(evaluation: Evaluation):
         assert said[drive.name]["imu_only"]["heading_rmse_deg"] == np.rad2deg(imu_only.heading_rmse)
 
 
-def test_dead_reckoning_drifts_from_the_start_on(evaluation: Evaluation):
+def test_dead_reckoning_drifts_from_the_start(evaluation: Evaluation):
     drive = DRIVES[0]
     start = initial_state(drive)
     estimate = run_imu_only(drive, initial=start)
@@ -215,13 +215,13 @@ def test_dead_reckoning_drifts_from_the_start_on(evaluation: Evaluation):
     assert said["long_outage_drift_m"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)
 
 
-def test_a_drive_too_short_for_30_s_without_fixes_has_no_such_drift():
+def test_a_drive_too_short_for_outages_of_30_s_has_no_such_drift():
     said = evaluate(make_drive(duration=35.0, seed=0, name="short"), GOOD).to_dict()["mean"]["tuned"]
     assert said["long_outage_drift_m"] is None
     assert said["outage_drift_m"] > 0
 
 
-def test_where_the_filter_is_worse_than_the_raw_fixes_is_said_in_a_sentence(evaluation: Evaluation):
+def test_a_sentence_states_if_the_filter_is_worse_than_the_raw_fixes(evaluation: Evaluation):
     assert worse_than_raw(evaluation.record) == ()
     tuned = Score(position_rmse=3.0, position_median=0.5, position_95=7.25)
     raw = Score(position_rmse=2.0, position_median=1.0, position_95=4.0)
@@ -248,7 +248,7 @@ def test_where_the_filter_is_worse_than_the_raw_fixes_is_said_in_a_sentence(eval
     ],
 )
 @pytest.mark.parametrize("measure", ["position_rmse", "outage_drift"])
-def test_equal_errors_are_called_equal(own: float, baseline: float, words: str, measure: str):
+def test_equal_errors_are_described_as_equal(own: float, baseline: float, words: str, measure: str):
     methods: dict[str, Any] = dict.fromkeys(METHODS, Score())
     methods |= {"tuned": Score(**{measure: own}), "untuned": Score(**{measure: baseline})}
     headline = Evaluation({"town": DriveResult(methods)}).view.result()
@@ -271,7 +271,7 @@ def worse(evaluation: Evaluation) -> tuple[str, ...]:
 
 
 def test_a_sentence_states_if_the_baseline_is_better(evaluation: Evaluation):
-    (here,) = worse(evaluation)  # `GOOD` is none that was tuned, and the data sheet's suits these drives
+    (here,) = worse(evaluation)  # `GOOD` is not tuned, and the baseline suits these drives
     assert "the baseline: position RMSE 0.8" in here
     others = dict.fromkeys(METHODS, Score())
 
@@ -317,7 +317,7 @@ def test_a_sentence_states_if_the_baseline_is_better(evaluation: Evaluation):
 
 
 @pytest.mark.parametrize("failed", [True, False])
-def test_a_failed_filter_is_not_said_to_have_too_few_fixes(failed: bool):
+def test_a_failed_filter_is_not_described_as_having_too_few_fixes(failed: bool):
     result = DriveResult({**dict.fromkeys(METHODS, Score()), "tuned": Score(failed=failed)})
     view = Evaluation({"town": result}).view
     assert (
@@ -327,7 +327,7 @@ def test_a_failed_filter_is_not_said_to_have_too_few_fixes(failed: bool):
     assert ("The tuned filter failed on town." in view.warnings()) is failed
 
 
-def test_the_mean_is_over_drives_and_equation_5_over_the_means(evaluation: Evaluation):
+def test_means_are_over_drives_and_improvements_use_the_means(evaluation: Evaluation):
     said = evaluation.to_dict()
     for method in METHODS[:2]:
         for measure in MEASURES:
@@ -335,7 +335,7 @@ def test_the_mean_is_over_drives_and_equation_5_over_the_means(evaluation: Evalu
             assert said["mean"][method][measure] == pytest.approx(sum(each) / 2, rel=1e-12)
     manual, tuned = (said["mean"][m]["position_rmse_m"] for m in ("untuned", "tuned"))
     assert evaluation.improvement() == pytest.approx((manual - tuned) / manual * 100, rel=1e-12)
-    assert evaluation.mean("baseline", "position_rmse_m") == manual, "also by the printed name"
+    assert evaluation.mean("baseline", "position_rmse_m") == manual, "the printed name is accepted, too"
     assert evaluation.improvement("baseline") == evaluation.improvement("untuned")
     assert said["improvement_percent"]["untuned"]["position_rmse_m"] == evaluation.improvement()
     sheet = said["mean"]["untuned"]["heading_rmse_deg"]
@@ -343,7 +343,7 @@ def test_the_mean_is_over_drives_and_equation_5_over_the_means(evaluation: Evalu
     assert evaluation.improvement("untuned", "heading_rmse_deg") == pytest.approx(expected, rel=1e-12)
 
 
-def test_a_filter_that_lost_its_way_is_named(evaluation: Evaluation):
+def test_a_filter_that_diverged_is_named(evaluation: Evaluation):
     assert restarted(evaluation.record) == ()
     assert evaluation.to_dict()["restarts"] == {d.name: {"tuned": [], "untuned": []} for d in DRIVES}
     drive = sigmaswarm.simulate("urban", run=1, gps="white-1m", duration=65, imu_rate=50)
@@ -358,15 +358,13 @@ def test_a_filter_that_lost_its_way_is_named(evaluation: Evaluation):
     (said,) = restarted(found.record)
     assert said.startswith(f"the tuned filter diverged on {aside.name} and was reset")
     assert f"t = {times[0]:.1f}" in said
-    plain = score_estimate(aside, run_filter(aside, gated))  # what is scored is the filter that starts anew
+    plain = score_estimate(aside, run_filter(aside, gated))  # the score is that of the filter with resets
     rmse = found.value(aside.name, "tuned", "position_rmse_m")
-    assert rmse == pytest.approx(
-        plain.position_rmse, rel=1e-3
-    )  # the moment itself is still the lost filter's
+    assert rmse == pytest.approx(plain.position_rmse, rel=1e-3)  # the reset itself is different
     assert found.value(aside.name, "tuned", "position_95_m") == pytest.approx(plain.position_95, rel=1e-9)
 
 
-def test_equation_5_in_round_numbers():
+def test_improvements_follow_equation_5():
     scores = {m: Score(position_rmse=v) for m, v in zip(METHODS, [1.5, 2.0, 2.5, 3.0, 9.0], strict=True)}
     evaluation = Evaluation({"d": DriveResult(scores)})
     assert evaluation.improvement() == pytest.approx(25.0)
@@ -378,7 +376,7 @@ def test_the_frame_has_a_row_per_drive_and_method(evaluation: Evaluation):
     frame = evaluation.to_frame()
     assert frame.columns == ["drive", "method", *MEASURES]
     assert frame["drive"].to_list() == [d.name for d in DRIVES for _ in METHODS]
-    assert frame["method"].to_list() == NAMES * 2, "as the command line prints them"
+    assert frame["method"].to_list() == NAMES * 2, "the names are those that the command prints"
     said = evaluation.to_dict()["drives"]
     for row in frame.iter_rows(named=True):
         assert {m: row[m] for m in MEASURES} == said[row["drive"]][METHODS[NAMES.index(row["method"])]]
@@ -396,7 +394,7 @@ def test_print_and_the_notebook_show_the_means_and_each_warning_once(evaluation:
     assert all(drive.name in shown for drive in DRIVES)
 
 
-def test_without_truth_only_the_drift_can_be_said():
+def test_without_truth_only_the_drift_is_given():
     said = evaluate(replace(DRIVES[0], truth=None), GOOD).to_dict()
     json.dumps(said, allow_nan=False)
     for method in METHODS:
@@ -409,7 +407,7 @@ def test_without_truth_only_the_drift_can_be_said():
     assert said["improvement_percent"]["untuned"]["outage_drift_m"] is not None
 
 
-def test_two_drives_of_one_name_do_not_hide_each_other():
+def test_two_drives_of_one_name_are_both_kept():
     same = [replace(drive, name="monday") for drive in (*SHORT, SHORT[0])]
     said = evaluate(same, GOOD).to_dict()["drives"]
     assert list(said) == ["monday", "monday (2)", "monday (3)"]
@@ -417,7 +415,7 @@ def test_two_drives_of_one_name_do_not_hide_each_other():
     assert said["monday"] != said["monday (2)"]
 
 
-def test_a_filter_that_fails_is_no_number_and_leaves_the_others(evaluation: Evaluation):
+def test_a_filter_that_fails_has_no_scores_and_does_not_change_others(evaluation: Evaluation):
     broken = evaluate(DRIVES, BROKEN)
     said, sound = broken.to_dict(), evaluation.to_dict()
     json.dumps(said, allow_nan=False)
@@ -430,7 +428,7 @@ def test_a_filter_that_fails_is_no_number_and_leaves_the_others(evaluation: Eval
         assert said["mean"][method] == sound["mean"][method]
 
 
-def test_a_failure_on_one_drive_leaves_no_mean_to_boast_of():
+def test_a_failure_on_one_drive_leaves_no_mean():
     fine = {m: Score(position_rmse=1.0) for m in METHODS}
     failed = fine | {"tuned": Score(failed=True)}
     evaluation = Evaluation({"a": DriveResult(fine), "b": DriveResult(failed)})
@@ -439,7 +437,7 @@ def test_a_failure_on_one_drive_leaves_no_mean_to_boast_of():
 
 
 @pytest.mark.long
-def test_the_outages_options_reach_the_outages():
+def test_the_options_of_outages_have_an_effect():
     one, other, longer = (
         evaluate(DRIVES[:1], GOOD, **kw).to_dict()["mean"]["untuned"]
         for kw in ({}, {"outage_seed": 3}, {"outage_length": 8.0})
@@ -452,12 +450,12 @@ def test_the_outages_options_reach_the_outages():
 
 
 @pytest.mark.long
-def test_the_drives_order_and_company_change_no_bit(evaluation: Evaluation):
+def test_the_order_and_the_number_of_drives_change_no_bit(evaluation: Evaluation):
     turned = evaluate(DRIVES[::-1], GOOD).to_dict()["drives"]
     assert turned == evaluation.to_dict()["drives"]
     assert sigmaswarm.evaluate(DRIVES[1], GOOD).to_dict()["drives"]["drive-1"] == turned["drive-1"]
 
 
-def test_no_drives_are_refused():
+def test_an_evaluation_without_drives_is_rejected():
     with pytest.raises(ValueError, match="no drives"):
         evaluate([], GOOD)

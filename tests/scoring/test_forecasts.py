@@ -1,4 +1,4 @@
-"""Scores without truth: likelihood and forecasts of fixes, compared with the textbook filter and SciPy."""
+"""Scores without truth: likelihood and predictions of fixes, compared with the textbook filter and SciPy."""
 
 import math
 from dataclasses import replace
@@ -45,7 +45,7 @@ DRIVE = replace(
 
 
 def by_textbook(drive: Drive, parameters: FilterParameters, hidden: np.ndarray):
-    """Innovations nu and S at all fixes, and which of them were hidden, from the filter in NumPy."""
+    """Return innovations nu and S at all fixes, and which of them were hidden, with the textbook filter."""
     start = initial_state(drive)
     line = timeline_of(drive, start.time).hiding(hidden)
     car = TextbookCar(line, parameters, start)
@@ -55,7 +55,7 @@ def by_textbook(drive: Drive, parameters: FilterParameters, hidden: np.ndarray):
         absorbed, line.updates[i] = line.updates[i], False
         fix_flag = car.flags[i]
         car.flags[i] = 0
-        car.step(i)  # predicts only
+        car.step(i)  # prediction only
         if absorbed or line.hides[i]:
             z = next(fixes)[:2]
             innovation = car.filter.measure(z, np.diag(car.noise.measurement_noise), h)
@@ -68,7 +68,7 @@ def by_textbook(drive: Drive, parameters: FilterParameters, hidden: np.ndarray):
 
 
 def scale_of(dof: float) -> float:
-    """c = 2 x with x e^x E1(x) = v / (v + 2)."""
+    """Return c = 2 x, where x e^x E1(x) = v / (v + 2)."""
     return 2 * brentq(lambda x: x * np.exp(x) * exp1(x) - dof / (dof + 2), 1e-3, 1e2, xtol=1e-14)
 
 
@@ -82,10 +82,10 @@ def scale_of(dof: float) -> float:
         lambda dof, scale, rounded: rounded == 6.610,
     ),
 )
-def test_gaussian_innovations_keep_their_nis_under_students_t(dof: float, scale: float, rounded: float):
+def test_gaussian_innovations_keep_their_nis_with_students_t(dof: float, scale: float, rounded: float):
     assert scale == pytest.approx(scale_of(dof), rel=1e-12)
     assert scale == pytest.approx(rounded, abs=5e-4)
-    # by chance, too: of all S = k I the one that is least unlikely has k = 1; with c = v it is too small
+    # also for samples: of all S = k I, the most likely one has k = 1; with c = v, it is too small
     nu = np.random.default_rng(0).standard_normal((50_000, 2))
 
     def best(c: float) -> float:
@@ -99,13 +99,13 @@ def test_gaussian_innovations_keep_their_nis_under_students_t(dof: float, scale:
     assert 2 / best(dof) == pytest.approx({4: 2.752, 8: 2.421}[int(dof)], abs=0.02)
 
 
-def test_with_its_own_scale_it_is_students_density():
+def test_with_scale_v_it_is_the_density_of_students_t():
     nu, s = np.array([[3.0, -1.0], [0.0, 0.5]]), np.array([[[2.0, 0.3], [0.3, 1.0]]] * 2)
     ours = negative_log_t(nu, s, 5.0, 5.0)
     np.testing.assert_allclose(ours, [-multivariate_t(shape=s[0], df=5).logpdf(v) for v in nu], rtol=1e-12)
 
 
-def test_fixes_however_far_off_have_a_finite_cost():
+def test_distant_fixes_have_a_finite_cost():
     gps = DRIVE.gps
     place = np.arange(len(gps))
     for size, off in ((1e100, place % 30 == 29), (1e5, place > 100)):
@@ -118,7 +118,7 @@ def test_fixes_however_far_off_have_a_finite_cost():
 
 
 @pytest.mark.parametrize("kind", SETS)
-def test_innovations_and_their_likelihood_are_the_textbooks(kind: str):
+def test_innovations_and_their_likelihood_agree_with_the_textbook(kind: str):
     parameters = SETS[kind]
     nu, s, _ = by_textbook(DRIVE, parameters, np.zeros(len(DRIVE.gps), bool))
     found = run_innovations(DRIVE, parameters)
@@ -140,7 +140,7 @@ def test_innovations_and_their_likelihood_are_the_textbooks(kind: str):
 @pytest.mark.parametrize(
     "kind", quickly([(kind,) for kind in SETS], lambda kind: kind in ("planar5", "robust"))
 )
-def test_forecasts_are_the_textbooks_without_the_hidden_fixes(kind: str):
+def test_predictions_agree_with_a_textbook_filter_without_the_hidden_fixes(kind: str):
     parameters = SETS[kind]
     drive_pass = forecast_pass(prepare_drive(DRIVE), seed=5)
     hidden = np.isin(DRIVE.gps.time, drive_pass.timeline.end[drive_pass.timeline.hides])
@@ -153,11 +153,11 @@ def test_forecasts_are_the_textbooks_without_the_hidden_fixes(kind: str):
     assert score.forecast_rmse == pytest.approx(expected, rel=1e-6)
     by_hand = negative_log_t(nu[hides], s[hides], 8.0, scale_of(8)).mean()
     assert score.forecast_t == pytest.approx(by_hand, rel=1e-6)
-    # hiding fixes changes nothing of the scores with all of them
+    # hiding fixes does not change the scores with all fixes
     assert score.innovation_nll == BatchScorer.prepare([DRIVE]).scores([parameters])[0, 0].innovation_nll
 
 
-def test_a_hidden_fix_is_not_seen():
+def test_a_hidden_fix_has_no_effect_on_the_filter():
     gps = DRIVE.gps
     drive_pass = forecast_pass(prepare_drive(DRIVE), seed=1)
     hidden = np.isin(gps.time, drive_pass.timeline.end[drive_pass.timeline.hides])
@@ -167,18 +167,18 @@ def test_a_hidden_fix_is_not_seen():
         for d in (moved, DRIVE)
     )
     assert near.forecast_rmse < 10.0
-    # every forecast misses by 1000 m and what it missed by before: the filter itself has seen nothing
+    # the error of every prediction increases by 1000 m, since the filter does not use the hidden fixes
     assert far.forecast_rmse == pytest.approx(1000.0, abs=10.0)
 
 
-def test_nees_is_that_of_the_trajectory():
+def test_nees_agrees_with_that_of_the_trajectory():
     estimate = run_filter(DRIVE, PLANAR5)
     x, y = (np.interp(estimate.time, DRIVE.truth.time, c) for c in (DRIVE.truth.x, DRIVE.truth.y))
     error = estimate.mean[:, :2] - np.stack([x, y], axis=1)
     p = estimate.covariance[:, :2, :2]
     nees = np.einsum("ti,tij,tj->t", error, np.linalg.inv(p), error)
     score = BatchScorer.prepare([DRIVE]).scores([PLANAR5])[0, 0]
-    assert score.mean_nees == pytest.approx(nees.mean(), rel=0.01)  # truth at the start counts too
+    assert score.mean_nees == pytest.approx(nees.mean(), rel=0.01)  # includes truth at the start
 
 
 @given(
@@ -186,7 +186,7 @@ def test_nees_is_that_of_the_trajectory():
     duration=st.floats(0.0, 900.0),
     seed=st.integers(0, 99),
 )
-def test_balanced_windows_are_all_over_the_drive(start: float, duration: float, seed: int):
+def test_balanced_windows_are_distributed_over_the_drive(start: float, duration: float, seed: int):
     end = start + duration
     windows = balanced_windows(start, end, np.random.default_rng(seed))
     again = balanced_windows(start, end, np.random.default_rng(seed))
@@ -201,5 +201,5 @@ def test_balanced_windows_are_all_over_the_drive(start: float, duration: float, 
     assert np.all((windows[:, 0] - start) // slot == np.arange(len(windows)))
 
 
-def test_both_ends_of_a_window_hide():
+def test_a_window_hides_fixes_at_both_ends():
     assert hidden_fixes([0.0, 1.0, 2.0, 3.0], [[1.0, 2.0]]).tolist() == [False, True, True, False]

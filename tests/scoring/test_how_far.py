@@ -1,4 +1,4 @@
-"""The estimated position error of a filter without truth, compared with its forecasts of the fixes."""
+"""The estimated position error of a filter without truth, compared with its predictions of the fixes."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from sigmaswarm.tuning.tune import tune
 
 
 def recorded(nis: float, next_one: float) -> Consistency:
-    """Of a filter that says 0.5 m of itself, and expects to miss the fixes by 1.5 m, on 500 fixes."""
+    """Return the record of a filter with a position sigma of 0.5 m and expected innovations of 1.5 m, for 500 fixes."""
     return Consistency(
         n_fixes=500,
         mean_nis=nis,
@@ -48,7 +48,7 @@ def test_the_stated_position_error_without_truth_is_checked_with_the_fixes(
 
 @pytest.mark.parametrize("nis", [1.7, 2.0])
 def test_correlated_fix_errors_lead_to_a_range(nis: float):
-    """A filter of 0.35 m was off by 1.26 m, since predictions do not show errors that all fixes have in common."""
+    """A filter with a sigma of 0.35 m had an error of 1.26 m: predictions do not show errors common to all fixes."""
     said = describe_position(recorded(nis, 0.0), 1.4)
     assert said.startswith(
         "between 0.5 and 2 m RMS, estimated without truth. The upper value includes errors that successive fixes share"
@@ -59,8 +59,8 @@ def test_correlated_fix_errors_lead_to_a_range(nis: float):
     assert "an error that all fixes have in common" in describe_position(recorded(nis, 0.0))
 
 
-def test_a_log_that_shows_nothing_of_the_error_gets_no_figure():
-    """The filter's own sigmas exceed what it expects of the fixes: the difference of the two is no error."""
+def test_a_log_that_does_not_show_the_error_gives_no_value():
+    """The filter's sigma exceeds the expected innovations, so their difference is not an error."""
     said = describe_position(recorded(0.2, 0.4).model_copy(update={"own_sigma": 1.6}))
     assert said.startswith(
         "unknown, since there is no truth. The filter's covariance gives 1.6 m RMS, but it is not reliable"
@@ -69,7 +69,7 @@ def test_a_log_that_shows_nothing_of_the_error_gets_no_figure():
 
 @pytest.mark.long
 def test_the_stated_position_error_is_near_the_true_error_if_the_log_confirms_it():
-    """Fixes with white errors and a filter that is right: the word is within a third of the truth."""
+    """For white fix errors and a consistent filter, the estimate is within a third of the true error."""
     drives = [
         sigmaswarm.simulate("urban", run=run, gps="white-1m", duration=60, imu_rate=50) for run in range(3)
     ]

@@ -1,4 +1,4 @@
-"""Hints on drives with other sensors than the training drives."""
+"""Warnings about drives with other sensors than those of the training drives."""
 
 import pytest
 
@@ -31,18 +31,18 @@ def record(rate: float = 100.0, fixes: float = 5.0, std: float | None = 1.0) -> 
         (record(rate=400.0, std=4.0), "IMU 400 Hz instead of 100 Hz, standard deviation of the fixes 4 m"),
     ],
 )
-def test_sensors_that_clearly_differ_are_named(drive: DriveRecord, said: str):
+def test_clearly_different_sensors_are_named(drive: DriveRecord, said: str):
     found = other_sensors(drive, [record(), record(), record(rate=98.0, std=1.2)])
     assert (said in found) if said else not found
     assert not other_sensors(drive, [])
 
 
-def test_an_accuracy_that_was_only_assumed_is_not_compared():
+def test_an_assumed_accuracy_is_not_compared():
     assert not other_sensors(record(std=0.1), [record(std=UNSTATED_GPS_STD)])
     assert "0.1 m instead of 1 m" in other_sensors(record(std=0.1), [record(std=UNSTATED_GPS_STD), record()])
 
 
-def test_a_tuning_and_an_evaluation_record_the_deviation_of_the_fixes(undiagnosed: None):
+def test_a_tuning_and_an_evaluation_record_the_standard_deviation_of_the_fixes(undiagnosed: None):
     drive = make_drive(duration=30.0, imu_rate=50.0)
     tuning = tune(drive, model="planar5", particles=2, generations=1)
     (trained,) = [DriveRecord(**entry) for entry in tuning.data]

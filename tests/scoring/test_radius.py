@@ -25,11 +25,11 @@ def m8(**options):
 
 
 @pytest.mark.parametrize("level", [0.5, *LEVELS])
-def test_the_factor_is_the_quantile_of_two_f(level):
+def test_the_factor_is_a_quantile_of_the_f_distribution(level):
     assert math.isclose(factor_of(level), math.sqrt(2 * f.ppf(level, 2, DOF)), rel_tol=1e-12)
 
 
-def test_a_t_distributed_error_is_inside_as_often_as_stated():
+def test_a_t_distributed_error_is_inside_with_the_stated_probability():
     rng = np.random.default_rng(0)
     variance, lasting = rng.uniform(0.1, 4.0, (2, 200_000))
     t = rng.normal(size=(2, 200_000)) / np.sqrt(rng.chisquare(DOF, 200_000) / DOF)
@@ -38,7 +38,7 @@ def test_a_t_distributed_error_is_inside_as_often_as_stated():
     assert abs(found.inside_999 - 0.999) < 0.0005
 
 
-def test_lasting_variance_by_receiver_and_filter():
+def test_correlated_variance_by_receiver_and_filter():
     drive, white = m8(), simulate("urban", seed=3, duration=90.0, imu="icm-20602", gps="white-1m")
     plain = baseline(drive)
 
@@ -51,12 +51,12 @@ def test_lasting_variance_by_receiver_and_filter():
     modeled = dataclasses.replace(plain, kind="ekf", fix_error=0.5)
     assert abs(added(drive, modeled) - (of[0] - 0.5 * 2.1**2)) < 1e-9
     assert abs(added(drive, modeled, 0.7) - (of[0] - 0.7)) < 1e-9, (
-        "not more than the filter's variance contains"
+        "at most the variance of the filter is subtracted"
     )
     assert added(drive, dataclasses.replace(modeled, fix_error=2.0)) == 0.0
 
 
-def test_lasting_variance_is_that_of_the_last_fix():
+def test_correlated_variance_is_that_of_the_last_fix():
     drive = m8()
     std = np.full(len(drive.gps), 2.0)
     std[100:] = 4.0
@@ -67,7 +67,7 @@ def test_lasting_variance_is_that_of_the_last_fix():
     assert math.isclose(after / before, 4.0, rel_tol=1e-12)
 
 
-def test_an_evaluation_reports_the_radius_by_its_definition():
+def test_an_evaluation_contains_the_radius_by_its_definition():
     drive = m8()
     parameters = baseline(drive)
     found = evaluate(drive, parameters)

@@ -20,12 +20,12 @@ SET = FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0)
 
 
 def turned(a: float, b: float) -> float:
-    """From angle a to angle b, the short way."""
+    """Return the difference b - a, wrapped to half a turn."""
     return math.atan2(math.sin(b - a), math.cos(b - a))
 
 
 def around(truth: Truth, estimate: Estimate) -> Iterator[tuple[int, float, Array, Array]]:
-    """Yield the index of each moment of truth, and the weight of the later of the two estimates around it."""
+    """Yield the index of each time of truth, and the weight of the later of the two estimates around it."""
     nodes = [(estimate.initial.time, estimate.initial.mean), *zip(estimate.time, estimate.mean, strict=True)]
     at = 0
     for j, t in enumerate(truth.time):
@@ -38,7 +38,7 @@ def around(truth: Truth, estimate: Estimate) -> Iterator[tuple[int, float, Array
 
 
 def distances(truth: Truth, estimate: Estimate) -> list[float]:
-    """How far the estimate lies from each moment of truth, m."""
+    """Return the distance between the estimate and truth at each time of truth, m."""
     true = truth.x, truth.y
     return [
         math.hypot(*((1 - w) * a[i] + w * b[i] - true[i][j] for i in (0, 1)))
@@ -47,7 +47,7 @@ def distances(truth: Truth, estimate: Estimate) -> list[float]:
 
 
 def by_loop(truth: Truth, estimate: Estimate) -> tuple[float, float]:
-    """Position RMSE (m) and heading RMSE (rad), one moment of truth at a time."""
+    """Return position RMSE (m) and heading RMSE (rad), computed in a loop over the times of truth."""
     position, heading = [], []
     for j, w, a, b in around(truth, estimate):
         x, y = a[0] + w * (b[0] - a[0]), a[1] + w * (b[1] - a[1])
@@ -59,7 +59,7 @@ def by_loop(truth: Truth, estimate: Estimate) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_position_and_heading_are_those_of_a_loop(variant: str):
+def test_position_and_heading_agree_with_a_loop(variant: str):
     drive = VARIANTS[variant]
     estimate = run_filter(drive, SET)
     score = score_estimate(drive, estimate)
@@ -70,7 +70,7 @@ def test_position_and_heading_are_those_of_a_loop(variant: str):
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_quantiles_are_those_of_a_loop(variant: str):
+def test_quantiles_agree_with_a_loop(variant: str):
     drive = VARIANTS[variant]
     estimate = run_filter(drive, SET)
     off = sorted(distances(drive.truth, estimate))
@@ -90,7 +90,7 @@ def test_quantiles_are_those_of_a_loop(variant: str):
     )
 
 
-def test_there_are_no_quantiles_of_nothing():
+def test_without_errors_there_are_no_quantiles():
     truth = moving_east(10.0)
     pieces = PieceErrors(truth, InitialState(np.zeros(5), np.eye(5), 0.0))
     assert math.isnan(pieces.score.position_95)
@@ -114,30 +114,30 @@ def drive_with(truth: Truth | None) -> Drive:
     return replace(DRIVE, truth=truth)
 
 
-def test_a_constant_error_is_its_own_rmse():
+def test_a_constant_error_equals_its_rmse():
     truth = moving_east(10.0)
     score = score_estimate(drive_with(truth), estimate_of(truth, east=-3.0, heading=0.25))
     assert score.position_rmse == pytest.approx(3.0)
     assert score.heading_rmse == pytest.approx(0.25)
 
 
-def test_biases_behind_the_pose_change_nothing():
+def test_states_after_the_pose_have_no_effect():
     truth = moving_east(10.0)
     plain = estimate_of(truth, east=-3.0, heading=0.25)
     larger = replace(plain, mean=np.hstack([plain.mean, np.ones((len(plain.mean), 3))]))
     assert score_estimate(drive_with(truth), larger).position_rmse == pytest.approx(3.0)
 
 
-def test_heading_does_not_count_at_walking_pace():
+def test_heading_errors_at_walking_pace_are_not_counted():
     truth = moving_east(2.0)
     assert math.isnan(score_estimate(drive_with(truth), estimate_of(truth, heading=1.0)).heading_rmse)
     mixed = replace(truth, vx=np.where(truth.time < 5, 0.5, 3.0))
     wrong = estimate_of(mixed)
-    wrong.mean[:4, 4] = 1.0  # while slow
+    wrong.mean[:4, 4] = 1.0  # at low speed
     assert score_estimate(drive_with(mixed), wrong).heading_rmse == 0.0
 
 
-def test_full_turns_of_the_truth_do_not_count():
+def test_full_turns_of_the_true_heading_have_no_effect():
     truth = moving_east(10.0)
     around = replace(truth, theta=truth.theta + 6 * np.pi)
     assert score_estimate(drive_with(around), estimate_of(truth, heading=0.1)).heading_rmse == pytest.approx(
@@ -145,7 +145,7 @@ def test_full_turns_of_the_truth_do_not_count():
     )
 
 
-def test_between_two_estimates_the_heading_goes_the_short_way():
+def test_the_heading_between_two_estimates_is_interpolated_across_pi():
     truth = moving_east(10.0)
     west = replace(truth, theta=np.full(11, np.pi))
     estimate = estimate_of(truth)
@@ -157,7 +157,7 @@ def test_between_two_estimates_the_heading_goes_the_short_way():
     )
 
 
-def test_without_truth_nothing_is_said():
+def test_without_truth_there_is_no_score():
     score = score_estimate(drive_with(None), estimate_of(moving_east(10.0)))
     assert math.isnan(score.position_rmse)
     assert math.isnan(score.heading_rmse)
@@ -182,6 +182,6 @@ def test_raw_gps_is_scored_at_its_own_times(variant: str):
     assert score_raw_gps(drive, start).position_rmse == pytest.approx(expected, rel=1e-12)
 
 
-def test_raw_gps_of_1_m_noise_is_wrong_by_the_root_of_two():
+def test_raw_gps_with_1_m_noise_has_an_rmse_of_root_two():
     drive = make_drive(duration=400.0, gps_rate=10.0, seed=9)
     assert score_raw_gps(drive, initial_state(drive)).position_rmse == pytest.approx(math.sqrt(2), rel=0.03)

@@ -1,4 +1,4 @@
-"""Series in pieces are thinned like whole series; close-ups have gaps where a track is outside."""
+"""Series that arrive in pieces are thinned like whole series; close-ups have gaps where a track is outside."""
 
 from itertools import pairwise
 
@@ -11,7 +11,7 @@ from sigmaswarm.scoring.tracks import CloseUp, ThinnedSeries
 
 
 def rows_of_whole(matters: np.ndarray, most: int) -> np.ndarray:
-    """The definition, with the whole series at hand."""
+    """Return the rows by their definition, which needs the whole series."""
     n = len(matters)
     if n <= most:
         return np.arange(n)
@@ -27,7 +27,9 @@ def rows_of_whole(matters: np.ndarray, most: int) -> np.ndarray:
     seed=st.integers(0, 5),
     column=st.sampled_from(["position_error", "nis", None]),
 )
-def test_the_same_rows_whatever_the_pieces(n: int, most: int, cuts: list[int], seed: int, column: str | None):
+def test_the_rows_do_not_depend_on_the_pieces(
+    n: int, most: int, cuts: list[int], seed: int, column: str | None
+):
     rng = np.random.default_rng(seed)
     columns = {"time": np.arange(n, dtype=float), "x": rng.normal(size=n)}
     matters = np.arange(n, dtype=float)
@@ -45,7 +47,7 @@ def test_the_same_rows_whatever_the_pieces(n: int, most: int, cuts: list[int], s
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 100])
-def test_a_close_up_keeps_every_point_near_and_one_gap_for_each_way_out(size: int):
+def test_a_close_up_keeps_every_near_point_and_one_gap_for_each_exit(size: int):
     x = np.array([0.0, 5, 50, 60, 5, 6, 70, 80, 90, 7])
     close = CloseUp(np.zeros(2), 10.0)
     for first in range(0, len(x), size):

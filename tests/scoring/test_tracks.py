@@ -9,7 +9,7 @@ from sigmaswarm.scoring.tracks import sharpest_turn
 from sigmaswarm.simulation.scenarios import simulate
 
 
-def test_the_sharpest_turn_is_where_the_car_was_though_the_fix_there_is_an_outlier():
+def test_the_sharpest_turn_is_found_although_the_fix_there_is_an_outlier():
     drive = simulate("turns", gps="white-1m", seed=2)
     place = sharpest_turn(PreparedDrive(drive))
     assert drive.truth is not None

@@ -1,4 +1,4 @@
-"""Truth with standard deviations: the scored times, compared with loops, and its gaps."""
+"""Truth with standard deviations: scores with weights, compared with loops, and gaps of truth."""
 
 import json
 import math
@@ -24,8 +24,8 @@ from sigmaswarm.scoring.targets import outage_windows
 SET = FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0))
 
 
-def doubted(drive: Drive, *gaps: tuple[float, float]) -> Drive:
-    """The drive with truth that states deviations which vary from 0.02 to 2 m, and lacks in gaps."""
+def with_truth_noise(drive: Drive, *gaps: tuple[float, float]) -> Drive:
+    """Return the drive with truth whose standard deviations vary from 0.02 to 2 m, and with gaps of truth."""
     t = drive.truth.time
     truth = replace(
         drive.truth,
@@ -38,11 +38,11 @@ def doubted(drive: Drive, *gaps: tuple[float, float]) -> Drive:
     return replace(drive, truth=truth)
 
 
-DOUBTED = doubted(DRIVE, (9.0, 11.0))
+DOUBTED = with_truth_noise(DRIVE, (9.0, 11.0))
 
 
 def by_loop(truth: Truth, estimate: Estimate) -> tuple[float, float, float]:
-    """Weighted position and heading RMSE, m and rad, and the mean NEES, one moment at a time."""
+    """Return weighted position and heading RMSE, m and rad, and mean NEES, computed in a loop."""
     position = heading = nees = counts = turned = 0.0
     n = 0
     for j, t in enumerate(truth.time):
@@ -64,7 +64,7 @@ def by_loop(truth: Truth, estimate: Estimate) -> tuple[float, float, float]:
     return math.sqrt(position / counts), math.sqrt(heading / turned), nees / n
 
 
-def test_moments_count_by_what_truth_states_plainly_and_compiled():
+def test_truth_is_weighted_by_its_standard_deviation_in_both_implementations():
     estimate = run_filter(DOUBTED, SET)
     expected = by_loop(DOUBTED.truth, estimate)
     score = score_estimate(DOUBTED, estimate)
@@ -73,10 +73,10 @@ def test_moments_count_by_what_truth_states_plainly_and_compiled():
     found = (scores.position_rmse[0, 0], scores.heading_rmse[0, 0], scores.mean_nees[0, 0])
     assert found == pytest.approx(expected, rel=1e-9)
     exact = BatchScorer.prepare([replace(DOUBTED, truth=DRIVE.truth)]).scores([SET])
-    assert abs(exact.position_rmse[0, 0] / found[0] - 1) > 1e-3  # so it does matter here
+    assert abs(exact.position_rmse[0, 0] / found[0] - 1) > 1e-3  # the weights have an effect
 
 
-def test_deviations_that_are_all_the_same_change_no_error():
+def test_equal_standard_deviations_change_no_error():
     same = replace(
         DRIVE,
         truth=replace(
@@ -98,12 +98,12 @@ def test_gaps_are_not_scored():
         DOUBTED, gps=replace(DOUBTED.gps, x=DOUBTED.gps.x + 1e4 * (abs(DOUBTED.gps.time - 10) < 0.9))
     )
     assert score_raw_gps(far, ready).position_rmse < 100
-    whole = doubted(DRIVE)
+    whole = with_truth_noise(DRIVE)
     assert share_known(whole.truth, 0.0, float(DRIVE.imu.time[-1])) > 0.99
     assert share_known(DOUBTED.truth, 5.0, 15.0) == pytest.approx(0.8, abs=0.01)
 
 
-def test_it_is_said_how_much_of_a_drive_is_scored():
+def test_the_scored_fraction_of_a_drive_is_reported():
     found = evaluate(DOUBTED, SET)
     record = next(iter(found.drives.values())).record
     start = initial_state(DOUBTED).time
@@ -115,11 +115,11 @@ def test_it_is_said_how_much_of_a_drive_is_scored():
     assert json.dumps(found.to_dict(), allow_nan=False)
 
 
-def test_deviations_are_part_of_a_drive_s_identity():
+def test_standard_deviations_of_truth_are_part_of_a_drive_s_identity():
     other = replace(DOUBTED, truth=replace(DOUBTED.truth, std_y=2 * DOUBTED.truth.std_y))
     assert len({fingerprint(drive) for drive in (DOUBTED, other, replace(DOUBTED, name="copy"))}) == 2
 
 
-def test_both_axes_are_stated_or_none():
+def test_both_axes_need_a_standard_deviation_or_none():
     with pytest.raises(DriveError, match="std_x and std_y only together"):
         replace(DRIVE.truth, std_x=np.ones(len(DRIVE.truth)))

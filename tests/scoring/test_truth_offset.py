@@ -1,4 +1,4 @@
-"""A constant offset between fixes and truth is reported with figures, and each remedy removes it."""
+"""A constant offset between fixes and truth is reported with its size, and each remedy removes it."""
 
 import re
 from dataclasses import replace
@@ -19,7 +19,7 @@ def sound(seed: int) -> Drive:
 
 
 def moved(drive: Drive, by: complex, arm: complex = 0j) -> Drive:
-    """The fixes of a drive, moved by m east + i north, and by an arm in m forward + i left."""
+    """Move the fixes of a drive by m east + i north, and by a lever arm in m forward + i left."""
     heading = np.exp(1j * np.interp(drive.gps.time, drive.truth.time, np.unwrap(drive.truth.theta)))
     off = by + arm * heading
     return replace(drive, gps=replace(drive.gps, x=drive.gps.x + off.real, y=drive.gps.y + off.imag))
@@ -30,7 +30,7 @@ def raw_rmse(drive: Drive) -> float:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_sound_drive_has_none(seed: int):
+def test_a_drive_without_fault_has_no_offset(seed: int):
     assert truth_offset(sound(seed)) == ""
     assert truth_offset(replace(sound(seed), truth=None)) == ""
 
@@ -57,6 +57,6 @@ def test_another_origin(seed: int):
     assert raw_rmse(mended) < 0.8 * raw_rmse(drive)
 
 
-def test_a_straight_road_leaves_both_causes():
+def test_on_a_straight_road_both_causes_are_possible():
     said = truth_offset(moved(simulate("cruise", gps="white-1m"), 3.0 + 3.0j))
     assert "lever_arm" in said and "origin" in said

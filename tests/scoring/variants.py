@@ -1,4 +1,4 @@
-"""A drive with known truth at other times: more or fewer, later, or over a shorter time than the IMU."""
+"""A drive with truth at other times: more or fewer of them, later, or over a shorter time than the IMU."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ def resampled(truth: Truth, time: np.ndarray) -> Truth:
 
 
 def truth_variants(drive: Drive) -> dict[str, Drive]:
-    """The same drive with truth at other times."""
+    """Return the same drive with truth at other times."""
     end = drive.imu.time[-1]
     times = {
         "as-imu": drive.truth.time,
