@@ -73,9 +73,8 @@ def quick(quick_study: None) -> Iterator[None]:
 @pytest.fixture(scope="module", params=[pytest.param(None, marks=pytest.mark.long, id="trained")])
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Study:
     found = run_study(TINY, tmp_path_factory.mktemp("rivals") / "whole")
-    with (
-        pytest.MonkeyPatch.context() as patch
-    ):  # only the figure of the other methods; test_study has the others
+    # Draw only the figure of the other methods; test_study draws the others.
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             reports, "study_figures", lambda of: {"learning-curve": study_figures(of)["learning-curve"]}
         )

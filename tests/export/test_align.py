@@ -1,4 +1,4 @@
-"""The exported C code finds the library's start from the drive, with a consistent covariance."""
+"""The exported C code computes the library's initial state from the drive, with a consistent covariance."""
 
 import re
 import subprocess
@@ -58,7 +58,7 @@ int main(void) /* Every start that a drive's rows show: time, mean, covariance. 
 
 @cache
 def rows_of(drive: Drive) -> list[str]:
-    """The replay's rows without a start."""
+    """Return the rows of the replay without an initial state."""
     lever = drive.lever_arm.tolist()
     return [f"align,{lever[0]!r},{lever[1]!r}", *replay_rows(drive).splitlines()[1:]]
 
@@ -78,7 +78,7 @@ def clean(program: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def starts(program: Path, rows: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times (k,), means (k, 5), covariances (k, 5, 5)."""
+    """Return times (k,), means (k, 5) and covariances (k, 5, 5) of the initial states that a program prints."""
     done = subprocess.run(
         [program], input="\n".join(rows) + "\n", capture_output=True, text=True, check=False
     )
@@ -110,7 +110,7 @@ def test_its_errors_agree_with_its_covariance(program: Path, seed: int):
     assert np.linalg.eigvalsh(covariance).min() > 0
     wrong = errors(simulated(seed), time, mean)
     nees = np.einsum("ki,kij,kj->k", wrong, np.linalg.inv(covariance), wrong)
-    assert 1.0 < np.median(nees) < 9.0  # chi-square of five: 4.4; windows overlap, so the spread is wide
+    assert 1.0 < np.median(nees) < 9.0  # chi-square of five has 4.4; windows overlap, so the spread is wide
     assert np.degrees(np.median(np.abs(wrong[:, 4]))) < 1.5
     assert np.degrees(np.quantile(np.abs(wrong[:, 4]), 0.9)) < 4.0
     assert np.median(np.hypot(*wrong[:, :2].T)) < 1.0
@@ -129,18 +129,18 @@ def test_without_noise_it_is_exact(program: Path):
         program, rows_of(replace(drive, gps=gps, metadata={"gps_lever_arm_m": [*arm, 0.0]}))
     )
     wrong = np.abs(errors(drive, time, mean))
-    assert np.max(wrong[:, :4]) < 0.02  # m, m/s: the fixes lie between samples
+    assert np.max(wrong[:, :4]) < 0.02  # m, m/s: fixes are between samples
     assert np.max(wrong[:, 4]) < np.radians(0.1)
 
 
 @needs_gcc
-def test_it_starts_when_the_library_does(program: Path):
+def test_it_starts_at_the_time_of_the_library(program: Path):
     time, mean, covariance = starts(program, rows_of(equipped()))
     ours = initial_state(equipped())
     assert time[0] == ours.time
     off = mean[0] - ours.mean
     off[4] = wrap_angle(float(off[4]))
-    assert np.all(np.abs(off) < 2e-3)  # m, m/s, rad: another sum over the samples
+    assert np.all(np.abs(off) < 2e-3)  # m, m/s, rad: samples are summed in another order
     np.testing.assert_allclose(covariance[0], ours.covariance, rtol=2e-3, atol=1e-4)
 
 
@@ -161,7 +161,7 @@ def test_real_drives(program: Path, name: str, first: float, last: float):
 
 
 @needs_gcc
-def test_a_replay_finds_its_start(tmp_path: Path):
+def test_a_replay_computes_its_start(tmp_path: Path):
     drive, program = simulated(0), build(tmp_path, P)
     done = subprocess.run(
         [program], input="\n".join(rows_of(drive)) + "\n", capture_output=True, text=True, check=True
@@ -169,11 +169,11 @@ def test_a_replay_finds_its_start(tmp_path: Path):
     last = np.array([float(cell) for cell in done.stdout.splitlines()[-1].split(",")])
     ours = run_filter(drive, P, recover=False)
     assert last[0] == ours.time[-1]
-    np.testing.assert_allclose(last[1:6], ours.mean[-1], atol=0.02)  # the start is forgotten by then
+    np.testing.assert_allclose(last[1:6], ours.mean[-1], atol=0.02)  # the start has no effect any more
 
 
 @needs_gcc
-def test_what_shows_no_heading_gives_no_start(program: Path, tmp_path: Path):
+def test_without_a_determined_heading_there_is_no_start(program: Path, tmp_path: Path):
     rng = np.random.default_rng(0)
     still = ["align,0,0"]
     for k in range(6000):
@@ -192,19 +192,19 @@ def test_what_shows_no_heading_gives_no_start(program: Path, tmp_path: Path):
 
 
 @needs_gcc
-def test_fixes_at_25_hz_are_not_too_many(program: Path):
+def test_fixes_at_25_hz_do_not_overflow_the_buffer(program: Path):
     often = make_drive(duration=20.0, gps_rate=25.0, seed=1)
     assert 50 < len(starts(program, rows_of(often))[0]) < 200
 
 
 @needs_gcc
 @pytest.mark.parametrize("flags", [(), ("-DINS_GPS_FLOAT",)], ids=str)
-def test_the_page_s_example_compiles(tmp_path: Path, flags: tuple[str, ...]):
+def test_the_example_in_the_docs_compiles(tmp_path: Path, flags: tuple[str, ...]):
     page = Path(__file__).parents[2] / "docs" / "export.md"
     (example,) = re.findall(r"```c\n(.*?)```", page.read_text(), re.DOTALL)
     export_filter(P, "c99", tmp_path)
     (tmp_path / "example.c").write_text(example)
-    strict = [flag for flag in STRICT if flag != "-Wconversion"]  # it says double where a build may say float
+    strict = [flag for flag in STRICT if flag != "-Wconversion"]  # the example converts double to float
     command = ["gcc", *strict, *flags, "-fsyntax-only", tmp_path / "example.c"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
@@ -220,8 +220,8 @@ def test_one_wrong_time_does_not_end_the_search(
     k = next(i for i in range(300, len(rows)) if rows[i].startswith(name))
     _, t, *rest = rows[k].split(",")
     found = starts(program, [*rows[:k], ",".join([name, repr(float(t) + off), *rest]), *rows[k:]])
-    if name == "fix":  # it is left out
+    if name == "fix":  # the fix is ignored
         np.testing.assert_array_equal(found[1], clean[1])
-    else:  # the search starts over, and needs its 4 to 6 s
+    else:  # the search starts again and needs 4 to 6 s
         assert clean[0][0] < found[0][0] < float(t) + 7.0
         np.testing.assert_allclose(found[1][-1], clean[1][-1], rtol=0, atol=1e-6)

@@ -54,7 +54,7 @@ REAL = {
     "kitti-09-30-0033": (0.0, 45.0),
     "colorado-1": (30.0, 75.0),
     "dresden": (0.0, 60.0),
-    "kingston-1": (560.0, 900.0),  # it stands for a while
+    "kingston-1": (560.0, 900.0),  # with a standstill
 }
 
 
@@ -77,7 +77,7 @@ def real(name: str) -> Drive:
         ),
     ),
 )
-def test_it_is_the_run(tmp_path: Path, model: str, kind: str, option: str):
+def test_it_equals_the_run(tmp_path: Path, model: str, kind: str, option: str):
     p = given(model, kind, option)
     ours = run_filter(equipped(), p, recover=False)
     flags = OPTIMIZED if (model, kind, option) == ("planar8", "ukf", "all") else ()
@@ -95,7 +95,7 @@ def test_it_is_the_run(tmp_path: Path, model: str, kind: str, option: str):
         lambda *case: case == ("planar8", "ukf", "both") or case[:2] == ("planar8", "fuzzy-ukf"),
     ),
 )
-def test_it_weighs_fixes_as_the_run_does(tmp_path: Path, model: str, kind: str, option: str):
+def test_it_weights_fixes_as_the_run_does(tmp_path: Path, model: str, kind: str, option: str):
     p = given(model, kind, option)
     ours = run_filter(straying(), p)
     theirs = replay(build(tmp_path, p), straying())
@@ -104,7 +104,7 @@ def test_it_weighs_fixes_as_the_run_does(tmp_path: Path, model: str, kind: str, 
 
 
 @needs_gcc
-def test_a_fix_without_the_accuracy_that_the_filter_goes_by_is_named(tmp_path: Path):
+def test_the_replay_names_a_fix_without_the_required_accuracy(tmp_path: Path):
     program = build(tmp_path, given("planar5", "ukf", "accuracy"))
     done = subprocess.run(
         [program], input=replay_rows(equipped()), capture_output=True, text=True, check=False
@@ -122,7 +122,7 @@ def test_a_fix_without_the_accuracy_that_the_filter_goes_by_is_named(tmp_path: P
         lambda *case: case == ("kingston-1", "ukf"),
     ),
 )
-def test_it_is_the_run_on_real_drives(tmp_path: Path, name: str, kind: str):
+def test_it_equals_the_run_on_real_drives(tmp_path: Path, name: str, kind: str):
     p = tuned("planar8", kind, real(name).nominal_interval)
     ours, of_twin = twin(real(name), p)
     assert of_twin < 1e-12
@@ -130,13 +130,13 @@ def test_it_is_the_run_on_real_drives(tmp_path: Path, name: str, kind: str):
 
 
 @needs_gcc
-def test_a_gate_gives_way_where_the_run_does(tmp_path: Path):
+def test_the_gate_accepts_a_jump_as_in_the_run(tmp_path: Path):
     p, drive = given("planar8", "ukf", "gate"), jumping(equipped())
     ours = run_filter(drive, p, recover=False)
     assert distance(replay(build(tmp_path, p), drive).mean, ours.mean) < 1e-11
     assert (
         np.max(np.abs(ours.mean - run_filter(equipped(), p, recover=False).mean)) > 30.0
-    )  # it has followed the jump
+    )  # the filter follows the jump
 
 
 @needs_gcc
@@ -155,7 +155,7 @@ def test_two_fixes_of_one_time_are_both_used(tmp_path: Path, kind: str):
         lambda model, kind: model == "planar8" and kind == "strong-tracking-ukf",
     ),
 )
-def test_stale_fixes_and_gaps_are_those_of_the_run(tmp_path: Path, model: str, kind: str):
+def test_stale_fixes_and_gaps_are_treated_as_in_the_run(tmp_path: Path, model: str, kind: str):
     p, ready = given(model, kind, "all"), PreparedDrive(rough())
     assert ready.stale.sum() == 5
     assert ready.timeline().gap.any()
@@ -166,7 +166,7 @@ def test_stale_fixes_and_gaps_are_those_of_the_run(tmp_path: Path, model: str, k
     assert distance(plain, run_filter(ready, p).mean) > 1e-3
 
 
-def test_one_that_was_tuned_as_recorded_says_so_in_its_header():
+def test_the_header_of_a_filter_tuned_without_preprocessing_defines_as_recorded():
     p = given("planar5", "ukf", "plain")
     wanted = "#define INS_GPS_AS_RECORDED"
     assert [
@@ -179,7 +179,7 @@ def test_one_that_was_tuned_as_recorded_says_so_in_its_header():
 
 @needs_gcc
 @pytest.mark.parametrize("option", ["plain", "all"])
-def test_the_same_message_again_is_left_out(tmp_path: Path, option: str):
+def test_a_repeated_message_is_ignored(tmp_path: Path, option: str):
     program = build(tmp_path, given("planar5", "ukf", option))
     rows = replay_rows(equipped()).splitlines()
     twice = [row for row in rows for _ in range(2 if row.startswith("fix") else 1)]
@@ -188,7 +188,7 @@ def test_the_same_message_again_is_left_out(tmp_path: Path, option: str):
 
 @needs_gcc
 @pytest.mark.parametrize(("begin", "end"), [(0.0, 13.0), (11.5, 25.0)])
-def test_fixes_and_speeds_outside_of_the_imus_time_are_not_used(tmp_path: Path, begin: float, end: float):
+def test_fixes_and_speeds_outside_the_time_of_the_imu_are_not_used(tmp_path: Path, begin: float, end: float):
     p, imu = given("planar8", "ukf", "all"), equipped().imu
     drive = replace(equipped(), imu=imu.select((imu.time >= begin) & (imu.time < end)))
     ours, program = run_filter(drive, p, recover=False), build(tmp_path, p)
@@ -203,7 +203,7 @@ def test_fixes_and_speeds_outside_of_the_imus_time_are_not_used(tmp_path: Path, 
 
 
 @needs_gcc
-def test_float_is_off_by_millimetres(tmp_path: Path):
+def test_float_differs_by_millimeters(tmp_path: Path):
     p = given("planar8", "ukf", "all")
     off = (
         replay(build(tmp_path, p, "-DINS_GPS_FLOAT"), equipped()).mean
@@ -213,7 +213,7 @@ def test_float_is_off_by_millimetres(tmp_path: Path):
 
 
 def rows_with_late_fixes(late: float) -> list[str]:
-    """The replay's rows, each fix ``late`` s after its time."""
+    """Return the rows of the replay, where each fix arrives ``late`` s after its time."""
     first, *rows = replay_rows(equipped()).splitlines()
     when = {row: _time(row) + (late if row.startswith("fix") else 0.0) for row in rows}
     return [first, *sorted(rows, key=lambda row: (when[row], row))]
@@ -227,7 +227,7 @@ def rows_with_late_fixes(late: float) -> list[str]:
         lambda kind, late: (kind == "adaptive-ukf") == (late > 0.1),
     ),
 )
-def test_late_fixes_take_it_back_and_forward(tmp_path: Path, kind: str, late: float):
+def test_late_fixes_are_applied_at_their_time(tmp_path: Path, kind: str, late: float):
     p = given("planar8", kind, "all")
     rows = [row for row in rows_with_late_fixes(late) if not row.startswith("fix") or _time(row) < 23.0]
     program = build(tmp_path, p)
@@ -257,7 +257,7 @@ def _last_row(program: Path, rows: list[str]) -> np.ndarray:
         lambda flags: len(flags) != 1,
     ),
 )
-def test_clang_has_nothing_to_say(tmp_path: Path, flags: tuple[str, ...]):
+def test_clang_gives_no_warning(tmp_path: Path, flags: tuple[str, ...]):
     for model, kind, option in WEIGHED_TOO:
         write(tmp_path, given(model, kind, option))
         command = ["clang", *STRICT, *flags, "-fsyntax-only", *sorted(tmp_path.glob("*.c"))]
@@ -273,7 +273,7 @@ def test_clang_has_nothing_to_say(tmp_path: Path, flags: tuple[str, ...]):
         WEIGHED_TOO, lambda *case: case[0] == "planar8" and case[1:] in (("ukf", "all"), ("ekf", "both"))
     ),
 )
-def test_gcc_has_nothing_to_say_of_any_filter(
+def test_gcc_gives_no_warning_for_any_filter(
     tmp_path: Path, model: str, kind: str, option: str, flags: tuple[str, ...]
 ):
     write(tmp_path, given(model, kind, option))
@@ -387,7 +387,7 @@ int main(void)
         lambda case, flags: case == ("ekf", "both") and not flags,
     ),
 )
-def test_hostile_input_does_no_harm(tmp_path: Path, case: tuple[str, str], flags: tuple[str, ...]):
+def test_invalid_input_causes_no_error(tmp_path: Path, case: tuple[str, str], flags: tuple[str, ...]):
     kind, option = case
     main = HOSTILE
     if option == "both":  # each fix states its accuracy

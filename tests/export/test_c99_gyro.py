@@ -1,4 +1,4 @@
-"""The exported C filter starts with evidence about the gyro's bias, from the library and from its own alignment."""
+"""The exported C filter uses evidence about the gyro's bias, from the library's start and from its own alignment."""
 
 import subprocess
 from dataclasses import replace
@@ -36,7 +36,7 @@ def off(share: float) -> Drive:
 
 
 def filter_of(model: str) -> FilterParameters:
-    """Tuned on a gyro that is hardly off."""
+    """Return a filter for a gyro with a small bias."""
     return replace(tuned(model, KINDS[model], 0.01, everything=False), bias_std=(0.1, 3e-4))
 
 
@@ -44,7 +44,7 @@ def filter_of(model: str) -> FilterParameters:
 @pytest.mark.parametrize(
     ("model", "share"), quickly(product(KINDS, (0.1, 1.0)), lambda *case: case == ("tilted12", 0.1))
 )
-def test_told_of_the_start_it_is_the_run(tmp_path: Path, model: str, share: float):
+def test_with_the_library_s_start_it_equals_the_run(tmp_path: Path, model: str, share: float):
     drive, p = off(share), filter_of(model)
     ours = run_filter(drive, p, recover=False)
     theirs = replay(build(tmp_path, p, *SANITIZERS), drive, model)
@@ -62,7 +62,7 @@ def test_told_of_the_start_it_is_the_run(tmp_path: Path, model: str, share: floa
         lambda model, flags: (model == "tilted12") == (flags == SANITIZERS),
     ),
 )
-def test_its_own_alignment_sees_the_bias(tmp_path: Path, model: str, flags: tuple[str, ...]):
+def test_its_own_alignment_estimates_the_bias(tmp_path: Path, model: str, flags: tuple[str, ...]):
     drive, p = off(1.0), filter_of(model)
     arm = [*drive.lever_arm.tolist(), drive.antenna_height][: 3 if model == "tilted12" else 2]
     rows = [",".join(["align", *map(repr, arm)]), *replay_rows(drive, model).splitlines()[1:]]
@@ -80,14 +80,14 @@ def test_its_own_alignment_sees_the_bias(tmp_path: Path, model: str, flags: tupl
     assert not ours.restarts
     soon = 100  # 1 s after the start
     theta = np.interp(table[soon, 0], truth.time, np.unwrap(truth.theta))
-    assert abs(wrap_angle(float(table[soon, 5] - theta))) < np.radians(12.0)  # without it 25 to 30
+    assert abs(wrap_angle(float(table[soon, 5] - theta))) < np.radians(12.0)  # otherwise 25 to 30 degrees
     assert table[soon, 8] == pytest.approx(OFF[2], abs=np.radians(5.0))
     np.testing.assert_allclose(table[-1, 1:6], ours.mean[-1, :5], atol=0.3)
     assert abs(table[-1, 8] - OFF[2]) < np.radians(0.5)
 
 
 @needs_gcc
-def test_a_start_without_it_is_one_as_before(tmp_path: Path):
+def test_a_start_without_the_evidence_is_accepted(tmp_path: Path):
     drive, p = off(0.1), filter_of("planar8")
     first, *rest = replay_rows(drive, "planar8").splitlines()
     plain = ",".join(first.split(",")[:34])
@@ -139,7 +139,7 @@ int main(void) /* Time and evidence of every start. */
 
 
 @needs_gcc
-def test_its_alignment_has_the_evidence_of_the_library(tmp_path: Path):
+def test_its_alignment_has_the_same_evidence_as_the_library(tmp_path: Path):
     drive = make_drive(duration=30.0, seed=4, gps_std=0.3)
     imu, t = drive.imu, drive.imu.time
     leaning = {
@@ -166,7 +166,7 @@ def test_its_alignment_has_the_evidence_of_the_library(tmp_path: Path):
 
 @needs_gcc
 @pytest.mark.parametrize("flags", some([(), ("-DINS_GPS_FLOAT",)]), ids=["double", "float"])
-def test_its_own_alignment_sees_the_tilts(tmp_path: Path, flags: tuple[str, ...]):
+def test_its_own_alignment_estimates_the_tilt(tmp_path: Path, flags: tuple[str, ...]):
     drive = simulate("urban", terrain="hilly", gps="white-1m", imu="icm-20602", duration=30.0, seed=3)
     p = replace(filter_of("tilted12"), bias_std=(0.02, 1e-3))
     rows = ["align,0,0,0", *replay_rows(drive, "tilted12").splitlines()[1:]]
@@ -180,7 +180,5 @@ def test_its_own_alignment_sees_the_tilts(tmp_path: Path, flags: tuple[str, ...]
     assert k == 0
     std = np.sqrt(np.diag(ours.covariance[k]))
     assert abs(ours.mean[k, 8]) > 3.0 * std[8]  # the road is tilted
-    assert np.all(
-        np.abs(theirs[1:13] - ours.mean[k]) < 2e-3 * std
-    )  # the same fit of another sum over the samples
+    assert np.all(np.abs(theirs[1:13] - ours.mean[k]) < 2e-3 * std)  # samples are summed in another order
     np.testing.assert_allclose(theirs[13:25], std, rtol=1e-3)

@@ -34,7 +34,7 @@ def given(model: str, kind: str, **more: object) -> FilterParameters:
         lambda model, kind: (model, kind) == ("planar8", "ekf"),
     ),
 )
-def test_it_is_the_run(tmp_path: Path, model: ModelName, kind: str, option: str):
+def test_it_equals_the_run(tmp_path: Path, model: ModelName, kind: str, option: str):
     p, drive = given(model, kind, **OPTIONS[option]), wheeled(equipped())
     ours = run_filter(drive, p, recover=False)
     theirs = replay(build(tmp_path, p, *SANITIZERS), drive, model)
@@ -46,20 +46,20 @@ def test_it_is_the_run(tmp_path: Path, model: ModelName, kind: str, option: str)
 
 @pytest.mark.long
 @needs_gcc
-def test_it_stands_where_the_run_does(tmp_path: Path):
+def test_standstills_are_those_of_the_run(tmp_path: Path):
     p, drive = given("planar8", "ukf", standstill_noise=1e-3), wheeled(urban())
     assert distance(replay(build(tmp_path, p), drive).mean, run_filter(drive, p, recover=False).mean) < 1e-9
 
 
 def rows_late(drive: Drive, late: float) -> str:
-    """The rows of a replay with the odometer's moved behind what came ``late`` s after them."""
+    """Return the rows of a replay, where each odometer reading arrives ``late`` s after its time."""
     start, *rows = replay_rows(drive).splitlines()
     key = [float(row.split(",")[1]) + (late if row.startswith("odometer") else 0.0) for row in rows]
     return "\n".join([start, *(rows[i] for i in np.argsort(key, kind="stable"))]) + "\n"
 
 
 @needs_gcc
-def test_late_readings_take_it_back_and_forward(tmp_path: Path):
+def test_late_readings_are_applied_at_their_time(tmp_path: Path):
     p, drive = given("planar8", "ukf"), wheeled(equipped())
     program, late = build(tmp_path, p, "-DINS_GPS_READINGS=200"), 0.35
     done = subprocess.run([program], input=rows_late(drive, late), capture_output=True, text=True, check=True)
@@ -71,7 +71,7 @@ def test_late_readings_take_it_back_and_forward(tmp_path: Path):
 
 
 @pytest.mark.parametrize("kind", quickly([("ukf",), ("ekf",)], lambda kind: kind == "ekf"))
-def test_the_script_is_the_run(tmp_path: Path, kind: str):
+def test_the_script_equals_the_run(tmp_path: Path, kind: str):
     p, drive = given("planar8", kind, **OPTIONS["all"]), clip(wheeled(equipped()), 0.0, 9.0)
     ours = run_filter(drive, p, recover=False).mean
     assert distance(run_script(tmp_path, p, drive).mean, ours) < 1e-10

@@ -49,7 +49,7 @@ def given(option: str) -> FilterParameters:
 
 @cache
 def hills() -> Drive:
-    """A hilly town: an antenna above the IMU, velocities, accuracies, outliers, a gap, frozen fixes, a stop."""
+    """Return a hilly drive: antenna above the IMU, velocities, accuracies, outliers, a gap, stale fixes, a stop."""
     grade = replace(GPS_GRADES["ublox-m8"], lever_arm=(0.4, -0.3, 1.2))
     drive = simulate("brake", terrain="hilly", gps=grade, jitter=1e-3, run=2)
     imu, gps, rng = drive.imu, drive.gps, np.random.default_rng(2)
@@ -67,21 +67,21 @@ def hills() -> Drive:
 
 @needs_gcc
 @pytest.mark.parametrize("option", quickly([(o,) for o in OPTIONS], lambda o: o == "all"))
-def test_it_is_the_run(tmp_path: Path, option: str):
+def test_it_equals_the_run(tmp_path: Path, option: str):
     p = given(option)
     ours = run_filter(hills(), p, recover=False)
     theirs = replay(build(tmp_path, p, *(OPTIMIZED if option == "all" else ())), hills(), "tilted12")
     np.testing.assert_array_equal(theirs.time, ours.time)
     assert distance(theirs.mean, ours.mean) < 1e-11
     np.testing.assert_allclose(theirs.variance, np.diagonal(ours.covariance, axis1=1, axis2=2), rtol=1e-9)
-    assert np.degrees(np.abs(ours.mean[:, 8:10]).max()) > 2.0  # it has felt the hills
+    assert np.degrees(np.abs(ours.mean[:, 8:10]).max()) > 2.0  # the hills have an effect
     if option not in ("plain", "all"):
         plain = run_filter(hills(), given("plain"), recover=False)
-        assert distance(plain.mean, ours.mean) > 1e-6  # the option has something to do
+        assert distance(plain.mean, ours.mean) > 1e-6  # the option has an effect
 
 
 @needs_gcc
-def test_late_fixes_take_it_back_and_forward(tmp_path: Path):
+def test_late_fixes_are_applied_at_their_time(tmp_path: Path):
     first, *rows = replay_rows(hills(), "tilted12").splitlines()
 
     def known(row: str) -> tuple[float, str]:
@@ -101,7 +101,7 @@ def test_late_fixes_take_it_back_and_forward(tmp_path: Path):
 
 
 @needs_gcc
-def test_the_start_that_it_finds_itself_takes_an_antenna_of_three_numbers(tmp_path: Path):
+def test_its_own_alignment_needs_three_coordinates_of_the_antenna(tmp_path: Path):
     told = replay_rows(hills(), "tilted12").splitlines()
     program = build(tmp_path, given("lateral"))
 
@@ -119,7 +119,7 @@ def test_the_start_that_it_finds_itself_takes_an_antenna_of_three_numbers(tmp_pa
 
 
 @needs_gcc
-def test_float_is_off_by_little(tmp_path: Path):
+def test_float_differs_by_centimeters(tmp_path: Path):
     p = given("all")
     off = replay(build(tmp_path, p, "-DINS_GPS_FLOAT"), hills(), "tilted12").mean
     off = off - run_filter(hills(), p, recover=False).mean
@@ -138,7 +138,7 @@ def test_the_sanitizers_find_nothing_over_a_drive(tmp_path: Path):
     "compiler", [pytest.param("gcc", marks=needs_gcc), pytest.param("clang", marks=needs_clang)]
 )
 @pytest.mark.parametrize("flags", [(), ("-DINS_GPS_FLOAT", "-DINS_GPS_HISTORY=0")], ids=str)
-def test_compilers_have_nothing_to_say(tmp_path: Path, compiler: str, flags: tuple[str, ...]):
+def test_compilers_give_no_warning(tmp_path: Path, compiler: str, flags: tuple[str, ...]):
     for option in ("plain", "all"):
         write(tmp_path, given(option))
         command = [compiler, *STRICT, *flags, "-fsyntax-only", *sorted(tmp_path.glob("*.c"))]
@@ -146,7 +146,7 @@ def test_compilers_have_nothing_to_say(tmp_path: Path, compiler: str, flags: tup
         assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_what_c_does_not_have_is_refused_in_one_line(tmp_path: Path):
+def test_what_c_does_not_support_is_rejected_with_one_line(tmp_path: Path):
     with pytest.raises(InputError, match=r"tilted12 is not available as ukf in C; use kind ekf"):
         export_filter(replace(given("plain"), kind="ukf"), "c99", tmp_path)
     with pytest.raises(InputError, match=r"has no az, gx, gy, which tilted12 needs"):

@@ -74,7 +74,7 @@ def run(*command: str | Path) -> None:
 @needs_gcc
 @needs_cmake
 @pytest.mark.parametrize("installed", quickly([(False,), (True,)], lambda installed: installed))
-def test_a_cmake_project_builds_on_it(tmp_path: Path, installed: bool):
+def test_a_cmake_project_uses_it(tmp_path: Path, installed: bool):
     export, consumer, prefix = tmp_path / "export", tmp_path / "consumer", tmp_path / "prefix"
     write(export, EVERY[0])
     options = ("-DINS_GPS_FLOAT=ON", "-DINS_GPS_FIXES=32")
@@ -92,8 +92,8 @@ def test_a_cmake_project_builds_on_it(tmp_path: Path, installed: bool):
     run(tmp_path / "b" / "app")
 
 
-# What PlatformIO's own schema (platformio/assets/schema/library.json) asks of the fields that the export has, and what
-# its pages say besides: names of a-z, digits and dashes, versions by SemVer.
+# The rules of PlatformIO's schema (platformio/assets/schema/library.json) for the fields of the export, and the rules
+# of its documentation: names contain a-z, digits and dashes, and versions follow SemVer.
 _TEXT = {"type": "string", "maxLength": 255}
 _TEXTS = {"anyOf": [_TEXT, {"type": "array", "items": _TEXT}]}
 MANIFEST = {
@@ -118,12 +118,12 @@ MANIFEST = {
 
 
 @needs_gcc
-def test_platformio_builds_what_the_manifest_says(tmp_path: Path):
+def test_platformio_builds_the_files_of_the_manifest(tmp_path: Path):
     write(tmp_path, EVERY[1])
     manifest = json.loads((tmp_path / "library.json").read_text())
     jsonschema.validate(manifest, MANIFEST)
     sources = set[Path]()
-    for rule in manifest["build"]["srcFilter"]:  # each adds files, or takes them out
+    for rule in manifest["build"]["srcFilter"]:  # each rule adds or removes files
         sign, pattern = rule[0], rule[2:-1]
         chosen = {path for path in tmp_path.glob("*.c") if fnmatch(path.name, pattern)}
         sources = sources | chosen if sign == "+" else sources - chosen
@@ -138,8 +138,8 @@ def test_platformio_builds_what_the_manifest_says(tmp_path: Path):
     run(tmp_path / "app")
 
 
-def test_the_zephyr_module_names_what_is_there(tmp_path: Path):
-    """Zephyr itself is not run: its tree is too large for a test."""
+def test_the_zephyr_module_names_existing_files(tmp_path: Path):
+    """Zephyr is not run, since its source tree is too large for a test."""
     write(tmp_path, EVERY[0])
     module = yaml.safe_load((tmp_path / "zephyr" / "module.yml").read_text())
     assert set(module) == {"name", "build"}
@@ -159,7 +159,7 @@ def test_the_zephyr_module_names_what_is_there(tmp_path: Path):
         lambda p, flags: p is EVERY[0] and not flags,
     ),
 )
-def test_cpp_takes_the_headers_and_links(tmp_path: Path, p: FilterParameters, flags: tuple[str, ...]):
+def test_cpp_compiles_and_links_the_headers(tmp_path: Path, p: FilterParameters, flags: tuple[str, ...]):
     write(tmp_path, p)
     (tmp_path / "main.cpp").write_text(
         '#include "ins_gps.h"\n#include "ins_gps_align.h"\n'
@@ -177,13 +177,13 @@ def test_cpp_takes_the_headers_and_links(tmp_path: Path, p: FilterParameters, fl
 @pytest.mark.long
 @needs_arm
 @pytest.mark.parametrize(
-    ("p", "flags"),  # test_microcontroller compiles others
+    ("p", "flags"),  # test_microcontroller compiles other cases
     quickly(
         product(EVERY, ((), ("-DINS_GPS_FLOAT", "-DINS_GPS_HISTORY=0"))),
         lambda p, flags: p is EVERY[0] and not flags,
     ),
 )
-def test_an_arm_compiler_has_nothing_to_say(tmp_path: Path, p: FilterParameters, flags: tuple[str, ...]):
+def test_an_arm_compiler_gives_no_warning(tmp_path: Path, p: FilterParameters, flags: tuple[str, ...]):
     write(tmp_path, p)
     for source in ("ins_gps.c", "ins_gps_align.c"):
         command = (COMPILER, *M4F.flags, *WARNINGS, "-O2", *flags, "-c", tmp_path / source)
@@ -199,7 +199,7 @@ def test_an_arm_compiler_has_nothing_to_say(tmp_path: Path, p: FilterParameters,
     ),
     ids=lambda v: getattr(v, "model", "turned" if v else ""),
 )
-def test_the_readme_shows_c_that_compiles(
+def test_the_readme_contains_c_that_compiles(
     tmp_path: Path, p: FilterParameters, mounting: tuple[float, float, float] | None
 ):
     sigmaswarm.export(p, "c99", tmp_path, mounting=mounting)
@@ -210,7 +210,7 @@ def test_the_readme_shows_c_that_compiles(
 
 
 @needs_gcc
-def test_the_readme_s_metres_are_ours(tmp_path: Path):
+def test_the_readme_s_conversion_to_meters_agrees_with_the_library(tmp_path: Path):
     write(tmp_path, EVERY[0])
     (code,) = re.findall(r"```c\n(.*?)```", (tmp_path / "README.md").read_text(), re.DOTALL)
     asked = [(44.25, -76.5), (44.2, -76.3), (44.31, -76.61)]
@@ -242,7 +242,7 @@ CHECKED: dict[str, tuple[FilterParameters, Drive]] = {
 @pytest.mark.parametrize(
     "case", quickly([(case,) for case in CHECKED], lambda case: case not in ("tilted", "every option"))
 )
-def test_python_calls_the_same_c(tmp_path: Path, case: str, request: pytest.FixtureRequest):
+def test_the_python_module_calls_the_same_c(tmp_path: Path, case: str, request: pytest.FixtureRequest):
     if case != "every option":
         request.getfixturevalue("unoptimized")
     p, drive = CHECKED[case]
@@ -254,12 +254,12 @@ def test_python_calls_the_same_c(tmp_path: Path, case: str, request: pytest.Fixt
     assert 1e-9 < found.single.position < 5e-3 and found.single.heading < 1e-4
     if case == "accuracy":
         (other,) = check_export(tmp_path, replace(p, accuracy_scale=0.5), [drive])
-        assert other.double.state > 1e-6  # it tells a difference
+        assert other.double.state > 1e-6  # the check detects a difference
 
 
 @needs_gcc
 @pytest.mark.usefixtures("unoptimized")
-def test_its_module_needs_no_sigmaswarm(tmp_path: Path):
+def test_the_python_module_needs_no_sigmaswarm(tmp_path: Path):
     p, _ = CHECKED["every option"]
     write(tmp_path, p)
     check_export(tmp_path, p, [])
@@ -272,7 +272,7 @@ def test_its_module_needs_no_sigmaswarm(tmp_path: Path):
 
 
 @needs_gcc
-def test_a_compiler_that_is_not_there_or_refuses_is_told_in_a_line(
+def test_a_missing_or_failing_compiler_is_reported_with_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     p, drive = CHECKED["every option"]

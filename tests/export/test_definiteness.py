@@ -50,7 +50,7 @@ SOUND = np.diag([1.0, 1.0, 0.5, 0.5, 0.01])
 def run(
     folder: Path, name: str, covariance: np.ndarray, *flags: str, samples: int = 200, fixes: int = 1, **more
 ) -> tuple[bool, float]:
-    """Whether the filter says that it has failed, and the least eigenvalue of its correlations."""
+    """Return whether the filter sets ``failed``, and the smallest eigenvalue of its correlations."""
     p = replace(CASES[name], **more)
     std = ", (const ins_gps_real[2]){1, 1}" if p.accuracy_scale is not None else ""
     imu = "0.3, -0.2, 9.81, 0.01, -0.02, 0.1" if name == "tilted12" else "0.3, -0.2, 0.1"
@@ -83,7 +83,7 @@ def test_a_sound_filter_has_not_failed(name: str, flags: tuple[str, ...], tmp_pa
 @pytest.mark.parametrize(
     ("i", "j", "covariance"), quickly([(0, 2, 1.5), (1, 4, -0.3), (2, 3, 0.9)], lambda i, *_: i == 0)
 )
-def test_an_indefinite_covariance_is_found(
+def test_an_indefinite_covariance_is_detected(
     i: int, j: int, covariance: float, fixes: int, flags: tuple[str, ...], tmp_path: Path
 ):
     hostile = SOUND.copy()
@@ -107,6 +107,6 @@ def test_an_indefinite_covariance_is_found(
     ),
     ids=str,
 )
-def test_hostile_parameters_never_give_an_indefinite_covariance_unsaid(more: dict, tmp_path: Path):
+def test_with_extreme_parameters_an_indefinite_covariance_is_always_reported(more: dict, tmp_path: Path):
     failed, least = run(tmp_path, "planar5", SOUND, samples=400, **more)
     assert failed or least > -1e-6

@@ -25,11 +25,11 @@ needs_evo = pytest.mark.skipif(shutil.which("evo_ape", path=PROGRAMS) is None, r
 
 
 def evo(program: str, *arguments: object) -> float:
-    """The RMSE that a program of evo prints."""
+    """Return the RMSE that a program of evo prints."""
     environment = os.environ | {
         "HOME": str(Path(str(arguments[1])).parent),
         "MPLBACKEND": "agg",
-    }  # its settings
+    }  # the folder of its settings
     command = [PROGRAMS / program, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     assert done.returncode == 0, done.stderr + done.stdout
@@ -38,7 +38,7 @@ def evo(program: str, *arguments: object) -> float:
 
 
 def written(drive: Drive, folder: Path, suffix: str) -> tuple[Estimate, Path, Path]:
-    """The estimate, and the files of the truth and of it."""
+    """Write the files of truth and of the estimate; return the estimate and both paths."""
     estimate = run_filter(drive, tuned("planar5", "ukf", drive.nominal_interval, everything=False))
     paths = folder / f"truth.{suffix}", folder / f"estimate.{suffix}"
     write_estimate(true_trajectory(drive), paths[0])
@@ -70,7 +70,7 @@ def test_ape_and_rpe_on_a_simulated_drive(tmp_path: Path):
 
 
 def relative(x: np.ndarray, y: np.ndarray, theta: np.ndarray, steps: int) -> np.ndarray:
-    """How far each pose is from the one ``steps`` earlier, seen from there: forward + i left, (n - steps,)."""
+    """Return each position relative to the pose ``steps`` earlier: forward + i left, (n - steps,)."""
     z = x + 1j * y
     return (z[steps:] - z[:-steps]) * np.exp(-1j * theta[:-steps])
 

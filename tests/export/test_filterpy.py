@@ -26,8 +26,8 @@ from support import DRIVES, make_drive, needs_shared, quickly
 REAL = {
     "kitti-09-30-0033": ("ukf", 0.0, 20.0),
     "colorado-1": ("ekf", 40.0, 65.0),
-    "dresden": ("adaptive-ukf", 0.0, 30.0),  # in degrees, with speed and course
-    "kingston-1": ("ukf", 560.0, 700.0),  # it stands for a while
+    "dresden": ("adaptive-ukf", 0.0, 30.0),  # frame in degrees, with speed and course
+    "kingston-1": ("ukf", 560.0, 700.0),  # with a standstill
 }
 ORIGIN = (49.011, 8.416, 110.0)
 
@@ -38,7 +38,7 @@ QUICK = [("planar8", "ukf"), ("planar8", "strong-tracking-ukf"), ("planar5", "ad
 @pytest.mark.parametrize(
     ("model", "kind"), quickly(product(("planar5", "planar8"), KINDS), lambda *case: case in QUICK)
 )
-def test_it_is_the_run(tmp_path: Path, model: str, kind: str):
+def test_it_equals_the_run(tmp_path: Path, model: str, kind: str):
     drive = clip(equipped(), 0.0, 9.0)
     p = parameters(model, kind=kind, nominal_interval=0.01, **OPTIONS["all"])
     ours = run_filter(drive, p, recover=False)
@@ -52,7 +52,7 @@ def test_it_is_the_run(tmp_path: Path, model: str, kind: str):
     ("kind", "option"),
     quickly(WEIGHED_CASES, lambda *case: case == ("ekf", "both")),
 )
-def test_it_weighs_fixes_as_the_run_does(tmp_path: Path, kind: str, option: str):
+def test_it_weights_fixes_as_the_run_does(tmp_path: Path, kind: str, option: str):
     p = parameters("planar8", kind=kind, nominal_interval=0.01, **WEIGHED[option])
     ours, theirs = run_filter(straying(), p), run_script(tmp_path, p, straying())
     assert distance(theirs.mean, ours.mean) < 1e-10
@@ -60,7 +60,7 @@ def test_it_weighs_fixes_as_the_run_does(tmp_path: Path, kind: str, option: str)
 
 
 @pytest.mark.parametrize("kind", quickly([("ukf",), ("ekf",)], lambda kind: kind == "ekf"))
-def test_stale_fixes_and_gaps_are_those_of_the_run(tmp_path: Path, kind: str):
+def test_stale_fixes_and_gaps_are_treated_as_in_the_run(tmp_path: Path, kind: str):
     drive = clip(rough(), 4.0, 14.0)
     ready = PreparedDrive(drive)
     assert ready.stale.sum() == 5
@@ -69,14 +69,14 @@ def test_stale_fixes_and_gaps_are_those_of_the_run(tmp_path: Path, kind: str):
     assert distance(run_script(tmp_path, p, drive).mean, run_filter(ready, p).mean) < 1e-10
 
 
-def test_one_that_was_tuned_as_recorded_runs_so(tmp_path: Path):
+def test_a_filter_tuned_without_preprocessing_runs_without_it(tmp_path: Path):
     drive = clip(rough(), 4.0, 14.0)
     p = parameters("planar5", nominal_interval=0.01)
     theirs = run_script(tmp_path, p, drive, as_recorded=True).mean
     assert distance(theirs, run_filter(drive, p, as_recorded=True).mean) < 1e-10
 
 
-def test_a_gate_gives_way_where_the_run_does(tmp_path: Path):
+def test_the_gate_accepts_a_jump_as_in_the_run(tmp_path: Path):
     p, drive = (
         parameters("planar5", kind="ekf", nominal_interval=0.01, gate=6.0),
         jumping(clip(equipped(), 0.0, 14.0)),
@@ -86,7 +86,7 @@ def test_a_gate_gives_way_where_the_run_does(tmp_path: Path):
 
 @needs_shared
 @pytest.mark.parametrize("name", quickly([(name,) for name in REAL], lambda name: name == "colorado-1"))
-def test_it_is_the_run_on_real_drives(tmp_path: Path, name: str):
+def test_it_equals_the_run_on_real_drives(tmp_path: Path, name: str):
     kind, start, end = REAL[name]
     drive = clip(read_drive(DRIVES / name), start, end)
     p = tuned("planar8", kind, drive.nominal_interval)
@@ -109,7 +109,7 @@ def test_it_reads_degrees(tmp_path: Path):
     assert distance(run_script(tmp_path, p, folder).mean, ours.mean) < 1e-10
 
 
-def test_a_drive_without_a_start_ends_in_one_line(tmp_path: Path):
+def test_a_drive_without_a_start_causes_one_line(tmp_path: Path):
     drive = make_drive(duration=8.0)
     still = replace(drive, gps=replace(drive.gps, x=0 * drive.gps.x, y=0 * drive.gps.y))
     folder = write_drive(still, tmp_path / "still")
@@ -123,7 +123,7 @@ def test_a_drive_without_a_start_ends_in_one_line(tmp_path: Path):
     assert done.stderr == "usage: python run_filter.py DRIVE estimate.csv\n"
 
 
-def test_without_filterpy_it_says_what_to_install(tmp_path: Path):
+def test_without_filterpy_it_names_what_to_install(tmp_path: Path):
     (tmp_path / "s.py").write_text(filterpy(tuned("planar5", "ukf", 0.01), 0.01)["run_filter.py"])
     (tmp_path / "filterpy.py").write_text("raise ModuleNotFoundError(\"No module named 'filterpy'\")")
     command = [sys.executable, tmp_path / "s.py", "drive", tmp_path / "e.csv"]
@@ -136,7 +136,7 @@ def test_without_filterpy_it_says_what_to_install(tmp_path: Path):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_it_imports_nothing_but_numpy_and_filterpy(kind: str):
+def test_it_imports_only_numpy_and_filterpy(kind: str):
     text = filterpy(tuned("planar8", kind, 0.01, everything=True), 0.01)["run_filter.py"]
     imported = set()
     for node in ast.walk(ast.parse(text)):
@@ -148,7 +148,7 @@ def test_it_imports_nothing_but_numpy_and_filterpy(kind: str):
     assert others == {"numpy", "filterpy"}
 
 
-def test_modules_in_one_script_do_not_overwrite_names():
+def test_names_of_the_joined_modules_are_unique():
     text = filterpy(tuned("planar8", "ukf", 0.01), 0.01)["run_filter.py"]
     names: list[str] = []
     for node in ast.parse(text).body:
@@ -159,7 +159,7 @@ def test_modules_in_one_script_do_not_overwrite_names():
     assert [name for name, n in Counter(names).items() if n > 1] == []
 
 
-def test_sources_are_taken_whole_but_for_compiling_and_imports():
+def test_sources_are_copied_without_compilation_and_imports():
     from sigmaswarm import geodesy
     from sigmaswarm.drives import gaps, standstill
 

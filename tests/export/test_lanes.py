@@ -60,12 +60,12 @@ def given(model: str, kind: str, option: str) -> FilterParameters:
 
 
 def start_of(drive: Drive) -> InitialState:
-    """Without what it shows of the gyro, which is told by another file: real drives have it, below."""
+    """Return the initial state without evidence about the gyro's bias, which other tests check."""
     return replace(initial_state(drive), gyro=None)
 
 
 def c_filter(folder: Path, p: FilterParameters, drive: Drive, lanes: int, seed: int = 0) -> Any:
-    """The exported lanes, called from Python, at the drive's start."""
+    """Return the exported filter bank, called from Python, at the start of the drive."""
     write(folder, p, lanes=lanes, seed=seed)
     sources = [folder / "ins_gps.c", folder / "ins_gps_shared.c"]
     library = folder / "libins_gps.so"
@@ -91,7 +91,7 @@ def python_lanes(
 
 
 def both(drive: Drive, c: Any, swarm: LiveFilter, late: float) -> Iterator[float]:
-    """Feed C and Python alike, every third fix ``late`` s after its time; the time of each sample."""
+    """Feed C and Python with the same data, where some fixes arrive ``late`` s late; yield the time of each sample."""
     p, gps, imu = swarm.parameters, drive.gps, drive.imu
     axes = ("ax", "ay", "az", "gx", "gy", "gz") if MODELS[p.model].tilts else ("ax", "ay", "gz")
     samples = [(t, True, i) for i, t in enumerate(imu.time)]
@@ -119,7 +119,7 @@ def both(drive: Drive, c: Any, swarm: LiveFilter, late: float) -> Iterator[float
         lambda *case: case[:4] in CASES[:2] and (case[-1] > 0.0) == (case[:4] == CASES[1]),
     ),
 )
-def test_it_is_the_swarm_without_searches(
+def test_it_equals_the_filter_bank_without_searches(
     tmp_path: Path, model: str, kind: str, option: str, lanes: int, late: float
 ):
     p, drive = given(model, kind, option), straying() if option in WEIGHED else rough()
@@ -136,12 +136,12 @@ def test_it_is_the_swarm_without_searches(
         assert np.max(np.abs(np.array(c.covariance) - ours.covariance) / scale) < 1e-9
         np.testing.assert_allclose(c.weights, swarm.weights[:lanes], rtol=0, atol=1e-9)
     assert seen > 50
-    assert min(largest) < 0.99  # more than one of them counts
+    assert min(largest) < 0.99  # several lanes have a weight
     assert not c.failed
 
 
 @needs_gcc
-def test_the_seed_draws_the_lanes_after_the_fixed_ones(tmp_path: Path):
+def test_the_seed_determines_the_lanes_after_the_fixed_ones(tmp_path: Path):
     p = given("planar8", "ukf", "plain")
     one, other = Lanes(16, seed=1).filters(p), Lanes(16, seed=2).filters(p)
     assert one[: len(FIXED_OFFSETS)] == other[: len(FIXED_OFFSETS)]
@@ -153,13 +153,13 @@ def test_the_seed_draws_the_lanes_after_the_fixed_ones(tmp_path: Path):
         pass
     np.testing.assert_allclose(c.weights, swarm.weights, rtol=0, atol=1e-9)
     unlike = python_lanes(p, drive, 16)
-    for _ in both(drive, c, unlike, 0.0):  # C leaves out what it has had
+    for _ in both(drive, c, unlike, 0.0):  # C ignores old data
         pass
     assert np.max(np.abs(unlike.weights - swarm.weights)) > 1e-3
 
 
 @needs_gcc
-def test_the_heading_of_the_mixture_goes_around_the_circle(tmp_path: Path):
+def test_the_mean_heading_of_a_mixture_is_a_circular_mean(tmp_path: Path):
     drive = make_drive(duration=40.0, seed=2, gps_std=1.0)
     drive = turned_west(drive)
     p = given("planar8", "ukf", "plain")
@@ -171,11 +171,11 @@ def test_the_heading_of_the_mixture_goes_around_the_circle(tmp_path: Path):
             assert distance(np.array([c.mean]), ours[np.newaxis]) < 1e-9
             headings = swarm._rows_of(swarm._numbers)[4]
             crossed += bool(np.abs(ours[4]) > 3.0 and np.ptp(np.sign(np.sin(headings))) == 2)
-    assert crossed > 10, "the lanes' headings never lay on both sides of west"
+    assert crossed > 10, "the lanes' headings were never on both sides of west"
 
 
 def turned_west(drive: Drive) -> Drive:
-    """The drive turned so that it goes west where it is half over."""
+    """Return the drive rotated so that it goes west after half of its duration."""
     gps, start = drive.gps, initial_state(drive)
     half = drive.gps.time > drive.imu.time[0] + 0.5 * drive.duration
     middle = np.flatnonzero(half)[0]
@@ -189,7 +189,7 @@ def turned_west(drive: Drive) -> Drive:
 
 
 @needs_gcc
-def test_that_all_lanes_failed_is_told_and_nothing_counts(tmp_path: Path):
+def test_the_failure_of_all_lanes_is_reported_and_weights_are_zero(tmp_path: Path):
     p, drive = given("planar8", "ukf", "plain"), equipped()
     c = c_filter(tmp_path, p, drive, 4)
     t = initial_state(drive).time + 0.01
@@ -201,8 +201,8 @@ def test_that_all_lanes_failed_is_told_and_nothing_counts(tmp_path: Path):
 
 
 @needs_gcc
-def test_one_lane_that_failed_does_not_count(tmp_path: Path):
-    """A lane's numbers are planted with NaN, where C holds them; the others' mixture goes on."""
+def test_a_failed_lane_has_no_weight(tmp_path: Path):
+    """The heading of a lane is set to NaN in the memory of C and of Python."""
     p, drive = given("planar8", "ukf", "plain"), equipped()
     c, swarm = c_filter(tmp_path, p, drive, 3), python_lanes(p, drive, 3)
     for k, _ in enumerate(both(drive, c, swarm, 0.0)):
@@ -215,7 +215,7 @@ def test_one_lane_that_failed_does_not_count(tmp_path: Path):
 
 
 def plant(c: Any, lane: int) -> None:
-    """NaN into a lane's heading: found by its mean, which no other place of the memory holds."""
+    """Set a lane's heading to NaN; its address is found by its value, which is unique in the memory."""
     state = type(c._state)()
     c._c.ins_gps_lane(c._memory, lane, ctypes.byref(state))
     assert -math.pi < state.mean[4] <= math.pi
@@ -237,7 +237,7 @@ def plant(c: Any, lane: int) -> None:
 @pytest.mark.parametrize(
     "case", quickly([(0,), (2,)], lambda case: case == 0), ids=lambda case: CASES[case][0]
 )
-def test_the_replay_builds_without_a_word(tmp_path: Path, case: int, flags: tuple[str, ...]):
+def test_the_replay_builds_without_warnings(tmp_path: Path, case: int, flags: tuple[str, ...]):
     model, kind, option, lanes = CASES[case]
     p, drive = given(model, kind, option), equipped()
     theirs = replay_c(build(tmp_path, p, *flags, lanes=lanes), drive, p.model)
@@ -249,7 +249,7 @@ def test_the_replay_builds_without_a_word(tmp_path: Path, case: int, flags: tupl
     "case", quickly([(0,), (2,)], lambda case: case == 0), ids=lambda case: CASES[case][0]
 )
 @pytest.mark.usefixtures("unoptimized")
-def test_a_check_compares_with_the_swarm(tmp_path: Path, case: int):
+def test_a_check_compares_with_the_filter_bank(tmp_path: Path, case: int):
     model, kind, option, lanes = CASES[case]
     p = given(model, kind, option)
     write(tmp_path, p, lanes=lanes)
@@ -259,13 +259,13 @@ def test_a_check_compares_with_the_swarm(tmp_path: Path, case: int):
 
 
 @needs_clang
-def test_clang_has_nothing_to_say(tmp_path: Path):
+def test_clang_gives_no_warning(tmp_path: Path):
     build(tmp_path, given("planar8", "ukf", "all"), compiler="clang", lanes=16)
 
 
 @needs_gcc
 @pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed")
-def test_cpp_takes_the_header(tmp_path: Path):
+def test_cpp_compiles_the_header(tmp_path: Path):
     write(tmp_path, given("planar8", "ukf", "all"), lanes=16)
     (tmp_path / "main.cpp").write_text(
         '#include "ins_gps.h"\nstatic InsGps f;\nint main() { return f.now.lane[0].failed; }\n'
@@ -275,7 +275,7 @@ def test_cpp_takes_the_header(tmp_path: Path):
 
 @pytest.mark.long
 @needs_arm
-def test_a_board_finds_the_mixture(tmp_path: Path):
+def test_an_emulated_board_computes_the_mixture(tmp_path: Path):
     p, drive = given("planar8", "ukf", "all"), equipped()
     flags = ("-DINS_GPS_FLOAT", "-DINS_GPS_HISTORY=0")
     program = build_for(M4F, tmp_path, p, *flags, optimize="-O1", lanes=4)
@@ -294,7 +294,7 @@ def test_a_board_finds_the_mixture(tmp_path: Path):
 @pytest.mark.parametrize(
     "name", quickly([("kitti-09-30-0033",), ("colorado-1",)], lambda name: name == "colorado-1")
 )
-def test_it_is_the_swarm_on_real_drives(tmp_path: Path, name: str):
+def test_it_equals_the_filter_bank_on_real_drives(tmp_path: Path, name: str):
     p, drive = given("planar8", "ukf", "lateral"), read_drive(DRIVES / name)
     drive = clip(drive, 0.0, initial_state(drive).time - drive.imu.time[0] + 45.0)
     write(tmp_path, p, lanes=16)
@@ -303,17 +303,17 @@ def test_it_is_the_swarm_on_real_drives(tmp_path: Path, name: str):
 
 
 @pytest.mark.parametrize("lanes", [-1, 0, LANES + 1])
-def test_there_are_not_any_number_of_lanes(tmp_path: Path, lanes: int):
+def test_an_invalid_number_of_lanes_is_rejected(tmp_path: Path, lanes: int):
     with pytest.raises(InputError, match=f"lanes = {lanes}"):
         export_filter(given("planar8", "ukf", "all"), "c99", tmp_path, lanes=lanes)
 
 
-def test_other_targets_run_one_filter(tmp_path: Path):
+def test_other_targets_support_one_filter_only(tmp_path: Path):
     with pytest.raises(InputError, match="--lanes needs --to c99"):
         export_filter(given("planar8", "ukf", "all"), "filterpy", tmp_path, lanes=4)
 
 
-def test_one_lane_is_the_filter_alone(tmp_path: Path):
+def test_one_lane_is_a_filter_without_a_bank(tmp_path: Path):
     p = given("planar8", "ukf", "all")
     texts = [
         {path.name: path.read_text() for path in export_filter(p, "c99", tmp_path / name, lanes=1, seed=seed)}

@@ -1,4 +1,4 @@
-"""The messages of a recorded bag merged with the estimate: the same bytes, counts and types, on one clock."""
+"""The messages of a recorded bag merged with the estimate: same bytes, counts and types, and one clock."""
 
 import tracemalloc
 from itertools import pairwise
@@ -25,7 +25,7 @@ KINDS = ("sqlite3", "mcap", "sqlite3 file", "mcap file")
 
 
 def recorded(folder: Path, kind: str) -> Path:
-    """A bag of the drive, with a type of a vendor's own that only the bag defines."""
+    """Write a bag of the drive, with a vendor's type that only the bag defines."""
     if kind == "cdr":
         return write_mcap(folder / "log.mcap", messages(a_drive(), custom=True))
     store, name = (ROS1, "log.bag") if kind == "ros1" else (ROS2, "bag")
@@ -38,7 +38,7 @@ def estimated(drive: Drive) -> Estimate:
 
 
 def contents(path: Path) -> list[tuple[str, str, int, bytes]]:
-    """All that a bag holds, in the order in which it is read: topic, type, time in ns, bytes."""
+    """Return all messages of a bag in reading order: topic, type, time in ns, bytes."""
     with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
         return [(c.topic, c.msgtype, t, bytes(raw)) for c, t, raw in bag.messages()]
 
@@ -60,14 +60,14 @@ def test_the_bag_s_own_messages_are_merged(tmp_path: Path, kind: str):
     times = np.array([t for topic, _, t, _ in after if topic == TOPIC])
     np.testing.assert_allclose(times / 1e9 - EPOCH, estimate.time, rtol=0, atol=1e-6)
     imu = {t for topic, _, t, _ in before if topic == "/imu/data"}
-    assert set(times.tolist()) <= imu  # to the nanosecond
+    assert set(times.tolist()) <= imu  # equal to the nanosecond
 
 
-def test_types_come_along(tmp_path: Path):
+def test_message_types_are_copied(tmp_path: Path):
     source = recorded(tmp_path, "mcap")
     drive = imported(source).drive
     write_estimate(estimated(drive), tmp_path / "e.ros2", time_origin=time_origin_of(drive), merge=source)
-    with AnyReader([tmp_path / "e.ros2"]) as bag:  # without a typestore of its own
+    with AnyReader([tmp_path / "e.ros2"]) as bag:  # without another typestore
         packet = next(bag.messages([c for c in bag.connections if c.topic == "/imu/data"]))
         message = bag.deserialize(packet[2], packet[0].msgtype)
         assert (packet[0].msgtype, message.temperature) == ("vendor_msgs/msg/Packet", 20.0)
@@ -86,7 +86,9 @@ def test_types_come_along(tmp_path: Path):
         ("itself", "already contains /sigmaswarm/odometry"),
     ],
 )
-def test_what_can_not_be_merged_is_reported_and_leaves_nothing(tmp_path: Path, case: str, said: str):
+def test_a_bag_that_can_not_be_merged_is_reported_and_nothing_is_written(
+    tmp_path: Path, case: str, said: str
+):
     bag = recorded(tmp_path, case if case in ("ros1", "cdr") else "mcap")
     drive = a_drive()
     estimate, at = estimated(drive), 0.0 if case == "another time" else float(EPOCH)
@@ -103,28 +105,28 @@ def test_what_can_not_be_merged_is_reported_and_leaves_nothing(tmp_path: Path, c
     assert not (tmp_path / "e.ros2").exists()
 
 
-def test_a_bag_that_breaks_on_the_way_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_bag_with_an_error_in_the_middle_leaves_no_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     bag = recorded(tmp_path, "mcap")
     whole = AnyReader.messages
 
-    def until_it_breaks(self: AnyReader, *a, **k):
+    def messages_with_an_error(self: AnyReader, *a, **k):
         for n, message in enumerate(whole(self, *a, **k)):
             if n == 100:
                 raise ValueError("bad bytes")
             yield message
 
-    monkeypatch.setattr(AnyReader, "messages", until_it_breaks)
+    monkeypatch.setattr(AnyReader, "messages", messages_with_an_error)
     with pytest.raises(InputError, match=r"bag: is cut short or broken \(bad bytes\)"):
         write_estimate(estimated(a_drive()), tmp_path / "e.ros2", time_origin=float(EPOCH), merge=bag)
     assert not (tmp_path / "e.ros2").exists()
 
 
-def test_only_into_a_bag(tmp_path: Path):
+def test_only_a_bag_can_be_the_output(tmp_path: Path):
     with pytest.raises(InputError, match=r"--merge writes a ROS 2 bag; end the name of the output in .ros2"):
         write_estimate(estimated(a_drive()), tmp_path / "e.csv", merge=tmp_path / "bag")
 
 
-def test_a_large_bag_is_copied_as_it_is_read(tmp_path: Path):
+def test_a_large_bag_is_copied_in_parts(tmp_path: Path):
     drive, text = a_drive(), ROS2.types["std_msgs/msg/String"]
     blob = "x" * 100_000
     bag = write_ros(tmp_path / "bag", (("/blob", 0.02 * k, text(blob)) for k in range(600)), "mcap")

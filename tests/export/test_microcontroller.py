@@ -1,6 +1,6 @@
-"""The exported C on emulated Cortex-M boards: the run's numbers, what they cost, and nothing that traps.
+"""The exported C on emulated Cortex-M boards: the numbers of the run, cost, and no traps.
 
-Whole drives, and all figures of docs/export.md: benchmarks/microcontroller.py.
+benchmarks/microcontroller.py runs whole drives and computes all values of docs/export.md.
 """
 
 import subprocess
@@ -37,7 +37,7 @@ from sigmaswarm.simulation.scenarios import simulate
 from support import DRIVES, needs_shared, quickly
 
 built = partial(build_for, optimize="-O1")
-"""A program where neither its size nor its speed matters."""
+"""Build a program whose size and speed are not tested."""
 FLOAT, NO_HISTORY = "-DINS_GPS_FLOAT", "-DINS_GPS_HISTORY=0"
 FILTERS = {
     "planar5": ("planar5", "ukf", False),
@@ -57,12 +57,12 @@ def given(name: str, interval: float = 0.01) -> FilterParameters:
 
 @cache
 def city() -> Drive:
-    """Half a minute in a city, with a red light."""
+    """Return half a minute of an urban drive with a stop."""
     return clip(simulate("urban", duration=60.0, seed=4), 0.0, 40.0)
 
 
 def off(board: OnBoard, ours: np.ndarray) -> tuple[float, float]:
-    """m and degrees, at most."""
+    """Return the largest differences in m and degrees."""
     error = board.mean - ours
     error[:, 4] = (error[:, 4] + np.pi) % (2 * np.pi) - np.pi
     return float(np.max(np.hypot(*error[:, :2].T))), float(np.degrees(np.abs(error[:, 4]).max()))
@@ -70,7 +70,7 @@ def off(board: OnBoard, ours: np.ndarray) -> tuple[float, float]:
 
 @needs_arm
 @pytest.mark.parametrize("name", quickly([(n,) for n in FILTERS], lambda n: n == "planar8 ukf"))
-def test_a_board_finds_what_the_run_finds(tmp_path: Path, name: str):
+def test_a_board_computes_the_estimates_of_the_run(tmp_path: Path, name: str):
     p = given(name)
     ours = run_filter(city(), p, recover=False)
     double = replay_on(M7, built(M7, tmp_path, p), city(), p.model)
@@ -88,7 +88,7 @@ def test_a_board_finds_what_the_run_finds(tmp_path: Path, name: str):
     ),
     ids=lambda each: each.name if isinstance(each, Machine) else each,
 )
-def test_in_float_a_board_finds_it_within_a_centimetre(tmp_path: Path, name: str, machine: Machine):
+def test_in_float_a_board_is_within_a_centimeter(tmp_path: Path, name: str, machine: Machine):
     p = given(name)
     single = replay_on(machine, built(machine, tmp_path, p, FLOAT), city(), p.model)
     metres, degrees = off(single, run_filter(city(), p, recover=False).mean)
@@ -98,8 +98,8 @@ def test_in_float_a_board_finds_it_within_a_centimetre(tmp_path: Path, name: str
 @pytest.mark.long
 @needs_shared
 @needs_arm
-def test_float_is_as_good_kilometres_from_the_origin(tmp_path: Path):
-    drive = clip(read_drive(DRIVES / "kingston-1"), 1600.0, 1720.0)  # it stands for a while, 2 km away
+def test_float_is_accurate_kilometers_from_the_origin(tmp_path: Path):
+    drive = clip(read_drive(DRIVES / "kingston-1"), 1600.0, 1720.0)  # with a standstill, 2 km away
     p = given("planar8 ukf", drive.nominal_interval)
     ours = run_filter(drive, p, recover=False).mean
     assert np.hypot(*ours[-1, :2]) > 1500.0
@@ -109,7 +109,7 @@ def test_float_is_as_good_kilometres_from_the_origin(tmp_path: Path):
 
 @pytest.mark.long
 @needs_arm
-def test_what_it_costs_stays_within_bounds(tmp_path: Path):
+def test_the_cost_stays_within_bounds(tmp_path: Path):
     p = given("planar8 ukf")
 
     drive = clip(city(), 0.0, 15.0)
@@ -154,7 +154,7 @@ FUZZED = {
     ],
     ids=["every option in float", "tilted in float", "adaptive in double"],
 )
-def test_random_calls_trap_nothing_on_a_board(
+def test_random_calls_cause_no_trap_on_a_board(
     tmp_path: Path, machine: Machine, case: str, flags: tuple[str, ...]
 ):
     program = built(machine, tmp_path, FUZZED[case], *flags, main=BOARD / "fuzz.c")
@@ -176,11 +176,11 @@ def test_random_calls_trap_nothing_on_a_board(
         lambda case, flags, lanes: lanes == 1 and case == "every option",
     ),
 )
-def test_random_calls_do_no_harm(tmp_path: Path, case: str, flags: tuple[str, ...], lanes: int):
+def test_random_calls_cause_no_sanitizer_error(tmp_path: Path, case: str, flags: tuple[str, ...], lanes: int):
     write(tmp_path, FUZZED[case], lanes=lanes)
     program = tmp_path / "fuzz"
     sources = (tmp_path / "ins_gps.c", tmp_path / "ins_gps_align.c", BOARD / "fuzz.c")
-    calls = 3000 if lanes == 1 else 20_000  # until lanes are finite, and their mixture is not
+    calls = 3000 if lanes == 1 else 20_000  # enough calls for finite lanes whose mixture is not finite
     more = (*has(FUZZED[case]), *flags, f"-DCALLS={calls}", f"-I{tmp_path}", *SANITIZERS, *NO_TRAP)
     run(["gcc", "-std=c99", *more, *sources, "-lm", "-o", program])
     done = subprocess.run([program], capture_output=True, text=True, check=False)
@@ -188,7 +188,7 @@ def test_random_calls_do_no_harm(tmp_path: Path, case: str, flags: tuple[str, ..
 
 
 @needs_arm
-def test_a_trap_is_seen(tmp_path: Path):
+def test_a_trap_is_detected(tmp_path: Path):
     main = tmp_path / "main.c"
     main.write_text("int main(void) { return *(volatile int *)0xF0000000; }\n")
     assert emulate(M4F, build_for(M4F, tmp_path, given("planar5"), main=main, optimize="-O0")) == 99

@@ -38,14 +38,14 @@ MATRIX = Rotation.from_euler("xyz", ANGLES, degrees=True).as_matrix()
 
 @cache
 def raw_drive() -> Drive:
-    """The samples of an IMU that is turned in the vehicle."""
+    """Return the samples of an IMU that is rotated in the vehicle."""
     drive = sigmaswarm.simulate("urban", duration=40, gps="white-1m", run=4)
     return replace(drive, imu=rotate_imu(drive.imu, MATRIX.T))
 
 
 @pytest.fixture(scope="module")
 def imported(tmp_path_factory: pytest.TempPathFactory) -> Drive:
-    """The log imported with the mounting, written and read again."""
+    """Return the log imported with the mounting angles, after writing and reading."""
     folder = tmp_path_factory.mktemp("raw")
     log = log_of(raw_drive(), folder / "log")
     mount = ",".join(map(str, ANGLES))
@@ -61,7 +61,7 @@ def tuning(imported: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def board_of(folder: Path, *flags: str):
-    """The exported Python module on the exported C, built without warnings."""
+    """Build the exported C without warnings; return the exported Python module."""
     sources = [folder / name for name in ("ins_gps.c", "ins_gps_align.c", "ins_gps_shared.c")]
     command = ["gcc", *STRICT, *OPTIMIZED, *flags, "-shared", "-fPIC", *sources, "-lm", "-o"]
     built = subprocess.run([*command, folder / "libins_gps.so"], capture_output=True, text=True, check=False)
@@ -74,7 +74,7 @@ def board_of(folder: Path, *flags: str):
 
 
 def fed_with_raw(folder: Path, raw: Drive, drive: Drive, model: ModelName, *flags: str) -> np.ndarray:
-    """The estimates of the C filter, (k, n), that is given the raw samples through its own function."""
+    """Return the estimates (k, n) of the C filter, which rotates the raw samples with its own function."""
     module, axes = board_of(folder, *flags), AXES if model == "tilted12" else ("ax", "ay", "gz")
     samples = np.array([np.zeros(len(raw.imu)) if (v := getattr(raw.imu, n)) is None else v for n in AXES]).T
     (_, (begin, *start)), *others = replay_events(drive, model)
@@ -98,7 +98,7 @@ def expected(drive: Drive, parameters: FilterParameters) -> np.ndarray:
 
 def test_the_drive_states_the_rotation_of_the_import(imported: Drive):
     assert imported.mounting == pytest.approx(ANGLES, abs=1e-9)
-    again = parse_mount(",".join(map(str, imported.mounting)))  # the number can be typed again
+    again = parse_mount(",".join(map(str, imported.mounting)))  # the printed angles are valid input
     for part in (imported, *sigmaswarm.split(imported)):
         assert part.mounting == imported.mounting
     np.testing.assert_allclose(rotate_imu(raw_drive().imu, again).ay, imported.imu.ay, atol=1e-9)
@@ -110,7 +110,9 @@ def test_the_drive_states_the_rotation_of_the_import(imported: Drive):
     quickly([((), 1e-9), (("-DINS_GPS_FLOAT",), 2e-3)], lambda flags, _: not flags),
     ids=["double", "float"],
 )
-def test_c_takes_raw_samples(imported: Drive, tuning: Path, tmp_path: Path, flags: Sequence[str], off: float):
+def test_c_accepts_raw_samples(
+    imported: Drive, tuning: Path, tmp_path: Path, flags: Sequence[str], off: float
+):
     sigmaswarm.export(tuning, "c99", tmp_path)
     means = fed_with_raw(tmp_path, raw_drive(), imported, "planar5", *flags)
     parameters = sigmaswarm.FilterParameters.load(tuning)
@@ -126,7 +128,7 @@ def test_c_takes_raw_samples(imported: Drive, tuning: Path, tmp_path: Path, flag
 
 @pytest.mark.long
 @needs_gcc
-def test_c_takes_raw_samples_with_attitude(imported: Drive, tmp_path: Path):
+def test_c_accepts_raw_samples_with_attitude(imported: Drive, tmp_path: Path):
     parameters = tuned("tilted12", "ekf", 0.01, everything=False)
     sigmaswarm.export(parameters, "c99", tmp_path, mounting=imported.mounting)
     means = fed_with_raw(tmp_path, raw_drive(), imported, "tilted12")
@@ -135,7 +137,7 @@ def test_c_takes_raw_samples_with_attitude(imported: Drive, tmp_path: Path):
 
 @pytest.mark.long
 @needs_gcc
-def test_an_imu_of_three_axes_that_the_doctor_turns(tmp_path: Path):
+def test_c_accepts_raw_samples_of_three_axes_that_the_doctor_rotated(tmp_path: Path):
     plane = sigmaswarm.simulate("urban", duration=120, gps="white-1m", run=4)
     still = dict.fromkeys(("az", "gx", "gy"))
     raw = replace(plane, imu=replace(plane.imu, ax=-plane.imu.ay, ay=plane.imu.ax, **still))
@@ -147,7 +149,7 @@ def test_an_imu_of_three_axes_that_the_doctor_turns(tmp_path: Path):
     assert distance(fed_with_raw(tmp_path, raw, mended, "planar5"), expected(mended, parameters)) < 1e-9
 
 
-def test_a_tuning_keeps_the_mounting_on_which_its_drives_agree(imported: Drive, tuning: Path, tmp_path: Path):
+def test_a_tuning_stores_the_mounting_if_its_drives_agree(imported: Drive, tuning: Path, tmp_path: Path):
     found = sigmaswarm.Tuning.load(tuning)
     assert found.mounting == TuningRecord.read(tuning).mounting == pytest.approx(ANGLES, abs=1e-9)
     assert found.data[0]["imu_mounting_deg"] == pytest.approx(imported.mounting)
@@ -172,8 +174,8 @@ def test_a_tuning_keeps_the_mounting_on_which_its_drives_agree(imported: Drive, 
     assert TuningRecord.read(tmp_path / "filter.toml").mounting is None
 
 
-def test_the_readme_of_the_c_states_the_expressions_of_the_import(tmp_path: Path):
-    """Of several tables, with a sum and a rotation, as far as the drives agree; a repair of units removes them."""
+def test_the_readme_of_the_c_contains_the_expressions_of_the_import(tmp_path: Path):
+    """The expressions use several tables, a sum and a rotation, if the drives agree; a repair of units removes them."""
     raw, log = raw_drive(), tmp_path / "log"
     log.mkdir()
     imu = pl.DataFrame({"t": raw.imu.time, **{n: getattr(raw.imu, n) for n in AXES}})
@@ -212,8 +214,8 @@ def test_the_readme_of_the_c_states_the_expressions_of_the_import(tmp_path: Path
     assert mended.metadata["imu_axes"] == stated | in_radians
 
 
-def test_the_axes_state_the_repairs_of_signs_and_units():
-    """The expressions lead from the columns of the log to the repaired axes, or there are none."""
+def test_the_axes_contain_the_repairs_of_signs_and_units():
+    """The expressions lead from the columns of the log to the repaired axes; otherwise, they are absent."""
     sound = sigmaswarm.simulate("urban", duration=90.0, imu_rate=50.0, gps="white-1m")
     axes = {axis: f"{axis}_of_log" for axis in AXES}
     imu = replace(sound.imu, gz=-sound.imu.gz, **{n: getattr(sound.imu, n) / 9.80665 for n in AXES[:3]})
@@ -232,11 +234,11 @@ def test_the_axes_state_the_repairs_of_signs_and_units():
     backward = replace(sound, imu=three, metadata={**sound.metadata, "imu_axes": names})
     mended = sigmaswarm.repair(backward, sigmaswarm.diagnose(backward)).metadata
     assert mended["imu_mounting_deg"] == pytest.approx([0.0, 0.0, 180.0], abs=3.0)
-    assert mended.get("imu_axes", names) == names  # the rotation contains the change of the signs
+    assert mended.get("imu_axes", names) == names  # the rotation includes the change of signs
 
 
 @pytest.mark.parametrize("model", ["planar5", "robot-localization"])
-def test_ros_turns_the_imu_by_a_static_transform(model: ModelName):
+def test_ros_rotates_the_imu_by_a_static_transform(model: ModelName):
     parameters = tuned("planar5", "ekf", 0.01)
     if model == "robot-localization":
         parameters = sigmaswarm.FilterParameters(

@@ -1,4 +1,4 @@
-"""Parameters at the ends of the range of numbers: exports contain them exactly, or one line states the reason."""
+"""Parameters at the limits of the range of numbers: exports contain them exactly, or one line states the reason."""
 
 import ast
 import math
@@ -37,13 +37,13 @@ EXPORTABLE: list[dict[str, Any]] = [
 
 
 def numbers_in_c(folder: Path) -> list[float]:
-    """All numbers that ins_gps.c states as R(...)."""
+    """Return all numbers that ins_gps.c contains as R(...)."""
     return [float(number) for number in re.findall(r"R\((-?[\d.e+-]+)\)", (folder / "ins_gps.c").read_text())]
 
 
 @needs_gcc
 @pytest.mark.parametrize("change", some(EXPORTABLE, 4), ids=str)
-def test_c_keeps_every_bit_and_compiles_but_for_a_float_that_is_too_small(
+def test_c_contains_every_bit_and_compiles_unless_a_float_is_too_small(
     tmp_path: Path, change: dict[str, Any]
 ):
     write(tmp_path, replace(P, **change))
@@ -62,7 +62,7 @@ def test_c_keeps_every_bit_and_compiles_but_for_a_float_that_is_too_small(
 
 
 @pytest.mark.parametrize("change", some(EXPORTABLE, 4), ids=str)
-def test_the_script_states_the_same_numbers(tmp_path: Path, change: dict[str, Any]):
+def test_the_script_contains_the_same_numbers(tmp_path: Path, change: dict[str, Any]):
     p = replace(P, **change)
     (path,) = export_filter(p, "filterpy", tmp_path)
     stated = parameters_of(path)
@@ -82,7 +82,7 @@ def parameters_of(script: Path) -> dict[str, Any]:
 @pytest.mark.parametrize(
     "change", [change for change in EXPORTABLE if 1e300 not in change.get("process_noise", ())], ids=str
 )
-def test_yaml_holds_numbers(tmp_path: Path, change: dict[str, Any]):
+def test_yaml_contains_numbers(tmp_path: Path, change: dict[str, Any]):
     (path,) = export_filter(replace(P, **change), "robot_localization", tmp_path)
     node = next(iter(yaml.safe_load(path.read_text()).values()))["ros__parameters"]
     noise = node["process_noise_covariance"]
@@ -111,7 +111,7 @@ def test_yaml_holds_numbers(tmp_path: Path, change: dict[str, Any]):
         ("robot_localization", {"measurement_noise": (1e308, 1e308)}, "sum of measurement_noise is not a"),
     ],
 )
-def test_what_has_no_place_there_is_refused_in_one_line(
+def test_values_that_a_target_can_not_represent_are_rejected_with_one_line(
     tmp_path: Path, target, change: dict[str, Any], said: str
 ):
     with pytest.raises(InputError, match=said) as raised:
@@ -122,6 +122,6 @@ def test_what_has_no_place_there_is_refused_in_one_line(
 
 @pytest.mark.parametrize("interval", [1e-3, 1.0, 1e5, 1e308])
 @pytest.mark.parametrize("target", DESCRIPTIONS)
-def test_a_slow_imu_is_no_hindrance(tmp_path: Path, target, interval: float):
+def test_a_slow_imu_is_supported(tmp_path: Path, target, interval: float):
     written = export_filter(replace(P, nominal_interval=interval), target, tmp_path)
     assert not re.search(r"(?<![a-z_])(inf|nan)(?![a-z_])", written[0].read_text().split("def ")[0])

@@ -54,12 +54,12 @@ def test_it_does_not_fuse_ay():
     }
 
 
-def test_the_gate_is_a_distance_there():
+def test_the_gate_is_the_square_root_of_the_nis():
     assert read(tuned("planar5", "ukf", 0.01))[0]["odom0_pose_rejection_threshold"] == math.sqrt(9.2)
     assert "odom0_pose_rejection_threshold" not in read(tuned("planar5", "ukf", 0.01, everything=False))[0]
 
 
-def test_it_says_what_it_is_and_what_it_can_not_have():
+def test_the_file_states_its_limits_and_lists_unsupported_parts():
     _, text = read(replace(tuned("planar8", "adaptive-ukf", 0.01), latency=0.12))
     for said in (
         "STARTING POINT",
@@ -90,7 +90,7 @@ ROBOT = FilterParameters(
 )  # fmt: skip
 
 
-def test_its_own_model_is_written_as_the_same_filter():
+def test_a_filter_of_this_type_is_exported_exactly():
     texts = robot_localization(ROBOT, 0.01)
     assert list(texts) == ["ekf.yaml", "ekf.launch.py", "README.md"]
     inside = yaml.safe_load(texts["ekf.yaml"])["ekf_filter_node"]["ros__parameters"]
@@ -111,7 +111,7 @@ def test_its_own_model_is_written_as_the_same_filter():
     assert yaml.safe_load(message)["twist"]["covariance"][7] == 0.03
 
 
-def test_what_its_own_model_does_not_use_is_left_out():
+def test_unused_parts_of_a_filter_of_this_type_are_omitted():
     texts = robot_localization(replace(ROBOT, lateral_noise=None, gate=None, accuracy_scale=0.5), 0.01)
     inside = yaml.safe_load(texts["ekf.yaml"])["ekf_filter_node"]["ros__parameters"]
     assert "twist0" not in inside and "odom0_pose_rejection_threshold" not in inside
@@ -159,22 +159,22 @@ def test_the_page_compares_it_with_its_defaults_and_another_filter():
         assert said in text.splitlines()[-1]
 
 
-def test_the_page_without_truth_has_the_drift_alone():
+def test_the_page_without_truth_contains_only_the_drift():
     found = evaluate([replace(make_drive(duration=40.0), truth=None)], ROBOT)
     text = accuracy_section(found.view)
     assert "| 5 s outage drift, m |" in text and "position RMSE" not in text
 
 
 @pytest.mark.parametrize("target", ["c99", "filterpy"])
-def test_its_own_model_is_for_ros_alone(target: Target):
+def test_a_filter_of_this_type_is_exported_only_to_ros(target: Target):
     with pytest.raises(InputError, match=f"{target} does not support robot-localization; use planar8"):
         export_texts(ROBOT, target)
 
 
-def test_a_hyphen_will_do():
+def test_the_target_can_be_written_with_a_hyphen():
     assert sigmaswarm.export(ROBOT, "robot-localization") == export_texts(ROBOT, "robot_localization")
 
 
 @pytest.mark.parametrize("value", [1e-5, 1.5e-12, 1e22, 0.1, 3.0, 0.0, 5e-324])
-def test_yaml_reads_every_number_as_one(value: float):
+def test_yaml_reads_every_number_as_a_number(value: float):
     assert yaml.safe_load(yaml_number(value)) == value

@@ -47,14 +47,14 @@ def test_odometry_is_read_back(tmp_path: Path, estimate: Estimate):
         pose, twist = m.pose.pose, m.twist.twist.linear
         assert (pose.position.x, pose.position.y) == (mean[0], mean[1])
         assert 2 * np.arctan2(pose.orientation.z, pose.orientation.w) == pytest.approx(mean[4], abs=1e-12)
-        # back into the world
+        # back to the world frame
         assert (twist.x + 1j * twist.y) * np.exp(1j * mean[4]) == pytest.approx(mean[2] + 1j * mean[3])
         np.testing.assert_array_equal(
             m.pose.covariance.reshape(6, 6)[np.ix_([0, 1, 5], [0, 1, 5])], p[np.ix_([0, 1, 4], [0, 1, 4])]
         )
         assert m.pose.covariance[14] == NOT_ESTIMATED
     assert (m.header.frame_id, m.child_frame_id) == ("map", "base_link")
-    rng = np.random.default_rng(0)  # the velocity's covariance in the body, by many draws
+    rng = np.random.default_rng(0)  # covariance of the velocity in the body frame, from many samples
     drawn = rng.multivariate_normal(mean, 1e-6 * p, 200_000)
     body = (drawn[:, 2] + 1j * drawn[:, 3]) * np.exp(-1j * drawn[:, 4])
     expected = np.cov(body.real, body.imag) * 1e6
@@ -62,13 +62,13 @@ def test_odometry_is_read_back(tmp_path: Path, estimate: Estimate):
 
 
 def on_the_road(state: np.ndarray) -> tuple[Rotation, np.ndarray]:
-    """Attitude and velocity (3,) of a tilted state: as fast upwards as keeps the car on its road."""
+    """Return attitude and velocity (3,) of a tilted state; the velocity is parallel to the road."""
     turned = Rotation.from_euler("ZYX", state[[4, 9, 8]])
     up = turned.apply([0.0, 0.0, 1.0])
     return turned, np.append(state[2:4], -(up[:2] @ state[2:4]) / up[2])
 
 
-def test_a_tilted_twist_lies_in_the_road(tmp_path: Path):
+def test_the_twist_of_a_tilted_state_is_parallel_to_the_road(tmp_path: Path):
     reader = pytest.importorskip("rosbags.highlevel").AnyReader
     rng = np.random.default_rng(3)
     mean = rng.normal(0.0, 1.0, (20, 12)) * [9, 9, 8, 8, 2, 1, 1, 0.1, 0.3, 0.3, 0.1, 0.1]
@@ -101,7 +101,9 @@ def test_a_tilted_twist_lies_in_the_road(tmp_path: Path):
         assert twist[2, 2] == NOT_ESTIMATED
 
 
-def test_what_a_bag_can_not_be_is_said(tmp_path: Path, estimate: Estimate, monkeypatch: pytest.MonkeyPatch):
+def test_errors_of_writing_a_bag_are_reported(
+    tmp_path: Path, estimate: Estimate, monkeypatch: pytest.MonkeyPatch
+):
     (tmp_path / "there.ros2").mkdir()
     with pytest.raises(InputError, match="already exists; delete it, or choose another name"):
         check_target(tmp_path / "there.ros2")
@@ -113,7 +115,7 @@ def test_what_a_bag_can_not_be_is_said(tmp_path: Path, estimate: Estimate, monke
     assert not (tmp_path / "e.ros2").exists()
 
 
-def test_truth_goes_into_a_bag_too(tmp_path: Path):
+def test_truth_can_be_written_to_a_bag(tmp_path: Path):
     reader = pytest.importorskip("rosbags.highlevel").AnyReader
     write_estimate(true_trajectory(DRIVE), tmp_path / "truth.ros2")
     with reader([tmp_path / "truth.ros2"]) as bag:
@@ -121,14 +123,14 @@ def test_truth_goes_into_a_bag_too(tmp_path: Path):
 
 
 def paths_of(config: Any) -> Iterator[str]:
-    """Topics and paths that a layout's panels show."""
+    """Yield the topics and paths that the panels of a layout show."""
     for panel in config["configById"].values():
         yield from (path["value"] for path in panel.get("paths", ()))
         yield from [panel["followTopic"]] if "followTopic" in panel else []
 
 
 def panels_in(arranged: Any) -> list[str]:
-    """Panels of a layout's tree, in order."""
+    """Return the panels of a layout's tree in order."""
     if isinstance(arranged, str):
         return [arranged]
     assert arranged["direction"] in ("row", "column") and 0 < arranged["splitPercentage"] < 100
@@ -181,7 +183,7 @@ def test_fixes_innovations_and_sigmas_are_topics_and_the_layout_shows_them(tmp_p
     assert {path.split(".")[0] for path in paths_of(config)} == set(read)
 
 
-def test_a_layout_shows_only_topics_that_are_there(tmp_path: Path, estimate: Estimate):
+def test_a_layout_contains_only_existing_topics(tmp_path: Path, estimate: Estimate):
     pytest.importorskip("rosbags")
     write_estimate(estimate, tmp_path / "e.ros2")
     config = json.loads((tmp_path / "e.ros2" / "foxglove-layout.json").read_text())

@@ -1,4 +1,4 @@
-"""Mistakes of a user of the exported script: one line, exit code 2, and no estimate."""
+"""Wrong input of the exported script: one line, exit code 2, and no estimate."""
 
 import re
 from pathlib import Path
@@ -21,7 +21,7 @@ def put(path: Path, lines: list[str]) -> None:
 
 
 def with_cell(path: Path, row: int, column: str, cell: str) -> None:
-    """Replace a cell; rows count from 1, the header is the first."""
+    """Replace a cell; row 1 is the first after the header."""
     lines = lines_of(path)
     cells = lines[row - 1].split(",")
     cells[lines[0].split(",").index(column)] = cell
@@ -77,7 +77,7 @@ def script(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_mistake_gets_one_line(tmp_path: Path, script: Path, fault: str):
+def test_wrong_input_causes_one_line(tmp_path: Path, script: Path, fault: str):
     break_it, said = FAULTS[fault]
     folder = write_drive(DRIVE, tmp_path / "drive")
     break_it(folder)
@@ -88,14 +88,14 @@ def test_a_mistake_gets_one_line(tmp_path: Path, script: Path, fault: str):
     assert not (tmp_path / "e.csv").exists()
 
 
-def test_an_estimate_that_can_not_be_written_gets_one_line(tmp_path: Path, script: Path):
+def test_an_estimate_that_can_not_be_written_causes_one_line(tmp_path: Path, script: Path):
     folder = write_drive(DRIVE, tmp_path / "drive")
     done = run_alone(script, folder, tmp_path / "nowhere" / "e.csv")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "nowhere/e.csv: No such file or directory" in done.stderr
 
 
-def test_blank_lines_and_spaced_names_are_no_mistake(tmp_path: Path, script: Path):
+def test_blank_lines_and_spaces_around_names_are_accepted(tmp_path: Path, script: Path):
     folder = write_drive(DRIVE, tmp_path / "drive")
     assert run_alone(script, folder, tmp_path / "before.csv").returncode == 0
     header, *rows = lines_of(folder / "imu.csv")

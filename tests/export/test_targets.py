@@ -23,12 +23,12 @@ FILES = {
 }
 
 
-def test_every_target_is_known():
+def test_every_target_is_described():
     assert list(DESCRIPTIONS) == list(get_args(Target)) == list(FILES)
 
 
 @pytest.mark.parametrize("target", DESCRIPTIONS)
-def test_it_writes_the_same_files_again(tmp_path: Path, target):
+def test_writing_again_gives_the_same_files(tmp_path: Path, target):
     written = export_filter(P, target, tmp_path / "a" / "b")
     assert written == [tmp_path / "a" / "b" / name for name in FILES[target]]
     before = [path.read_bytes() for path in written]
@@ -38,7 +38,7 @@ def test_it_writes_the_same_files_again(tmp_path: Path, target):
     assert sorted(found) == sorted(FILES[target])
 
 
-def test_a_replay_comes_beside_the_c_library(tmp_path: Path):
+def test_a_replay_is_written_with_the_c_library(tmp_path: Path):
     written = export_filter(P, "c99", tmp_path, replay=make_drive(duration=8.0))
     rows = written[-1].read_text().splitlines()
     assert written[-1].name == "replay.csv"
@@ -58,13 +58,13 @@ def test_a_replay_comes_beside_the_c_library(tmp_path: Path):
     ],
 )
 @pytest.mark.parametrize("target", DESCRIPTIONS)
-def test_a_filter_that_can_not_be_handed_over_is_refused(tmp_path: Path, target, change: dict, said: str):
+def test_a_filter_that_can_not_be_exported_is_rejected(tmp_path: Path, target, change: dict, said: str):
     with pytest.raises(InputError, match=said):
         export_filter(replace(P, **change), target, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
-def test_what_was_asked_for_wrongly_is_said(tmp_path: Path):
+def test_wrong_arguments_are_reported(tmp_path: Path):
     with pytest.raises(
         InputError, match="there is no export target 'rust'; choose one of c99, filterpy, robot_loc"
     ):

@@ -1,4 +1,4 @@
-"""After one time stamp far ahead, the exported C filter and the live filter continue by the same rule."""
+"""After a time stamp far in the future, the exported C filter and the live filter continue by the same rule."""
 
 import math
 import subprocess
@@ -64,7 +64,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @cache
 def rows() -> list[str]:
-    """The drive's rows after its start, without the receiver's velocities: the start, samples, fixes."""
+    """Return the drive's rows after its start, without the receiver's velocities: the start, samples, fixes."""
     drive = clip(equipped(), 0.0, 16.0)
     start, *others = replay_rows(drive).splitlines()
     begins = initial_state(drive).time
@@ -101,10 +101,10 @@ def in_python(fed: list[str]) -> np.ndarray:
 
 
 def same_in_both(program: Path, fed: list[str]) -> np.ndarray:
-    """Feed both, row by row; what they say is the same after each row."""
+    """Feed both with the same rows, and check that their outputs agree after each row; return the outputs."""
     ours, theirs = in_python(fed), in_c(program, fed)
     np.testing.assert_array_equal(theirs[:, :4], ours[:, :4])
-    # A minute without fixes carries a car kilometres away, and each rounding of its heading along: 1e-9 of the way.
+    # In a minute without fixes, rounding errors of the heading grow to 1e-9 of the distance, which is kilometers.
     away = np.maximum(1.0, np.abs(ours[:, 4:]).max(axis=1, keepdims=True))
     np.testing.assert_allclose((theirs[:, 4:] - ours[:, 4:]) / away, 0.0, atol=1e-9)
     return ours
@@ -114,7 +114,7 @@ TAKEN, JUMPS, TIME, X = 0, 1, 3, 4
 
 
 def at(seconds: float) -> int:
-    """The first sample's row at least so long after the start."""
+    """Return the index of the first sample's row at least this long after the start."""
     begins = float(rows()[0].split(",")[1])
     return next(
         k
@@ -143,7 +143,7 @@ def test_one_sample_far_ahead_is_dropped_and_counted(program: Path, ahead: float
 def test_one_fix_far_ahead_is_dropped_and_counted(program: Path, ahead: float):
     k = at(4.0)
     fix = next(row for row in rows()[k:] if row.startswith("fix"))
-    fed = [*rows()[:k], moved(fix, ahead), moved(fix, ahead), *rows()[k:]]  # the same message twice is one
+    fed = [*rows()[:k], moved(fix, ahead), moved(fix, ahead), *rows()[k:]]  # a repeated message counts once
     said, clean = same_in_both(program, fed), same_in_both(program, rows())
     np.testing.assert_array_equal(said[-1, TIME:], clean[-1, TIME:])
     assert not said[k : k + 2, TAKEN].any()
@@ -159,7 +159,7 @@ def test_a_smaller_jump_is_used_at_once(program: Path):
 
 
 @needs_gcc
-def test_a_gap_is_accepted_when_a_second_sample_agrees(program: Path):
+def test_a_gap_is_accepted_if_a_second_sample_agrees(program: Path):
     k = at(4.0)
     fed = [*rows()[:k], *(moved(row, 60.0) for row in rows()[k:])]
     said = same_in_both(program, fed)
@@ -172,7 +172,7 @@ def test_a_gap_is_accepted_when_a_second_sample_agrees(program: Path):
     )  # a minute at that speed
 
 
-def test_after_a_silence_it_is_the_run():
+def test_after_a_gap_it_equals_the_run():
     drive = clip(equipped(), 0.0, 20.0)
     later = drive.imu.time > 14.0
     imu = replace(drive.imu, time=drive.imu.time + 30.0 * later)
@@ -186,7 +186,7 @@ def test_after_a_silence_it_is_the_run():
 
 
 @needs_gcc
-def test_a_fix_before_the_samples_after_a_silence_is_kept(program: Path):
+def test_a_fix_before_the_samples_after_a_gap_is_kept(program: Path):
     k = next(i for i in range(at(4.0), len(rows())) if rows()[i].startswith("fix"))
     late = [moved(row, 60.0) for row in rows()[k:]]
     assert late[0].startswith("fix")
@@ -201,12 +201,12 @@ def test_samples_that_do_not_agree_are_dropped(program: Path):
     k = at(4.0)
     wild = [moved(rows()[k], ahead) for ahead in (100.0, 102.0, 50.0, 50.0, 1e9, 49.0)]
     said = same_in_both(program, [*rows()[:k], *wild, *rows()[k:]])
-    assert said[-1, JUMPS] == 5  # one of the six was the same again
+    assert said[-1, JUMPS] == 5  # one of the six is repeated
     assert said[-1, TIME] == max(float(row.split(",")[1]) for row in rows() if row.startswith("imu"))
 
 
 @needs_gcc
-def test_fixes_of_the_future_do_not_fill_the_queue(program: Path):
+def test_fixes_in_the_future_do_not_fill_the_queue(program: Path):
     k = at(4.0)
     flood = [f"fix,{1e9 + i},0.0,0.0" for i in range(2000)]
     said = in_c(program, [*rows()[:k], *flood, *rows()[k:]])
@@ -219,7 +219,7 @@ def test_fixes_of_the_future_do_not_fill_the_queue(program: Path):
         assert seen[k + len(flood) :, TAKEN][taken].all()
 
 
-def test_a_time_that_is_no_number_is_left_out():
+def test_a_time_that_is_not_finite_is_ignored():
     live = LiveFilter(P, initial_state(equipped()), nominal_interval=0.01)
     begins = live.state.time
     for t in (math.inf, math.nan, -math.inf):
@@ -241,7 +241,7 @@ CALL = st.tuples(
 @needs_gcc
 @settings(max_examples=25, deadline=None)
 @given(calls=st.lists(CALL, max_size=60))
-def test_python_and_c_agree_on_any_jumps(program: Path, calls: list[tuple[str, float, float, bool]]):
+def test_python_and_c_agree_for_any_jumps(program: Path, calls: list[tuple[str, float, float, bool]]):
     start = rows()[0]
     t, fed = float(start.split(",")[1]), [start]
     for name, step, value, stays in calls:

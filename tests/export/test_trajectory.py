@@ -49,7 +49,7 @@ def test_csv_keeps_every_bit(tmp_path: Path, estimate: Estimate):
         np.testing.assert_allclose(frame[f"std_{state}"], expected, rtol=1e-15)
 
 
-def test_tum_has_time_place_and_quaternion(tmp_path: Path, estimate: Estimate):
+def test_tum_contains_time_position_and_quaternion(tmp_path: Path, estimate: Estimate):
     write_estimate(estimate, str(tmp_path / "e.tum"))
     lines = (tmp_path / "e.tum").read_text().splitlines()
     assert len(lines) == len(estimate.time)
@@ -59,7 +59,7 @@ def test_tum_has_time_place_and_quaternion(tmp_path: Path, estimate: Estimate):
     np.testing.assert_allclose(np.column_stack([x, y]), estimate.mean[:, :2], atol=1e-6)
     assert not z.any()
     np.testing.assert_allclose(qx**2 + qy**2 + qz**2 + qw**2, 1.0, atol=1e-8)
-    # the quaternion turns the x axis to where the car points
+    # the quaternion rotates the x axis to the heading
     np.testing.assert_allclose(1 - 2 * (qy**2 + qz**2), np.cos(estimate.mean[:, 4]), atol=1e-8)
     np.testing.assert_allclose(2 * (qx * qy + qz * qw), np.sin(estimate.mean[:, 4]), atol=1e-8)
 
@@ -78,7 +78,7 @@ def _anywhere() -> InitialState:
     return InitialState(np.zeros(5), np.eye(5), 0.0)
 
 
-def test_dead_reckoning_has_no_deviations_to_write(tmp_path: Path):
+def test_dead_reckoning_is_written_without_standard_deviations(tmp_path: Path):
     estimate = run_imu_only(DRIVE)
     write_estimate(estimate, tmp_path / "e.csv")
     frame = pl.read_csv(tmp_path / "e.csv")
@@ -95,18 +95,18 @@ def in_pieces(estimate: Estimate, rows: int) -> Iterator[Estimate]:
 
 
 @pytest.mark.parametrize("ending", ["csv", "tum", "kitti", "geojson", "gpx", "kml", "mat"])
-def test_pieces_are_written_as_the_whole(tmp_path: Path, estimate: Estimate, ending: str):
+def test_pieces_are_written_like_the_whole(tmp_path: Path, estimate: Estimate, ending: str):
     whole, parts = (tmp_path / name / f"e.{ending}" for name in ("whole", "parts"))
     for path in (whole, parts):
         path.parent.mkdir()
     write_estimate(estimate, whole, origin=ORIGIN)
     span = (float(estimate.time[0]), float(estimate.time[-1]))
     write_pieces(in_pieces(estimate, 97), span, parts, origin=ORIGIN)
-    head = 128 if ending == "mat" else 0  # of MATLAB's files, which tells the time of writing
+    head = 128 if ending == "mat" else 0  # the header of MATLAB's files contains the time of writing
     assert parts.read_bytes()[head:] == whole.read_bytes()[head:]
 
 
-def test_a_filter_that_fails_on_its_way_leaves_no_file(tmp_path: Path):
+def test_a_filter_that_fails_while_it_is_written_leaves_no_file(tmp_path: Path):
     drive = make_drive(duration=150.0, seed=2)  # longer than a piece
     spoiled = drive.imu.gz.copy()
     spoiled[-100:] = np.nan
@@ -119,13 +119,13 @@ def test_a_filter_that_fails_on_its_way_leaves_no_file(tmp_path: Path):
 
 
 @pytest.mark.parametrize("name", ["e.xls", "e", "e.CSV", "csv"])
-def test_an_unknown_ending_is_refused(tmp_path: Path, estimate: Estimate, name: str):
+def test_an_unknown_ending_is_rejected(tmp_path: Path, estimate: Estimate, name: str):
     with pytest.raises(InputError, match=rf"{name}: unknown format; end the name in .csv, .mat, .* or .kml"):
         write_estimate(estimate, tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_place_that_can_not_be_written_is_refused(tmp_path: Path, estimate: Estimate):
+def test_a_path_that_can_not_be_written_is_rejected(tmp_path: Path, estimate: Estimate):
     with pytest.raises(InputError, match="nowhere: no such folder; create it first"):
         check_target(tmp_path / "nowhere" / "e.csv")
     (tmp_path / "e.csv").mkdir()
@@ -136,7 +136,7 @@ def test_a_place_that_can_not_be_written_is_refused(tmp_path: Path, estimate: Es
 ORIGIN = (49.011, 8.416, 110.0)
 
 
-def test_kitti_is_a_pose_matrix(tmp_path: Path, estimate: Estimate):
+def test_kitti_contains_pose_matrices(tmp_path: Path, estimate: Estimate):
     write_estimate(estimate, tmp_path / "e.kitti")
     pose = np.loadtxt(tmp_path / "e.kitti").reshape(-1, 3, 4)
     assert len(pose) == len(estimate.time)
@@ -147,7 +147,7 @@ def test_kitti_is_a_pose_matrix(tmp_path: Path, estimate: Estimate):
     np.testing.assert_allclose(np.arctan2(pose[:, 1, 0], pose[:, 0, 0]), estimate.mean[:, 4], atol=1e-8)
 
 
-def test_a_tilted_estimate_has_its_attitude(tmp_path: Path):
+def test_the_attitude_of_a_tilted_estimate_is_written(tmp_path: Path):
     mean = np.random.default_rng(0).normal(0.0, 1.0, (40, 12)) * [
         9,
         9,
@@ -173,7 +173,7 @@ def test_a_tilted_estimate_has_its_attitude(tmp_path: Path):
     assert (Rotation.from_quat(quaternion) * theirs.inv()).magnitude().max() < 1e-8
 
 
-def test_matlab_gets_names_and_covariances(tmp_path: Path, estimate: Estimate):
+def test_matlab_files_contain_names_and_covariances(tmp_path: Path, estimate: Estimate):
     write_estimate(estimate, tmp_path / "e.mat")
     read = loadmat(tmp_path / "e.mat")
     for i, name in enumerate(STATES):
@@ -183,7 +183,7 @@ def test_matlab_gets_names_and_covariances(tmp_path: Path, estimate: Estimate):
 
 
 def places(path: Path) -> np.ndarray:
-    """Latitude and longitude, (n, 2), of a file of any of the formats for maps."""
+    """Return latitude and longitude, (n, 2), of a file in any format for maps."""
     if path.suffix == ".geojson":
         return np.array(json.loads(path.read_text())["geometry"]["coordinates"])[:, ::-1]
     root = ET.parse(path).getroot()
@@ -195,7 +195,7 @@ def places(path: Path) -> np.ndarray:
 
 
 @pytest.mark.parametrize("suffix", [".geojson", ".gpx", ".kml"])
-def test_maps_have_the_track_in_degrees(tmp_path: Path, estimate: Estimate, suffix: str):
+def test_maps_contain_the_track_in_degrees(tmp_path: Path, estimate: Estimate, suffix: str):
     path = tmp_path / f"a & b{suffix}"
     write_estimate(estimate, path, origin=ORIGIN)
     lat, lon, _ = pymap3d.enu2geodetic(estimate.mean[:, 0], estimate.mean[:, 1], 0.0, *ORIGIN)
@@ -208,7 +208,7 @@ WEST = (-16.8, 179.9999, 0.0)
 
 
 def parts_of(path: Path) -> list[np.ndarray]:
-    """The places of each line of a map, (k, 2): latitude and longitude, deg."""
+    """Return the positions of each line of a map, (k, 2): latitude and longitude, deg."""
     if path.suffix == ".geojson":
         geometry = json.loads(path.read_text())["geometry"]
         assert geometry["type"] == "MultiLineString"
@@ -229,7 +229,7 @@ def parts_of(path: Path) -> list[np.ndarray]:
 
 
 def there_and_back() -> Estimate:
-    """East for 200 m, and back: across the antimeridian, which lies 10.65 m east of the origin, and again."""
+    """Return an estimate that goes east for 200 m and back; the antimeridian is 10.65 m east of the origin."""
     x = np.concatenate([np.linspace(-100.0, 100.0, 51), np.linspace(97.0, -99.0, 50)])
     mean = np.zeros((len(x), 5))
     mean[:, 0], mean[:, 1] = x, 0.5 * x
@@ -237,13 +237,13 @@ def there_and_back() -> Estimate:
 
 
 @pytest.mark.parametrize("suffix", [".geojson", ".gpx", ".kml"])
-def test_a_track_is_cut_at_the_antimeridian(tmp_path: Path, suffix: str):
+def test_a_track_is_divided_at_the_antimeridian(tmp_path: Path, suffix: str):
     track = there_and_back()
     write_estimate(track, tmp_path / f"e{suffix}", origin=WEST)
     parts = parts_of(tmp_path / f"e{suffix}")
     assert [np.sign(part[:, 1]).tolist().count(-1.0) == 0 for part in parts] == [True, False, True]
-    assert all(len(np.unique(np.sign(part[:, 1]))) == 1 for part in parts)  # none crosses
-    for one, other in pairwise(parts):  # and they meet there
+    assert all(len(np.unique(np.sign(part[:, 1]))) == 1 for part in parts)  # no part crosses it
+    for one, other in pairwise(parts):  # parts meet at it
         assert np.abs([one[-1, 1], other[0, 1]]).tolist() == pytest.approx([180.0, 180.0], abs=1e-8)
         assert one[-1, 0] == other[0, 0]
     whole = np.concatenate(parts)
@@ -254,7 +254,7 @@ def test_a_track_is_cut_at_the_antimeridian(tmp_path: Path, suffix: str):
     np.testing.assert_allclose(written, np.column_stack([lat, lon]), rtol=0, atol=1.5e-9)
 
 
-def test_times_of_a_track_that_is_cut_are_those_of_its_points(tmp_path: Path):
+def test_a_divided_track_has_the_times_of_its_points(tmp_path: Path):
     track = there_and_back()
     write_estimate(track, tmp_path / "e.geojson", origin=WEST)
     feature = json.loads((tmp_path / "e.geojson").read_text())
@@ -269,7 +269,7 @@ def test_times_of_a_track_that_is_cut_are_those_of_its_points(tmp_path: Path):
     assert [len(s) for s in stamps] == [len(t) for t in times]
 
 
-def test_times_are_told_only_where_the_clock_has_a_date(tmp_path: Path, estimate: Estimate):
+def test_times_are_written_only_if_the_clock_has_a_date(tmp_path: Path, estimate: Estimate):
     write_estimate(estimate, tmp_path / "e.gpx", origin=ORIGIN)
     assert "<time>" not in (tmp_path / "e.gpx").read_text()
     dated = replace(estimate, time=estimate.time - estimate.time[0] + 1395842400.25)
@@ -290,7 +290,7 @@ def test_truth_is_written_like_an_estimate(tmp_path: Path):
 
 
 def test_a_dated_kml_is_a_track_with_times_under_the_name_of_the_drive(tmp_path: Path):
-    """Google's gx:Track: as many times as places; without dates it stays a line, which all programs draw."""
+    """gx:Track of Google has as many times as positions; without dates, the file contains a line."""
     track = there_and_back()
     dated = replace(track, time=track.time + 1395842400.25)
     write_estimate(dated, tmp_path / "e.kml", origin=WEST, name="monday & co")
@@ -311,7 +311,7 @@ def test_a_dated_kml_is_a_track_with_times_under_the_name_of_the_drive(tmp_path:
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".geojson", ".gpx", ".kml"])
-def test_the_fixes_before_a_start_are_written_as_fixes(tmp_path: Path, suffix: str):
+def test_the_fixes_before_the_start_are_written_as_fixes(tmp_path: Path, suffix: str):
     drive = make_drive(duration=20.0)
     count = write_fixes(drive, 5.0, tmp_path / f"f{suffix}", origin=(50.0, 8.0, 100.0))
     assert count == np.count_nonzero(drive.gps.time < 5.0) > 5

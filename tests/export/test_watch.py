@@ -66,7 +66,7 @@ def program(request, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def watched(program: Path, drive: Drive, start: InitialState) -> np.ndarray:
-    """Rows of what the program prints, (k, 5)."""
+    """Return the rows that the program prints, (k, 5)."""
     first = (start.time, *drive.lever_arm, *start.mean, *start.covariance.ravel())
     rows = [",".join(["start", *(repr(float(v)) for v in first)]), *replay_rows(drive).splitlines()[1:]]
     done = subprocess.run(
@@ -78,7 +78,7 @@ def watched(program: Path, drive: Drive, start: InitialState) -> np.ndarray:
 
 @needs_gcc
 @pytest.mark.parametrize("plant", quickly([(plant,) for plant in PLANTS], lambda plant: plant == "turned"))
-def test_it_is_reset_where_the_library_is(program: Path, plant: str):
+def test_it_is_reset_at_the_same_times_as_the_library(program: Path, plant: str):
     drive, start = PLANTS[plant](drive_of("simulated"))
     run = run_filter(drive, SET, initial=start)
     rows = watched(program, drive, start)
@@ -95,7 +95,7 @@ def test_it_is_reset_where_the_library_is(program: Path, plant: str):
 
 @pytest.mark.long
 @needs_gcc
-def test_while_nothing_can_be_aligned_it_gives_the_last_fix(program: Path):
+def test_while_no_alignment_is_possible_it_returns_the_last_fix(program: Path):
     drive, start = stops_and_goes()
     run = run_filter(drive, SET, initial=start)
     rows = watched(program, drive, start)
@@ -103,13 +103,13 @@ def test_while_nothing_can_be_aligned_it_gives_the_last_fix(program: Path):
     np.testing.assert_allclose(rows[rows[:, 3] == 1, 0], run.restarts, rtol=0, atol=1e-5)
     both = (rows[:, 4] == 1) & run.lost
     assert both.sum() > 0.9 * run.lost.sum()
-    np.testing.assert_allclose(rows[both, 1:3], run.mean[both, :2], rtol=0, atol=1e-3)  # in float
+    np.testing.assert_allclose(rows[both, 1:3], run.mean[both, :2], rtol=0, atol=1e-3)  # float
 
 
 @needs_gcc
-def test_it_lets_a_sound_filter_be(program: Path):
+def test_a_sound_filter_is_not_reset(program: Path):
     drive = drive_of("simulated")
     run = run_filter(drive, SET)
     rows = watched(program, drive, run.initial)
     assert not rows[:, 3:].any()
-    np.testing.assert_allclose(rows[:, 1:3], run.mean[:, :2], rtol=0, atol=0.1)  # in float
+    np.testing.assert_allclose(rows[:, 1:3], run.mean[:, :2], rtol=0, atol=0.1)  # float

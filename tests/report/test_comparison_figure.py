@@ -1,4 +1,4 @@
-"""The figure of a comparison: a curve and a row of runs for each contender, and the same bytes each time."""
+"""The figure of a comparison: a curve and a row of runs for each optimizer, and the same bytes each time."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from support import make_drive
 DRIVES = [make_drive(duration=15.0, seed=s, name=f"d{s}") for s in range(3)]
 
 
-def test_the_figure_shows_every_contender_and_run(tmp_path: Path):
+def test_the_figure_shows_every_optimizer_and_run(tmp_path: Path):
     found = compare(
         DRIVES[:2],
         validation=DRIVES[2:],
@@ -26,7 +26,7 @@ def test_the_figure_shows_every_contender_and_run(tmp_path: Path):
     last = found.curves["median"].to_list()[99]
     assert full.get_ydata()[-1] == last == np.median(found.values("pso, log10", "cost"))
     shown = raced.get_xdata()[np.isfinite(raced.get_ydata())]
-    assert shown[-1] <= 24 * (found.frame["steps_share"][1] + 0.02) < 24  # it ends where its steps are spent
+    assert shown[-1] <= 24 * (found.frame["steps_share"][1] + 0.02) < 24  # it ends when its steps are used up
     shares = [run.history_steps[-1] for run in found.runs["pso:racing=true, log10"]]
     assert found.frame["steps_share"][1] == np.mean(shares) / (24 * found.steps_per_set)
     dots = [line.get_xdata().tolist() for line in end.get_lines()[::2]]

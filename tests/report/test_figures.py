@@ -1,4 +1,4 @@
-"""Figures: the axes, and the same bytes for the same result."""
+"""Figures: axes, and the same bytes for the same result."""
 
 import csv
 import sys
@@ -132,7 +132,7 @@ def test_errors_show_position_and_heading_over_time():
 
 
 def test_the_axis_of_headings_follows_the_errors():
-    """A degree must not be a hair's breadth, nor a filter that is lost set the scale."""
+    """The scale must show an error of 1 degree, and a diverged filter must not determine it."""
     _, heading = errors(picture(DRIVE), NAMES).axes
     low, high = heading.get_ylim()
     drawn = np.concatenate([np.abs(line.get_ydata()) for line in heading.get_lines()])
@@ -161,7 +161,7 @@ def test_a_logarithmic_axis_has_few_plain_numbers(values: tuple[float, ...], exp
 def test_errors_are_drawn_only_where_truth_is_known():
     late = replace(DRIVE, truth=DRIVE.truth.select(DRIVE.truth.time > 20.0))
     drawn = lines(errors(picture(late), NAMES).axes[0])["tuned UKF"].get_xydata()
-    assert np.nanmax(drawn[:, 1]) < 20.0, "the time before truth is drawn against a truth that stands still"
+    assert np.nanmax(drawn[:, 1]) < 20.0, "errors before the start of truth are drawn"
 
 
 def test_errors_need_truth():
@@ -222,7 +222,7 @@ def test_every_figure_has_the_same_bytes_twice(tmp_path: Path, tuning: Tuning, e
         assert first.startswith(b"\x89PNG\r\n\x1a\n")
 
 
-def test_a_tuning_s_folder_gets_history_and_pictures(tmp_path: Path, tuning: Tuning):
+def test_the_folder_of_a_tuning_contains_history_and_pictures(tmp_path: Path, tuning: Tuning):
     pictures = save_tuning_figures(tuning, picture(DRIVE), tmp_path)
     assert {p.name for p in pictures} == {"convergence.png", "training-track.png"}
     assert all(p.read_bytes().startswith(b"\x89PNG") for p in pictures)
@@ -236,7 +236,7 @@ def test_a_tuning_s_folder_gets_history_and_pictures(tmp_path: Path, tuning: Tun
         assert [float(r["median_cost"]) for r in mine] == trial.median.tolist()
 
 
-def test_an_evaluation_of_failures_is_still_drawn(tmp_path: Path):
+def test_an_evaluation_of_failures_is_drawn(tmp_path: Path):
     written = save_evaluation(evaluate(DRIVE, BROKEN), tmp_path / "deep" / "e")
     assert all(path.stat().st_size > 0 for path in written)
     names = {"scores.json", "scores.csv", "evaluation.json", "tracks.npz"}
@@ -244,11 +244,11 @@ def test_an_evaluation_of_failures_is_still_drawn(tmp_path: Path):
     assert {p.name for p in written} == names
 
 
-def test_drives_of_one_name_do_not_share_a_picture(tmp_path: Path, unpainted: None):
+def test_drives_with_the_same_name_have_separate_pictures(tmp_path: Path, unpainted: None):
     written = save_evaluation(evaluate([DRIVE, DRIVE], GOOD), tmp_path)
     assert len(set(written)) == len(written) == 11
 
 
-def test_pyplot_is_not_touched():
+def test_pyplot_is_not_used():
     tracks(picture(DRIVE), NAMES)
     assert "matplotlib.pyplot" not in sys.modules or not sys.modules["matplotlib.pyplot"].get_fignums()

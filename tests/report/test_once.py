@@ -1,4 +1,4 @@
-"""`evaluate --out` computes each thing once: starts, timelines, runs of filters."""
+"""`evaluate --out` computes initial states, timelines and runs of filters only once."""
 
 import sys
 from collections import Counter
@@ -21,7 +21,7 @@ DRIVE = make_drive(duration=150.0, seed=1, name="monday")  # longer than a piece
 
 
 def count_calls(monkeypatch: pytest.MonkeyPatch, function) -> list[None]:
-    """Calls of a function, by whatever module of ours has it under its name."""
+    """Return a list that grows with each call of a function by a module of the package."""
     calls: list[None] = []
 
     def counted(*args, **kw):
@@ -51,7 +51,7 @@ def test_an_evaluation_with_pictures_computes_each_thing_once(
     aligned, lines, reckoned = (
         count_calls(monkeypatch, f) for f in (initial_state, build_timeline, run_imu_only)
     )
-    steps: Counter[int] = Counter()  # of the kernel, by the timeline's number of steps
+    steps: Counter[int] = Counter()  # steps of the kernel by the number of steps of the timeline
     lanes = run.run_lanes
 
     def counted(model, drive, rows, cursor, stop, *written):
@@ -64,8 +64,8 @@ def test_an_evaluation_with_pictures_computes_each_thing_once(
     assert (tmp_path / "out" / "monday-error.png").exists()
     assert (tmp_path / "out" / "monday-consistency.png").exists()
     assert (len(aligned), len(reckoned)) == (1, 1)
-    assert len(lines) == 1 + len(lengths)  # of all fixes, and of each set of outages
+    assert len(lines) == 1 + len(lengths)  # one for all fixes, and one for each placement of outages
     k = len(whole.timeline().dt)
     assert len(lengths) > 8
-    # the tuned filter and the data sheet's, each watched for being lost
+    # the tuned filter and the baseline, both with the divergence monitor
     assert steps == {k: 2 * k, **{n: 2 * n * count for n, count in Counter(lengths).items()}}

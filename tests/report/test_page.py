@@ -1,4 +1,4 @@
-"""The page: written from a folder alone, opened in a real browser, with messages about unreadable files."""
+"""The page: made from a folder only, opened in a real browser, with messages about unreadable files."""
 
 import base64
 import gzip
@@ -62,7 +62,7 @@ BLIND = make_drive(duration=30.0, seed=4, name="blind", truth=False)
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Evaluation]:
-    """A tuning with validation, its evaluation on two drives, and what it found."""
+    """Return folders of a tuning with validation and of its evaluation on two drives, and the evaluation."""
     root = tmp_path_factory.mktemp("page")
     tuned, out = root / "tuned", root / "evaluation"
     asked = {"model": "planar5", "objective": "truth-rmse", "particles": 4, "generations": 5, "trials": 2}
@@ -75,7 +75,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Evalu
 
 
 def save(found: Evaluation, tuned: Path, out: Path) -> None:
-    """As `sigmaswarm evaluate --out`, without the pictures."""
+    """Save like `sigmaswarm evaluate --out`, without pictures."""
     out.mkdir()
     found.save(str(out))
     copy_tuning(tuned, out)
@@ -90,7 +90,7 @@ def copy(tmp_path: Path, folders: tuple[Path, Path, Evaluation]) -> Path:
 def files(
     tmp_path_factory: pytest.TempPathFactory, folders: tuple[Path, Path, Evaluation]
 ) -> dict[str, Path]:
-    """The pages, alone in a folder."""
+    """Return the pages in a folder without other files."""
     root = tmp_path_factory.mktemp("pages")
     for name, folder in zip(("tuning", "evaluation"), folders[:2], strict=True):
         (root / f"{name}.html").write_text(html_page(read_report(folder)))
@@ -109,7 +109,7 @@ def tracks_of(drive: Drive, filters: dict[str, FilterParameters], name: str) -> 
     return tracker.tracks(name)
 
 
-def test_tracks_hold_what_the_filters_said(tmp_path: Path, folders: tuple[Path, Path, Evaluation]):
+def test_tracks_contain_the_estimates_of_the_filters(tmp_path: Path, folders: tuple[Path, Path, Evaluation]):
     parameters = FilterParameters.load(folders[0])
     (read,) = load_tracks(
         save_tracks([tracks_of(MONDAY, compared(MONDAY, parameters), "m")], tmp_path / "tracks.npz")
@@ -158,7 +158,9 @@ def test_tracks_without_truth_and_of_a_failing_filter(tmp_path: Path):
     save_tracks([tracks], tmp_path / "t.npz")
 
 
-def test_same_bytes_twice(tmp_path: Path, folders: tuple[Path, Path, Evaluation], files: dict[str, Path]):
+def test_the_files_have_the_same_bytes_twice(
+    tmp_path: Path, folders: tuple[Path, Path, Evaluation], files: dict[str, Path]
+):
     tuned, out, found = folders
     again = tmp_path / "again"
     save(found, tuned, again)
@@ -167,13 +169,13 @@ def test_same_bytes_twice(tmp_path: Path, folders: tuple[Path, Path, Evaluation]
     assert html_page(read_report(out)) == files["evaluation"].read_text()
 
 
-# ---- what the page says ----
+# ---- contents of the page ----
 
 
-def test_the_other_filter_is_called_by_its_own_name(
+def test_the_other_filter_has_its_own_name(
     tmp_path: Path, folders: tuple[Path, Path, Evaluation], copy: Path
 ):
-    """Also of folders that Python wrote, of older ones, and where another evaluation left its against.toml."""
+    """Also if the folder was written by Python or an older version, or contains against.toml of another evaluation."""
     mine = FilterParameters.load(folders[0])
     found, out = evaluate(TUESDAY, mine, against=replace(mine, kind="ekf")), tmp_path / "e"
     save(found, folders[0], out)
@@ -186,14 +188,14 @@ def test_the_other_filter_is_called_by_its_own_name(
     (out / "evaluation.json").write_text(json.dumps(asked))
     page = repr(read_report(out))
     assert "other filter" in page and "other EKF" not in page and "other UKF" not in page
-    assert "other filter" not in repr(read_report(copy)), "there is none"
+    assert "other filter" not in repr(read_report(copy)), "there is no other filter"
 
 
-def test_the_evaluation_s_summary_says_the_evaluation_s_figures(folders: tuple[Path, Path, Evaluation]):
+def test_the_summary_contains_the_values_of_the_evaluation(folders: tuple[Path, Path, Evaluation]):
     _, out, found = folders
     report = read_report(out)
     said = report.lead[0]
-    assert said.endswith(" on 2 drives.")  # evaluated without what the tuning saw: nothing is claimed
+    assert said.endswith(" on 2 drives.")  # the drives are not called held out
     assert said.startswith(
         f"The tuned filter has a position RMSE of {found.mean('tuned', 'position_rmse_m'):.3g} m, "
     )
@@ -206,7 +208,7 @@ def test_the_evaluation_s_summary_says_the_evaluation_s_figures(folders: tuple[P
     assert than_best in said and said.count(" than ") == 1
     view = read_view(out, load_record(TuningRecord, out / "tuning.toml"))
     assert (view.result(), view.scores) == (found.view.result(), found.view.scores), (
-        "from memory as from files"
+        "the files give the same result"
     )
     table = next(s for s in report.sections if s.title == "Comparison").tables[1]
     assert len(table.rows) == 2 * len(METHODS)
@@ -215,11 +217,11 @@ def test_the_evaluation_s_summary_says_the_evaluation_s_figures(folders: tuple[P
         "tuned UKF",
         *(
             found.value(NASTY, "tuned", c) for c in MEASURES if c != "long_outage_drift_m"
-        ),  # it is too short for that
+        ),  # the drive is too short for it
     )
 
 
-def test_the_tuning_s_page_has_every_parameter_and_remark(folders: tuple[Path, Path, Evaluation]):
+def test_the_tuning_s_page_contains_every_parameter_and_remark(folders: tuple[Path, Path, Evaluation]):
     tuned, _, _ = folders
     file = tomllib.loads((tuned / "tuning.toml").read_text())
     report = read_report(tuned)
@@ -234,7 +236,7 @@ def test_the_tuning_s_page_has_every_parameter_and_remark(folders: tuple[Path, P
     assert len(figure_of(chart, size=(4, 3)).axes[0].get_lines()) == 4
 
 
-def test_the_page_gives_both_axes_the_range_of_a_noise_that_they_share(tmp_path: Path):
+def test_the_page_gives_both_axes_the_range_of_a_common_noise(tmp_path: Path):
     tune(MONDAY, model="planar8", particles=4, generations=2, out=tmp_path)
     path = tmp_path / "tuning.toml"
     file = tomllib.loads(path.read_text())
@@ -275,7 +277,7 @@ def test_a_tilted_filter_is_tuned_evaluated_and_shown(tmp_path: Path):
             assert ("at its upper bound" in str(rows[name][6])) == (name in together["q_tilt"])
 
 
-def test_the_page_says_where_the_rear_axle_is(tmp_path: Path):
+def test_the_page_states_the_position_of_the_rear_axle(tmp_path: Path):
     tune(MONDAY, model="planar8", use=["lateral"], particles=4, generations=2, out=tmp_path)
     path = tmp_path / "tuning.toml"
     file = tomllib.loads(path.read_text())
@@ -289,7 +291,9 @@ def test_the_page_says_where_the_rear_axle_is(tmp_path: Path):
 
 
 @pytest.mark.parametrize(("optimizer", "has_swarm"), [("de", False), ("pso", True)])
-def test_the_configuration_has_the_settings_of_its_optimizer(tmp_path: Path, optimizer: str, has_swarm: bool):
+def test_the_configuration_contains_the_settings_of_its_optimizer(
+    tmp_path: Path, optimizer: str, has_swarm: bool
+):
     tune(MONDAY, optimizer=optimizer, particles=4, generations=2, out=tmp_path)
     config = read_report(tmp_path).config
     assert config["optimizer"] == optimizer
@@ -297,9 +301,7 @@ def test_the_configuration_has_the_settings_of_its_optimizer(tmp_path: Path, opt
         assert (name in config) == has_swarm
 
 
-def test_drives_that_were_tuned_on_are_not_called_held_out(
-    tmp_path: Path, folders: tuple[Path, Path, Evaluation]
-):
+def test_training_drives_are_not_called_held_out(tmp_path: Path, folders: tuple[Path, Path, Evaluation]):
     tuned, _, _ = folders
     parameters = FilterParameters.load(tuned)
     found = evaluate([MONDAY, BLIND], parameters)
@@ -336,7 +338,7 @@ def test_faults_that_the_doctor_finds_and_an_offset_of_truth_are_on_the_page(
     assert any("m from the truth" in r for r in found.view.sentences())
 
 
-def test_without_truth_the_page_says_what_can_be_told_and_has_no_empty_columns(
+def test_without_truth_the_page_contains_the_drift_and_no_empty_columns(
     tmp_path: Path, folders: tuple[Path, Path, Evaluation]
 ):
     found = evaluate(BLIND, FilterParameters.load(folders[0]))
@@ -362,7 +364,7 @@ def test_without_truth_the_page_says_what_can_be_told_and_has_no_empty_columns(
     assert not any("without truth" in sentence for sentence in read_report(folders[1]).lead)
 
 
-def test_the_commands_repeat_what_was_asked(folders: tuple[Path, Path, Evaluation]):
+def test_the_commands_contain_the_given_options(folders: tuple[Path, Path, Evaluation]):
     tuned, out, _ = folders
     command, bound, _ = app.parse_args(
         shlex.split(read_report(tuned).command)[1:], exit_on_error=False, print_error=False
@@ -379,7 +381,7 @@ def test_the_commands_repeat_what_was_asked(folders: tuple[Path, Path, Evaluatio
     assert [str(d) for d in bound.arguments["drives"]] == [NASTY, "tuesday"]
 
 
-SETTLED = {"model": "planar5", "kind": "ukf", "use": []}  # a config says what the logs or the model decided
+SETTLED = {"model": "planar5", "kind": "ukf", "use": []}  # these defaults depend on the logs and the model
 OTHER_THAN_USUAL = {
     "objective": "truth-pose", "worst": 0.5, "particles": 7, "generations": 9, "trials": 2, "polish": 50,
     "racing": True, "inertia": 0.6, "cognitive": 1.7, "social": 1.6, "zero_velocity_at_bounds": True, "patience": 7,
@@ -405,26 +407,26 @@ def test_a_command_names_prior_and_inflation(asked: dict):
     said = parsed(tune_command(config.model_dump(), ["a"], [])[0])
     assert TuneConfig.model_validate(said) == config
     without = {k: v for k, v in config.model_dump().items() if k not in ("prior", "inflation")}
-    said = parsed(tune_command(without, ["a"], [])[0])  # of a version that had neither
+    said = parsed(tune_command(without, ["a"], [])[0])  # an older version without these options
     assert (said["prior"], said["inflation"]) == (0.0, 0.0)
 
 
-def test_no_command_can_repeat_a_model_of_the_user_s_own():
+def test_there_is_no_command_for_a_model_of_the_user():
     assert tune_command({"model": {"name": "mine"}}, [], [])[0] == ""
 
 
 def parsed(line: str) -> dict:
-    """The options that the command line makes of it."""
+    """Return the options that the command line parses."""
     _, bound, _ = app.parse_args(shlex.split(line)[1:], exit_on_error=False, print_error=False)
     return {name: value for name, value in bound.arguments.items() if name in TUNE_DEFAULTS}
 
 
 def unpacked(page: str) -> str:
-    """The tracks that a page holds."""
+    """Return the tracks that a page contains, as JSON."""
     return gzip.decompress(base64.b64decode(page.split('id="data">')[1].split("<")[0])).decode()
 
 
-def test_nothing_of_a_drive_s_name_gets_out_of_its_text(files: dict[str, Path]):
+def test_a_drive_s_name_is_escaped(files: dict[str, Path]):
     text = files["evaluation"].read_text()
     assert json.loads(unpacked(text))["drives"][0]["name"] == NASTY
     assert "<img" not in text
@@ -459,7 +461,7 @@ def test_a_page_of_many_drives_stays_below_2_mb_and_keeps_the_peaks(folders: tup
     assert [thin["time"][0], thin["time"][-1]] == pytest.approx(whole["time"][[0, -1]].tolist(), abs=1e-3)
 
 
-# ---- folders that are none ----
+# ---- invalid folders ----
 
 Edit = Callable[[Path], object]
 MISTAKES: dict[str, tuple[Edit, str]] = {
@@ -494,7 +496,7 @@ MISTAKES: dict[str, tuple[Edit, str]] = {
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_damaged_folder_gets_one_clear_line(copy: Path, mistake: str):
+def test_a_damaged_folder_causes_one_clear_line(copy: Path, mistake: str):
     edit, said = MISTAKES[mistake]
     edit(copy)
     with pytest.raises(InputError, match=re.escape(said)) as caught:
@@ -503,7 +505,7 @@ def test_a_damaged_folder_gets_one_clear_line(copy: Path, mistake: str):
     assert "\n" not in str(caught.value)
 
 
-def test_a_folder_of_something_else(tmp_path: Path, folders: tuple[Path, Path, Evaluation]):
+def test_a_folder_with_other_files(tmp_path: Path, folders: tuple[Path, Path, Evaluation]):
     with pytest.raises(InputError, match="contains no results"):
         read_report(tmp_path)
     with pytest.raises(InputError, match="no such folder"):
@@ -523,19 +525,19 @@ def test_a_folder_of_something_else(tmp_path: Path, folders: tuple[Path, Path, E
 
 
 def east(page: Opened) -> list[float]:
-    """What the map shows of the tuned filter."""
+    """Return the x values of the tuned filter in the map."""
     return page.run("document.getElementById('map').data.find((t) => t.name === 'tuned UKF').x")
 
 
 @pytest.fixture(scope="module")
 def pages(browser, files: dict[str, Path]) -> dict[tuple[str, int], Opened]:
-    """Every page is opened once, at each width: 5 MB take a second or two."""
+    """Open every page once at each width, since 5 MB take a second or two."""
     return {(name, width): Opened(browser, files[name], width) for name in files for width in (390, 1280)}
 
 
 @pytest.fixture
 def opened(pages: dict[tuple[str, int], Opened]) -> Iterator[Callable[..., Opened]]:
-    """Look at a page; in the end none may have complained, nor asked for anything but itself."""
+    """Return a page; at the end, check that no page had an error or requested another file."""
     yield lambda name, width=1280: pages[name, width]
     for one in pages.values():
         one.check_silence()
@@ -603,7 +605,7 @@ def test_zooming_in_time_moves_all_panels_and_the_track(opened):
     assert 0 < len(east(page)) < len(whole) / 4
 
 
-def test_tables_sort_by_number_and_back(opened):
+def test_tables_can_be_sorted_by_number_in_both_directions(opened):
     page = opened("evaluation")
     table = page.page.locator("table.sortable").nth(1)
     head = table.locator("th").nth(5)
@@ -629,5 +631,5 @@ def test_the_command_is_copied(opened, folders: tuple[Path, Path, Evaluation]):
     assert page.run("navigator.clipboard.readText()") == read_report(folders[0]).command
 
 
-def test_it_prints(opened, tmp_path: Path):
+def test_the_page_fits_on_paper(opened, tmp_path: Path):
     assert 0 < opened("evaluation").width_on_paper(tmp_path / "page.pdf") <= 680

@@ -1,4 +1,4 @@
-"""Tracks and errors over time of the page in a real browser: panels that suit the data."""
+"""Tracks and errors over time on the page, in a real browser: panels that suit the data."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ GOOD = FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An evaluation on a drive with truth and one without."""
+    """Return the folder of an evaluation on a drive with truth and on one without."""
     root = tmp_path_factory.mktemp("tracks")
     GOOD.save(root / "by-hand.toml")
     out = root / "evaluation"
@@ -47,7 +47,7 @@ def as_it_was_opened(page: Opened):
 
 
 def axes(page: Opened) -> dict[str, dict]:
-    """What plotly.js made of each panel, from the highest to the lowest."""
+    """Return the axes of each panel as plotly.js has drawn them, from top to bottom."""
     found = page.run(
         "Object.fromEntries(Object.entries(document.getElementById('errors')._fullLayout)"
         ".filter(([k, v]) => /^yaxis\\d*$/.test(k) && v.visible)"
@@ -57,7 +57,7 @@ def axes(page: Opened) -> dict[str, dict]:
 
 
 def below_the_lowest_panel(page: Opened) -> bool:
-    """Whether the title of the time axis, and its numbers, stand below everything that is drawn."""
+    """Return whether the title and the numbers of the time axis are below everything that is drawn."""
     return page.run(
         "(() => { const inside = (css) => [...document.querySelectorAll('#errors ' + css)]"
         ".map((e) => e.getBoundingClientRect());"
@@ -66,7 +66,7 @@ def below_the_lowest_panel(page: Opened) -> bool:
     )
 
 
-def test_without_sigma_the_time_stands_below_the_lowest_panel_left(page: Opened):
+def test_without_sigma_the_time_axis_is_below_the_lowest_remaining_panel(page: Opened):
     assert list(axes(page)) == ["position, m", "heading, deg", "NIS"]
     height = page.run("document.getElementById('errors').clientHeight")
     assert below_the_lowest_panel(page)
@@ -78,7 +78,7 @@ def test_without_sigma_the_time_stands_below_the_lowest_panel_left(page: Opened)
     assert page.run("document.getElementById('errors').layout.xaxis.anchor") == left["heading, deg"]["name"]
     assert left["heading, deg"]["domain"][0] == pytest.approx(0)
     assert left["position, m"]["domain"][1] == pytest.approx(1)
-    assert left["position, m"]["domain"][0] - left["heading, deg"]["domain"][1] < 0.05, "a gap is left"
+    assert left["position, m"]["domain"][0] - left["heading, deg"]["domain"][1] < 0.05, "there is a gap"
     assert page.run("document.getElementById('errors').clientHeight") < height
     page.page.select_option("#sigma", label="tuned UKF")
     page.settle()
@@ -86,7 +86,7 @@ def test_without_sigma_the_time_stands_below_the_lowest_panel_left(page: Opened)
     assert below_the_lowest_panel(page)
 
 
-def test_a_drive_without_truth_shows_its_3_sigma_and_says_so(page: Opened):
+def test_a_drive_without_truth_shows_3_sigma_and_states_that_truth_is_missing(page: Opened):
     assert not page.page.is_visible("#no-truth")
     page.page.select_option("#drive", label="blind")
     page.settle()
@@ -106,7 +106,7 @@ def test_a_drive_without_truth_shows_its_3_sigma_and_says_so(page: Opened):
 
 
 @pytest.mark.long
-def test_a_swatch_is_dashed_as_its_line_is(page: Opened):
+def test_the_dashes_in_the_legend_are_those_of_the_line(page: Opened):
     for method, name in (
         ("untuned", "baseline"),
         ("imu_only", "IMU only"),
@@ -128,7 +128,7 @@ def test_a_swatch_is_dashed_as_its_line_is(page: Opened):
 
 
 @pytest.mark.long
-def test_on_a_phone_a_shadow_says_that_a_table_goes_on(browser, folder: Path, page: Opened):
+def test_on_a_phone_a_shadow_shows_that_a_table_is_wider(browser, folder: Path, page: Opened):
     phone = Opened(browser, folder / "page.html", 390)
     for table in phone.page.locator(".wide").all():
         attachment = table.evaluate("(t) => getComputedStyle(t).backgroundAttachment")
@@ -151,7 +151,7 @@ def test_on_a_phone_a_shadow_says_that_a_table_goes_on(browser, folder: Path, pa
         lambda field, typed, then: typed in ("200", "12") and field == "from",
     ),
 )
-def test_the_fields_of_time_say_what_is_drawn(page: Opened, field: str, typed: str, then: tuple[str, str]):
+def test_the_fields_of_time_show_the_drawn_range(page: Opened, field: str, typed: str, then: tuple[str, str]):
     ask(page, field, typed)
     assert fields(page) == then
     assert page.page.is_visible("#limits") == (typed not in ("", "12"))
@@ -159,14 +159,14 @@ def test_the_fields_of_time_say_what_is_drawn(page: Opened, field: str, typed: s
     assert shown[1] == pytest.approx(30, abs=2)  # an automatic range has margins
 
 
-def test_a_window_that_ends_before_it_begins_is_put_back(page: Opened):
+def test_a_range_whose_end_is_before_its_start_is_rejected(page: Opened):
     ask(page, "from", "10")
     ask(page, "to", "20")
     ask(page, "to", "5")
     assert fields(page) == ("10.00", "20.00")
     assert "from before to, within 0.00 to 30.00 s" in page.page.inner_text("#limits")
     assert page.run("document.getElementById('errors').layout.xaxis.range") == [10, 20]
-    ask(page, "from", "25")  # on along the drive
+    ask(page, "from", "25")  # later in the drive
     assert fields(page)[0] == "25.00"
     ask(page, "to", "28")
     assert fields(page) == ("25.00", "28.00")

@@ -1,4 +1,4 @@
-"""The page of a study: the paper's figures next to ours, and drives that were not used for tuning."""
+"""The page of a study: values of the paper and of the study, and drives that were not used for tuning."""
 
 import csv
 import json
@@ -32,7 +32,7 @@ CONFIG = StudyConfig(
     maneuvers=("cruise", "turns"), environments=("clear",), runs=4, trials=2, particles=3, generations=4
 )
 PLOTS = 4 + 4 + 2 + 2
-"""Means, boxes, the track and its errors, convergence."""
+"""Means, boxes, a track and its errors, convergence."""
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def section(folder: Path, title: str) -> Section:
 
 
 @pytest.mark.long
-def test_tracks_are_of_drives_that_their_filters_never_saw(study: Study):
+def test_tracks_are_of_held_out_drives(study: Study):
     costs = [study.trials[Task("honest", "pso-ukf", "all", trial)].cost for trial in range(CONFIG.trials)]
     best = int(np.argmin(costs))
     tracks = load_tracks(study.folder / "tracks.npz")
@@ -94,10 +94,10 @@ def test_one_drive_of_each_condition_or_maneuver_is_shown():
     assert shown([("all", "all")] * 60) == [("all", "all")] * 10
 
 
-# ---- what the page says ----
+# ---- contents of the page ----
 
 
-def test_it_says_what_the_study_found(study: Study):
+def test_the_page_contains_the_results_of_the_study(study: Study):
     report = read_report(study.folder)
     row = study.results.summary("honest", "pso-ukf", "position_rmse_m")
     assert row is not None
@@ -119,7 +119,7 @@ def test_it_says_what_the_study_found(study: Study):
     assert html_page(report).count("<svg") == PLOTS - 2
 
 
-def test_table_i_has_the_paper_s_measure_and_ours(study: Study):
+def test_table_i_contains_the_paper_s_measure_and_ours(study: Study):
     rows = {row[0]: row for row in section(study.folder, "The paper's tables").tables[0].rows}
     assert rows["raw GPS"][1:3] == (None, 0.0)
     assert rows["IMU only"][1] == 21606.59
@@ -128,7 +128,7 @@ def test_table_i_has_the_paper_s_measure_and_ours(study: Study):
     assert rows["PSO-UKF (tuned with the fixes)"][2] == found.mean
 
 
-def test_run_times_stand_beside_the_paper_s(study: Study, copy: Path):
+def test_run_times_are_next_to_the_paper_s(study: Study, copy: Path):
     timings = json.loads((study.folder / "timings.json").read_text())["live_filter"]["UKF"]
     wanted = ("UKF", 1.2)
     for call in ("predict", "predict_and_update"):
@@ -140,7 +140,7 @@ def test_run_times_stand_beside_the_paper_s(study: Study, copy: Path):
     assert "Run time" not in {s.title for s in read_report(copy).sections}
 
 
-def test_convergence_says_where_it_settles(study: Study):
+def test_convergence_shows_the_generation_at_which_it_settles(study: Study):
     found = section(study.folder, "Convergence")
     rows = study.results.convergence
     assert [row[1] for row in found.tables[0].rows] == [row.stable for row in rows]
@@ -148,7 +148,7 @@ def test_convergence_says_where_it_settles(study: Study):
     assert diamond.get_xydata().tolist() == [[rows[0].stable, rows[0].median[rows[0].stable - 1]]]
 
 
-def test_boxes_are_of_one_value_a_drive(study: Study):
+def test_boxes_contain_one_value_per_drive(study: Study):
     with (study.folder / "scores.csv").open() as file:
         rows = [
             row
@@ -176,7 +176,7 @@ def test_boxes_are_of_one_value_a_drive(study: Study):
     assert sorted(drawn) == sorted(found)
 
 
-def test_drives_that_a_filter_failed_on_are_counted(tmp_path: Path):
+def test_drives_on_which_a_filter_failed_are_counted(tmp_path: Path):
     lines = ["protocol,trial,method,drive,maneuver,environment,measure,value"]
     lines += [
         f"honest,{t},pso-ukf,d{d},all,all,nis,{v}" for t, d, v in ((0, 1, 1.0), (1, 1, 3.0), (0, 2, "inf"))
@@ -186,7 +186,7 @@ def test_drives_that_a_filter_failed_on_are_counted(tmp_path: Path):
     assert (quantiles.median, quantiles.failed) == (2.0, 1)
 
 
-def test_a_filter_that_does_not_know_its_errors_is_named(study: Study, copy: Path):
+def test_an_inconsistent_filter_is_named(study: Study, copy: Path):
     results = json.loads((copy / "results.json").read_text())
     for row in results["summary"]:
         if (row["protocol"], row["method"], row["measure"]) == ("honest", "pso-ukf", "nis"):
@@ -206,7 +206,7 @@ def test_a_filter_that_does_not_know_its_errors_is_named(study: Study, copy: Pat
 
 
 @pytest.mark.long
-def test_filters_of_each_condition_have_a_row_each(tmp_path: Path):
+def test_filters_of_each_condition_have_separate_rows(tmp_path: Path):
     config = CONFIG.model_copy(update={"per_condition": True, "generations": 2})
     done = run_study(config, tmp_path)
     found = section(tmp_path, "Convergence")
@@ -222,7 +222,7 @@ def test_filters_of_each_condition_have_a_row_each(tmp_path: Path):
     assert turning.series["honest-pso-ukf"]["x"][-1] == pytest.approx(estimate.mean[-1, 0], rel=1e-6)
 
 
-# ---- folders that lack something ----
+# ---- incomplete folders ----
 
 Edit = Callable[[Path], object]
 MISTAKES: dict[str, tuple[Edit, str]] = {
@@ -245,7 +245,7 @@ MISTAKES: dict[str, tuple[Edit, str]] = {
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_damaged_folder_gets_one_clear_line(copy: Path, mistake: str):
+def test_a_damaged_folder_causes_one_clear_line(copy: Path, mistake: str):
     edit, said = MISTAKES[mistake]
     edit(copy)
     with pytest.raises(InputError) as caught:
@@ -264,7 +264,7 @@ def test_a_study_without_tracks_has_a_page(copy: Path):
 
 @pytest.fixture(scope="module")
 def pages(browser, study: Study, tmp_path_factory: pytest.TempPathFactory) -> dict[int, Opened]:
-    """The page, alone in a folder, on a screen and on a phone."""
+    """Return the page in a folder without other files, opened on a screen and on a phone."""
     file = tmp_path_factory.mktemp("alone") / "study.html"
     file.write_text(html_page(read_report(study.folder)))
     return {width: Opened(browser, file, width) for width in (390, 1280)}
@@ -285,7 +285,7 @@ def test_every_plot_is_drawn_and_fits_the_screen(opened, width: int):
     assert page.width() <= width
 
 
-def test_drives_methods_and_the_filter_judged_can_be_chosen(opened, study: Study):
+def test_drives_methods_and_the_filter_of_the_consistency_can_be_chosen(opened, study: Study):
     page = opened()
     tracks = load_tracks(study.folder / "tracks.npz")
     assert page.run("[...document.getElementById('drive').options].map((o) => o.text)") == [
@@ -314,7 +314,7 @@ def test_drives_methods_and_the_filter_judged_can_be_chosen(opened, study: Study
     assert not {"NIS", "3 sigma"} & set(page.run(names.format("errors")))
 
 
-def test_tables_sort_also_by_intervals(opened):
+def test_tables_can_be_sorted_by_intervals(opened):
     table = opened().page.locator("table.sortable").nth(1)
     head = table.locator("th").nth(6)
     assert "new drives: corrected t" in head.inner_text()
@@ -328,5 +328,5 @@ def test_tables_sort_also_by_intervals(opened):
     assert all(float(text.split(" to ")[0]) == pytest.approx(value, rel=0.01) for value, text in known)
 
 
-def test_it_prints(opened, tmp_path: Path):
+def test_the_page_fits_on_paper(opened, tmp_path: Path):
     assert 0 < opened().width_on_paper(tmp_path / "page.pdf") <= 680
