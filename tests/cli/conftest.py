@@ -1,4 +1,4 @@
-"""Call the command line in the process of the tests: printed text and exit code."""
+"""Fixtures that call the command line in pytest's process."""
 
 import sys
 import warnings
@@ -16,7 +16,7 @@ from sigmaswarm.simulation import simulate
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended."""
+    """Exit code and output of a command."""
 
     code: int
     out: str
@@ -28,7 +28,7 @@ Command = Callable[..., Ended]
 
 @pytest.fixture
 def sigmaswarm(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """Run `sigmaswarm` with arguments; warnings are shown, as they are to a user."""
+    """Return a function that runs `sigmaswarm` with arguments; warnings are shown as to a user."""
 
     def run(*arguments: object) -> Ended:
         monkeypatch.setattr(sys, "argv", ["sigmaswarm", *map(str, arguments)])
@@ -46,29 +46,29 @@ def sigmaswarm(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[st
 
 @pytest.fixture
 def painted() -> None:
-    """For tests that look at pictures."""
+    """Request this in tests that read pictures."""
 
 
 @pytest.fixture(autouse=True)
-def unpainted_unless_painted(request: pytest.FixtureRequest) -> None:
+def no_pictures_by_default(request: pytest.FixtureRequest) -> None:
     if "painted" not in request.fixturenames:
         request.getfixturevalue("unpainted")
 
 
 @pytest.fixture
 def doctored() -> None:
-    """For tests that look at what `tune` and others warn of: the doctor takes a quarter of these tests' time."""
+    """Request this in tests of the doctor's warnings by `tune` and other commands; they take 25% of the time."""
 
 
 @pytest.fixture(autouse=True)
-def undoctored_unless_doctored(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+def no_diagnosis_by_default(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     if "doctored" not in request.fixturenames:
         monkeypatch.setattr("sigmaswarm.cli.findings.warn_of_serious", lambda *_: [])
 
 
 @pytest.fixture(scope="session")
 def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with two simulated drives."""
+    """Return a folder with two simulated drives."""
     folder = tmp_path_factory.mktemp("cli") / "drives"
     for run in range(2):
         drive = simulate("urban", run=run, duration=30.0, imu_rate=50.0, gps="white-1m")
@@ -78,7 +78,7 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def tuned(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A file of filter parameters."""
+    """Return a file of filter parameters."""
     path = tmp_path_factory.mktemp("tuned") / "tuning.toml"
     FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0), nominal_interval=0.02).save(
         path
@@ -88,6 +88,6 @@ def tuned(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty working directory."""
+    """Change to an empty working directory; return its path."""
     monkeypatch.chdir(tmp_path)
     return tmp_path

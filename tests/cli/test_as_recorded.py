@@ -16,7 +16,7 @@ from support import quickly
 
 
 @pytest.mark.parametrize("as_recorded", quickly([(False,), (True,)], lambda as_recorded: as_recorded))
-def test_the_command_line_keeps_to_what_was_tuned(sigmaswarm, tmp_path: Path, as_recorded: bool):
+def test_the_command_line_uses_the_setting_of_the_tuning(sigmaswarm, tmp_path: Path, as_recorded: bool):
     folder = write_drive(rough(), tmp_path / "rough")
     options = ["--particles", "4", "--generations", "2", *(["--as-recorded"] if as_recorded else [])]
     assert sigmaswarm("tune", str(folder), "--out", str(tmp_path / "tuned"), *options).code == 0
@@ -48,7 +48,7 @@ def test_the_command_line_keeps_to_what_was_tuned(sigmaswarm, tmp_path: Path, as
     )
 
 
-def test_a_tuning_of_an_older_version_is_told(sigmaswarm, tmp_path: Path):
+def test_a_tuning_of_an_older_version_is_reported(sigmaswarm, tmp_path: Path):
     folder = write_drive(rough(), tmp_path / "rough")
     options = ["--particles", "4", "--generations", "2"]
     assert sigmaswarm("tune", str(folder), "--out", str(tmp_path / "tuned"), *options).code == 0

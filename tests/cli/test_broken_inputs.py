@@ -1,4 +1,4 @@
-"""Inputs that once caused a crash, one of each kind: now a drive, or one line and exit code 2."""
+"""Inputs that caused a crash in earlier versions, one of each kind: each gives a drive, or one line and exit code 2."""
 
 import warnings
 from collections.abc import Callable
@@ -15,14 +15,14 @@ from support import SHARED, quickly, some
 FOUND = SHARED / "broken" / "inputs"
 INPUTS = sorted(FOUND.glob("*/*/in"))
 LONGEST = 700
-"""Characters of a message at most, with a long path in it."""
+"""Longest message with a long path, in characters."""
 needs_inputs = pytest.mark.skipif(not INPUTS, reason=f"the broken inputs are not at {FOUND}")
 named = pytest.mark.parametrize("place", some(INPUTS), ids=[f"{p.parts[-3]}-{p.parts[-2]}" for p in INPUTS])
 Command = Callable[..., Any]
 
 
 def log_of(place: Path) -> Path:
-    """The log itself: a data set is a folder of a name that does not matter."""
+    """Return the path of the log: the only entry of the folder, or the folder itself for a dataset."""
     inside = list(place.iterdir())
     return place if len(inside) > 1 or place.parts[-3] == "nclt" else inside[0]
 
@@ -52,7 +52,7 @@ def test_a_drive_or_one_line(sigmaswarm: Command, here: Path, place: Path, show:
 
 
 def refusal_of(folder: Path) -> str | None:
-    """What `read_drive` says of a folder; None where it reads it."""
+    """Return the message of `read_drive` about a folder; None if the drive is read."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:

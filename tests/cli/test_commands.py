@@ -175,7 +175,7 @@ def test_a_remark_on_drive_toml_names_the_file(sigmaswarm, drives: Path, here: P
 
 
 def disturbed(start: float, end: float) -> library.Drive:
-    """A drive of 160 s whose fixes scatter by 0.6 m instead of 0.1 m between two times, s."""
+    """Return a 160 s drive with 0.1 m of noise in the fixes, and 0.6 m between two times, s."""
     drive = simulate("urban", duration=160.0, imu_rate=50.0, gps="white-1m")
     rng, time, truth = np.random.default_rng(4), drive.gps.time, drive.truth
     noise = np.where((time > start) & (time < end), 0.6, 0.1) * rng.standard_normal((2, len(time)))
@@ -202,7 +202,7 @@ def test_the_split_that_leaves_out_disturbed_fixes_leads_to_a_tuning_and_an_eval
     trained, tested = (read_drive(folder).imu.time for folder in (tune[1], evaluate[2]))
     assert trained[-1] < tested[0] or tested[-1] < trained[0]
     for time in (trained, tested):
-        assert time[-1] <= start + 8.0 or time[0] >= end - 8.0  # the windows last ten seconds
+        assert time[-1] <= start + 8.0 or time[0] >= end - 8.0  # windows are 10 s long
 
 
 @pytest.mark.parametrize(("at", "next_part"), [((10.0, 30.0), "after"), ((120.0, 155.0), "before")])
@@ -219,7 +219,7 @@ NAMES = " (tune --help explains the names)"
 REMEDY = StdCheck(0.24, 5.0, 1.0, 2.0).message
 
 
-def test_a_line_for_a_part_belongs_into_the_whole_drive(here: Path):
+def test_a_line_for_a_part_is_proposed_for_the_whole_drive(here: Path):
     whole = replace(simulate("urban", duration=30.0, imu_rate=50.0), name="car")
     write_drive(whole, "logs/car")
     for part in split_time(read_drive("logs/car"), 0.5):
@@ -231,7 +231,7 @@ def test_a_line_for_a_part_belongs_into_the_whole_drive(here: Path):
     assert name_training_files([REMEDY], ["car-train"], ["parts/car-test"]) == [named]
     (named,) = name_training_files([REMEDY], ["bus"], ["parts/car-test"])
     assert "at the top of drive.toml of bus; then " in named
-    Path("parts").rename("mended-parts")  # the parts of a repaired copy lead to this copy
+    Path("parts").rename("mended-parts")  # parts of a repaired copy name this copy
     write_drive(read_drive("logs/car"), "mended/car")
     Path("logs/car/imu.csv").unlink()
     named = name_files(REMEDY, [Path("mended-parts/car-train")])
@@ -266,12 +266,12 @@ def test_tune_writes_filter_history_and_pictures(sigmaswarm, drives: Path, here:
     history = pl.read_csv("t/convergence.csv")
     assert history.columns == ["trial", "generation", "best_cost", "median_cost"]
     assert history["generation"].to_list() == [1, 2, 3] * 2
-    assert history["best_cost"].min() <= table["result"]["cost"]  # of the inflated filter
+    assert history["best_cost"].min() <= table["result"]["cost"]  # of the filter with inflated process noise
     assert Path("t/convergence.png").exists()
     assert Path("t/training-track.png").exists()
     for touched in table["result"]["touched_bounds"]:
         assert touched in ended.out
-    # and again from what it wrote
+    # tune again, starting from the written parameters
     again = sigmaswarm(
         *("tune", drives, "--out", "t", "--particles", 4, "--generations", 3, "--trials", 2, "--resume"),
         "--verbose",
@@ -282,7 +282,7 @@ def test_tune_writes_filter_history_and_pictures(sigmaswarm, drives: Path, here:
     assert tomllib.loads(Path("t/tuning.toml").read_text()) == table
 
 
-def test_tune_says_the_same_as_the_library(sigmaswarm, drives: Path, here: Path):
+def test_tune_prints_the_same_as_the_library(sigmaswarm, drives: Path, here: Path):
     options = (
         "--particles 5 --generations 3 --seed 9 --objective truth-pose --scale linear --workers 1 --json"
     )
@@ -323,10 +323,10 @@ def test_gps_rmse_warns(sigmaswarm, drives: Path, here: Path):
     assert ended.code == 0
     assert "warning: gps-rmse compares the filter with the fix of the last update" in ended.err
     json.loads(ended.out)
-    assert "Warning" not in ended.err  # one sentence, without a place in the source
+    assert "Warning" not in ended.err  # one sentence without a source line
 
 
-def test_evaluate_says_the_same_as_the_library(sigmaswarm, drives: Path, tuned: Path, here: Path):
+def test_evaluate_prints_the_same_as_the_library(sigmaswarm, drives: Path, tuned: Path, here: Path):
     ended = sigmaswarm("evaluate", tuned, drives, "--json")
     said = json.loads(ended.out)
     read = [read_drive(drives / f"urban-clear-0{i}") for i in range(2)]
@@ -349,10 +349,10 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
     best = min(said["mean"][m]["position_rmse_m"] for m in METHODS[1:])
     assert best == said["mean"]["untuned"]["position_rmse_m"]
     improvement = said["improvement_percent"]["untuned"]["position_rmse_m"]
-    assert improvement < 0, "the fixture's filter is none that was tuned"
+    assert improvement < 0, "the filter of the fixture is not tuned"
     assert f"{-improvement:.0f}% HIGHER than the baseline ({best:.3g} m)" in ended.out
     assert "lower than" not in ended.out
-    assert re.search(r" 4 s *\n", ended.out)  # head of the column of drifts
+    assert re.search(r" 4 s *\n", ended.out)  # header of the drift column
     assert " 30 s " not in ended.out.replace(
         "No 30 s outage drift: 2 drives can't contain such an outage, which needs 40 s after the start of the filter.",
         "",
@@ -360,7 +360,9 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
     consistent = json.loads(Path("e/scores.json").read_text())["consistency"]
     careful = sum(c["mean_nis"] < c["nis_band_95"][0] for c in consistent.values())
     assert careful
-    assert ended.out.endswith(f"next: sigmaswarm report e\n{WORSE_STEP}\n"), "no export of a worse filter"
+    assert ended.out.endswith(f"next: sigmaswarm report e\n{WORSE_STEP}\n"), (
+        "a worse filter must not be exported"
+    )
     frame = pl.read_csv("e/scores.csv")
     assert frame.filter(drive="urban-clear-01", method="tuned")["position_rmse_m"][0] == pytest.approx(
         said["drives"]["urban-clear-01"]["tuned"]["position_rmse_m"]
@@ -377,10 +379,10 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
         f"On {careful} of 2 drives the filter is underconfident: the standard deviations of its predictions are "
         in whole
     )
-    assert [record.getMessage() for record in caplog.records] == []  # matplotlib has nothing to complain of
+    assert [record.getMessage() for record in caplog.records] == []  # no warning from matplotlib
 
 
-def test_report_makes_a_page_of_what_evaluate_wrote(sigmaswarm, drives: Path, tuned: Path, here: Path):
+def test_report_writes_a_page_of_an_evaluation(sigmaswarm, drives: Path, tuned: Path, here: Path):
     assert sigmaswarm("evaluate", tuned, drives, "--out", "e", "--outage-length", 4).code == 0
     ended = sigmaswarm("report", "e")
     assert (ended.code, ended.err) == (0, "")
@@ -404,7 +406,7 @@ def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, h
     assert Path("e/comparison.png").exists()
     alone = sigmaswarm("evaluate", tuned, "blind").out
     assert "drift" in alone
-    assert "position RMSE" not in alone.replace("\n", " ")  # no columns of dashes
+    assert "position RMSE" not in alone.replace("\n", " ")  # no columns without values
     (far,) = re.findall(r"Position error on urban-clear-03: .*", alone)
     scores = json.loads(Path("e/scores.json").read_text())["consistency"]["urban-clear-03"]
     assert far.count(". ") == 1, "two sentences"
@@ -440,7 +442,7 @@ def test_run_writes_csv(sigmaswarm, drives: Path, tuned: Path, here: Path):
     }
 
 
-def test_run_tells_of_restarts(sigmaswarm, tuned: Path, here: Path):
+def test_run_reports_resets(sigmaswarm, tuned: Path, here: Path):
     drive = library.simulate("urban", run=1, gps="white-1m", duration=65, imu_rate=50.0)
     off = (drive.gps.time > 30) & (drive.gps.time < 55)
     gps = replace(drive.gps, x=drive.gps.x + 300.0 * off)
@@ -464,7 +466,7 @@ def test_run_writes_tum(sigmaswarm, drives: Path, tuned: Path, here: Path):
 
 
 def at_rest_before(imu: Imu, seconds: float) -> Imu:
-    """As if the car had stood for so long before."""
+    """Insert samples of standstill before the first sample."""
     time = np.arange(imu.time[0] - seconds, imu.time[0] - 0.005, 0.01)
     columns = {name: v for name, v in vars(imu).items() if v is not None and name != "time"}
     rows = {name: np.append(np.full(len(time), 9.81 * (name == "az")), v) for name, v in columns.items()}
@@ -472,15 +474,17 @@ def at_rest_before(imu: Imu, seconds: float) -> Imu:
 
 
 @pytest.mark.long
-def test_a_second_tuning_of_the_same_drives_says_how_the_two_compare(sigmaswarm, drives: Path, here: Path):
+def test_a_second_tuning_of_the_same_drives_proposes_a_comparison(sigmaswarm, drives: Path, here: Path):
     quick = ("--particles", 4, "--generations", 2, "--trust-log")
     first = sigmaswarm("tune", drives, "--out", "first", *quick, "--model", "planar5")
     assert "--against" not in first.out
-    sigmaswarm("evaluate", "first", drives, "--out", "an-evaluation")  # which holds a copy of first's
+    sigmaswarm(
+        "evaluate", "first", drives, "--out", "an-evaluation"
+    )  # it contains a copy of the first tuning
     noise = tomllib.loads(Path("first/tuning.toml").read_text())["fixes_alone"]
     assert json.loads(Path("an-evaluation/evaluation.json").read_text())["fixes_alone"] == noise
     other = sigmaswarm("tune", drives / "urban-clear-00", "--out", "other", *quick)
-    assert "--against" not in other.out, "it saw other drives"
+    assert "--against" not in other.out, "it was tuned with other drives"
     (said,) = re.findall(
         "sigmaswarm (evaluate .*)", sigmaswarm("tune", drives, "--out", "second", *quick).out
     )
@@ -492,10 +496,10 @@ def test_a_second_tuning_of_the_same_drives_says_how_the_two_compare(sigmaswarm,
     assert "To compare with another tuning" in sigmaswarm("evaluate", "second", drives, "--verbose").out
 
 
-def test_the_tuning_to_compare_with_is_found_from_where_one_stands(
+def test_the_tuning_to_compare_with_is_found_from_the_current_folder(
     sigmaswarm, drives: Path, here: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    """Also if OUT is the folder that one stands in, or a link to a folder elsewhere."""
+    """Also if OUT is the current folder, or a link to a different folder."""
     quick = ("--particles", 4, "--generations", 2, "--trust-log", "--model", "planar5")
     assert sigmaswarm("tune", drives, "--out", "first", *quick).code == 0
     for folder in ("second", "deep"):
@@ -508,7 +512,7 @@ def test_the_tuning_to_compare_with_is_found_from_where_one_stands(
     assert "--against second\n" in sigmaswarm("tune", drives, "--out", "deep/link", *quick).out
 
 
-def test_what_asks_for_action_comes_first_and_begins_alike(sigmaswarm, drives: Path, here: Path):
+def test_lines_that_need_action_come_first_and_begin_alike(sigmaswarm, drives: Path, here: Path):
     quick = ("--particles", 4, "--generations", 2, "--trust-log")
     options = ("--model", "planar5", "--objective", "truth-rmse")
     said = sigmaswarm("tune", drives, "--out", "t", *quick, *options).out.splitlines()
@@ -526,7 +530,7 @@ def test_what_asks_for_action_comes_first_and_begins_alike(sigmaswarm, drives: P
     assert "  to do    " in said and "\n           -> tune with" in said
 
 
-def test_run_says_why_the_beginning_is_missing_and_writes_its_fixes(sigmaswarm, tuned: Path, here: Path):
+def test_run_explains_the_missing_beginning_and_writes_its_fixes(sigmaswarm, tuned: Path, here: Path):
     drive = make_drive(duration=60.0)
     library.write_drive(drive, "s")
     assert sigmaswarm("run", tuned, "s", "--out", "e.csv", "--before", "f.csv").code == 0
@@ -575,7 +579,7 @@ def test_a_part_that_is_too_short_is_not_proposed(sigmaswarm, here: Path, at: fl
 
 @pytest.mark.parametrize(("delay", "proposed"), [(0.0, True), (0.1, True), (0.6, False)])
 def test_an_unused_velocity_is_the_next_step(sigmaswarm, here: Path, delay: float, proposed: bool):
-    """The doctor and tune propose a second tuning with --verbose, unless the velocity lags behind the positions."""
+    """Unless the velocity is delayed, the doctor and tune propose a second tuning with --verbose."""
     for name, run in {"car": 1, "held": 2}.items():
         drive = simulate("urban", duration=75.0, imu_rate=50.0, run=run, gps="white-1m")
         true, rng = drive.truth, np.random.default_rng(3)
@@ -591,7 +595,7 @@ def test_an_unused_velocity_is_the_next_step(sigmaswarm, here: Path, delay: floa
     options = [re.findall(r"--use ([a-z -]*velocity)", text) for text in said]
     assert all(map(bool, options)) is proposed
     assert "sigmaswarm tune car --out tuned-velocity --use" in said[1] or not proposed
-    if proposed and delay == 0.0:  # the command works, and then nothing is proposed
+    if proposed and delay == 0.0:  # the command works, and afterwards nothing is proposed
         (command,) = re.findall(r"sigmaswarm (tune car --out tuned-velocity .*)", said[1])
         again = sigmaswarm(*shlex.split(command), "--verbose")
         assert again.code == 0 and "sigmaswarm tune" not in again.out
@@ -629,7 +633,7 @@ def test_a_drive_that_is_too_short_is_not_proposed(sigmaswarm, here: Path):
 
 
 def test_the_demo_is_the_quick_study(sigmaswarm, here: Path, monkeypatch: pytest.MonkeyPatch):
-    """With a smaller swarm and fewer drives than at home; a second demo continues the first."""
+    """The demo is shortened by a smaller swarm and fewer drives; a second demo continues the first."""
     small = {"maneuvers": ("turns", "brake"), "environments": ("clear",)}
     small |= {"particles": 6, "generations": 3, "trials": 2}
     monkeypatch.setattr("sigmaswarm.cli.study.QUICK_STUDY", study_config.QUICK_STUDY | small)
@@ -670,7 +674,7 @@ def test_the_demo_is_the_quick_study(sigmaswarm, here: Path, monkeypatch: pytest
 
 
 @pytest.mark.long
-def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives: Path, here: Path):
+def test_scores_on_training_drives_are_marked(sigmaswarm, drives: Path, here: Path):
     first, second = sorted(drives.iterdir())[:2]
     assert sigmaswarm("split", first, "--out", "parts", "--train-fraction", 0.8).code == 0
     cut = tomllib.loads(Path("parts/urban-clear-00-test/drive.toml").read_text())["cut_from"]
@@ -688,7 +692,7 @@ def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives
     assert sigmaswarm("report", "e").code == 0
     assert sentence in Path("e/page.html").read_text()
     shutil.copytree("part", "alone")
-    Path("alone/seen.npz").unlink()  # so whole drives alone are known: of the rest nothing is said
+    Path("alone/seen.npz").unlink()  # without this file, only whole drives are recognized
     plain = "On 1 drive, the tuned filter"
     assert sigmaswarm("evaluate", "alone", first, "--out", "f").out.startswith(
         "Scores on 1 drive (lower is better)"
@@ -699,7 +703,7 @@ def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives
     assert told.startswith(
         "On 2 drives (PARTLY TRAINING DATA: the tuning used all of the 24 s of urban-clear-00-train)"
     )
-    shutil.copy("part/tuning.toml", "part/mine.txt")  # a filter's file may be called anything
+    shutil.copy("part/tuning.toml", "part/mine.txt")  # a filter file can have any name
     ended = sigmaswarm("evaluate", "part/mine.txt", second)
     assert ended.code == 0, ended.err
     ended = sigmaswarm(*tune, "--out", "no", "--validation", first)
@@ -709,8 +713,8 @@ def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives
 
 
 @pytest.mark.usefixtures("unoptimized")
-def test_what_is_next_for_one_log_can_be_pasted(sigmaswarm, drives: Path, here: Path):
-    """Also where a folder was named that contains the drive, and where names have blanks."""
+def test_proposed_commands_for_one_log_can_be_pasted(sigmaswarm, drives: Path, here: Path):
+    """Also if the user named the parent folder of the drive, and if names contain blanks."""
     drive = replace(read_drive(min(drives.iterdir())), name="it's monday")
     write_drive(drive, Path("my logs/monday"))
     told = sigmaswarm("tune", "my logs", "--out", "my filter", *QUICK).out
@@ -759,7 +763,7 @@ def test_a_drive_can_not_use_columns_that_it_lacks(sigmaswarm, here: Path, optio
     assert not (here / "t").exists()
 
 
-def test_tune_says_which_filter_it_takes_and_why(sigmaswarm, here: Path):
+def test_tune_states_the_selected_filter_and_the_reason(sigmaswarm, here: Path):
     drive = make_drive(duration=20.0)
     write_drive(replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None)), here / "plain")
     said = sigmaswarm("tune", "plain", "--out", "t", *QUICK).out
@@ -768,7 +772,7 @@ def test_tune_says_which_filter_it_takes_and_why(sigmaswarm, here: Path):
     said = sigmaswarm("tune", "plain", "--out", "u", "--use", "lateral", *QUICK).out
     assert said.splitlines()[0] == f"model: planar8 with lateral (as given), since {because}{NAMES}"
     ended = sigmaswarm("tune", "plain", "--out", "v", "--model", "planar8", "--use-nothing", *QUICK)
-    assert "model:" not in ended.out  # the user has said it all
+    assert "model:" not in ended.out  # the user has named all options
     assert tomllib.loads(Path("v/tuning.toml").read_text())["config"]["use"] == []
     assert "model:" not in sigmaswarm("tune", "plain", "--out", "w", *QUICK, "--json").out
 
@@ -782,7 +786,7 @@ def test_drives_of_different_vehicles_are_reported_once(sigmaswarm, drives: Path
 
 
 @pytest.mark.parametrize("rate", [1.0, 4.0])
-def test_an_evaluation_on_other_sensors_is_named(
+def test_an_evaluation_on_other_sensors_is_reported(
     sigmaswarm, tuned: Path, drives: Path, here: Path, rate: float
 ):
     drive = read_drive(min(drives.iterdir()))

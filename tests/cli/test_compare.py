@@ -24,7 +24,7 @@ def test_compare_writes_and_prints_its_table(sigmaswarm, drives: Path, here: Pat
     assert (again.code, again.out) == (0, ended.out)
 
 
-def test_tune_tells_what_racing_saved(sigmaswarm, drives: Path, here: Path):
+def test_tune_reports_what_racing_saved(sigmaswarm, drives: Path, here: Path):
     ended = sigmaswarm(
         "tune", drives, "--out", "t", "--racing", "--particles", 8, "--generations", 2, "--verbose"
     )

@@ -47,7 +47,7 @@ def test_a_good_drive_ends_with_0(sigmaswarm, good, here: Path):
     assert "  note     [imu-rate] There are 2000 IMU samples at 50 Hz over 40 s. (imu.csv, t)\n" in verbose
     assert "details: " not in verbose and verbose.endswith("\nnext: ".join(ended.out.split("\nnext: ")[1:]))
     Path("one").mkdir()
-    shutil.copytree("fine", "one/fine")  # the folder of a drive's folder
+    shutil.copytree("fine", "one/fine")  # parent folder of a drive
     assert "\nnext: sigmaswarm split one/fine --out parts\n" in sigmaswarm("doctor", "one").out
     assert "\nor, with another drive for the evaluation: sigmaswarm tune fine --out tuned\n" in ended.out
     for used in ("parts", "tuned", "tuned-2"):
@@ -84,7 +84,7 @@ def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
     assert "\nnext: sigmaswarm split mended/urban-clear-00 --out parts\n" in mended.out
 
 
-def test_a_rejected_repair_ends_in_no_circle(sigmaswarm, sick: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_rejected_repair_is_not_proposed_again(sigmaswarm, sick: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("sigmaswarm.scoring.verified_repair._rejected", lambda *_: {"gyro-sign"})
     ended = sigmaswarm("doctor", sick, "--fix", "mended")
     assert ended.code == 0 and "since with the repairs a filter predicts the fixes less" in ended.out
@@ -95,7 +95,7 @@ def test_a_rejected_repair_ends_in_no_circle(sigmaswarm, sick: Path, monkeypatch
     assert "repair it yourself: change the sign of gz" in " ".join(ended.out.split())
     remedies: list[tuple[str, Path | None]] = []
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # no action is needed
+        warnings.simplefilter("error")  # no warning, since no action is needed
         read_datasets(["mended/urban-clear-00"], remedies=remedies)
     assert not remedies
 
@@ -224,9 +224,7 @@ def test_tune_names_a_gap_once(sigmaswarm, good, here: Path):
     assert remedy.startswith("if the car maneuvered during a gap, split the drive there; otherwise")
 
 
-def test_exchanged_fixes_beside_a_truth_are_exchanged_by_the_command_that_is_named(
-    sigmaswarm, good, here: Path
-):
+def test_exchanged_fixes_with_truth_are_corrected_by_the_proposed_command(sigmaswarm, good, here: Path):
     mirrored = replace(good.gps, x=good.gps.y, y=good.gps.x)
     write_drive(replace(good, gps=mirrored), here / "mirrored")
     ended = sigmaswarm("doctor", "mirrored")
@@ -238,7 +236,7 @@ def test_exchanged_fixes_beside_a_truth_are_exchanged_by_the_command_that_is_nam
     assert sigmaswarm("doctor", f"mended/{name}").code == 0
 
 
-def test_tune_and_evaluate_warn_of_what_is_serious_in_a_line_and_trust_log_silences(
+def test_tune_and_evaluate_print_serious_findings_in_one_line_unless_trust_log(
     sigmaswarm, sick: Path, tuned: Path
 ):
     quick = ("--particles", 2, "--generations", 1, "--model", "planar5")
@@ -280,9 +278,7 @@ def test_a_warning_that_needs_no_action_is_not_named_again(sigmaswarm, good, tun
     assert "less accurate (unseen-yaw)" in sigmaswarm("evaluate", tuned, "short", "--json").err
 
 
-def test_a_mended_copy_is_offered_where_something_can_be_mended_and_its_folder_is_free(
-    sigmaswarm, good, sick: Path, here: Path
-):
+def test_a_repaired_copy_is_proposed_in_a_free_folder(sigmaswarm, good, sick: Path, here: Path):
     def told(folder: Path) -> str:
         with pytest.warns(SigmaswarmWarning) as warned:
             read_datasets([folder], remedies=[])
@@ -290,8 +286,8 @@ def test_a_mended_copy_is_offered_where_something_can_be_mended_and_its_folder_i
         return line
 
     assert f"; run sigmaswarm doctor {sick} --fix mended, or" in told(sick)
-    write_drive(read_drive(sick), here / "mended" / good.name)  # still sick
-    (here / "mended-2").mkdir()  # of another drive
+    write_drive(read_drive(sick), here / "mended" / good.name)  # not repaired
+    (here / "mended-2").mkdir()  # contains a different drive
     command = re.search(r"; run (sigmaswarm doctor .* --fix mended-2), or", told(here / "mended" / good.name))
     assert command
     assert sigmaswarm(*shlex.split(command[1])[1:]).code == 0
@@ -313,7 +309,7 @@ def test_a_remedy_can_be_pasted(here: Path, capsys: pytest.CaptureFixture[str]):
     assert "sigmaswarm split 'my drives/monday' --at -3 40 --out parts-2\n" in capsys.readouterr().out
 
 
-def test_for_machines(sigmaswarm, sick: Path):
+def test_json(sigmaswarm, sick: Path):
     ended = sigmaswarm("doctor", sick, "--json")
     assert ended.code == 1
     told = json.loads(ended.out)
@@ -324,10 +320,10 @@ def test_for_machines(sigmaswarm, sick: Path):
     assert first["span"] == [0.0, 39.98]
 
 
-def test_the_copy_is_mended_and_the_original_is_not(sigmaswarm, good, sick: Path, here: Path):
+def test_the_copy_is_repaired_and_the_original_is_not(sigmaswarm, good, sick: Path, here: Path):
     before = {file.name: file.read_bytes() for file in sick.iterdir()}
     ended = sigmaswarm("doctor", sick, "--fix", "mended")
-    assert ended.code == 0  # nothing serious is left
+    assert ended.code == 0  # no serious finding remains
     assert "wrote mended/urban-clear-00, a repaired copy (gyro-sign)\n" in ended.out
     assert {file.name: file.read_bytes() for file in sick.iterdir()} == before
     copy = read_drive(here / "mended" / good.name)
@@ -336,7 +332,7 @@ def test_the_copy_is_mended_and_the_original_is_not(sigmaswarm, good, sick: Path
     assert copy.metadata["repaired"] == ["gyro-sign"]
 
 
-def test_the_copy_for_machines(sigmaswarm, sick: Path):
+def test_json_of_a_copy(sigmaswarm, sick: Path):
     told = json.loads(sigmaswarm("doctor", sick, "--fix", "mended", "--json").out)
     assert told["serious"] is False
     assert told["drives"][0]["serious"] is True
@@ -345,13 +341,13 @@ def test_the_copy_for_machines(sigmaswarm, sick: Path):
     assert copy["serious"] is False
 
 
-def test_what_reading_warns_of_is_told_once(sigmaswarm, good, here: Path):
+def test_warnings_of_reading_are_printed_once(sigmaswarm, good, here: Path):
     write_drive(FAULTS["deg/s"][0](good), here / "degrees")
     header, rest = (here / "degrees" / "imu.csv").read_text().split("\n", 1)
     (here / "degrees" / "imu.csv").write_text(header.replace("gx", "temperature") + "\n" + rest)
     ended = sigmaswarm("doctor", "degrees")
     assert ended.code == 1
-    assert ended.err.count("warning:") == 1  # the column that nobody knows: no finding says that
+    assert ended.err.count("warning:") == 1  # the unknown column, which is not a finding
     assert "temperature" in ended.err
     assert "gyro-unit" in ended.out
 
@@ -403,7 +399,7 @@ def test_the_lever_arm_is_one_line_and_goes_into_the_copy(sigmaswarm, good, here
 
 
 @pytest.mark.long
-def test_a_lever_arm_that_the_turns_do_not_show_changes_no_copy(sigmaswarm, good, here: Path):
+def test_a_lever_arm_that_the_turns_do_not_show_is_not_written(sigmaswarm, good, here: Path):
     place = write_drive(good, here / "fine")
     ended = sigmaswarm("doctor", place, "--lever-arm-within", 0.01, "--fix", "mended", "--json")
     found = json.loads(ended.out)
@@ -440,7 +436,7 @@ def test_copies_replace_earlier_ones_only_on_request_and_never_the_drive(
         assert ended.code == 2 and "is a drive that this command reads; name another folder" in ended.err
 
 
-def test_a_fault_that_nothing_repairs_leads_to_no_split(sigmaswarm, here: Path):
+def test_a_fault_without_repair_leads_to_no_split(sigmaswarm, here: Path):
     drive = library.simulate("urban", duration=60.0, imu_rate=50.0, gps="white-1m")
     slow = {
         name: replace(table, time=1000 * table.time)

@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[2]
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 
 
-def test_export_names_what_it_wrote(sigmaswarm: Command, tuned: Path, here: Path):
+def test_export_names_the_written_files(sigmaswarm: Command, tuned: Path, here: Path):
     ended = sigmaswarm("export", tuned, "--to", "robot_localization", "--out", "ros")
     wrote, following = ended.out.splitlines()
     assert (ended.code, wrote) == (0, "wrote ros: robot_localization.yaml")
@@ -32,7 +32,7 @@ def test_export_names_what_it_wrote(sigmaswarm: Command, tuned: Path, here: Path
     assert json.loads(ended.out) == {"written": ["py/run_filter.py"]}
 
 
-def test_c_of_a_tuning_with_a_mounting_says_so(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
+def test_c_of_a_tuning_with_a_mounting_states_it(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
     def mounted(*angles: float) -> str:
         content = tomllib.loads(tuned.read_text())
         data = [{"name": "monday", "imu_mounting_deg": angles}]
@@ -119,7 +119,7 @@ def test_no_use_is_proposed_of_a_filter_that_should_not_be_used(
         evaluated = sigmaswarm("evaluate", "bad.toml", drive, "--out", "e", "--overwrite")
         assert ("sigmaswarm export" not in evaluated.out) is repeated
         assert ("bad.toml: DO NOT USE THIS FILTER; " in evaluated.err) is repeated
-        assert "TO DO" not in evaluated.out  # tune printed it
+        assert "TO DO" not in evaluated.out  # the line is printed by tune only
 
 
 def test_export_states_that_slow_vehicles_have_no_alignment_in_c(
@@ -136,7 +136,7 @@ def test_export_states_that_slow_vehicles_have_no_alignment_in_c(
 @pytest.mark.long
 @needs_gcc
 @pytest.mark.usefixtures("unoptimized")
-def test_exported_lanes_are_compared_with_the_bank(
+def test_exported_columns_are_compared_with_the_bank(
     sigmaswarm: Command, tuned: Path, drives: Path, here: Path
 ):
     drive = drives / "urban-clear-00"
@@ -153,7 +153,7 @@ def test_exported_lanes_are_compared_with_the_bank(
 
 
 @needs_gcc
-def test_the_way_that_the_page_shows(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
+def test_the_commands_of_the_page(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
     drive = drives / "urban-clear-00"
     ended = sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--replay", drive)
     assert ended.code == 0
@@ -168,7 +168,7 @@ def test_the_way_that_the_page_shows(sigmaswarm: Command, tuned: Path, drives: P
     np.testing.assert_allclose(theirs, ours, rtol=0, atol=1e-9)
     (following,) = re.findall(
         r"^next: (.*)", ended.out, re.MULTILINE
-    )  # what export itself says, from outside
+    )  # the command that export prints, for the parent folder
     assert command in following
     subprocess.run(following, shell=True, check=True)
     assert Path("c/estimate.csv").read_bytes() == Path("c/theirs.csv").read_bytes()
@@ -203,7 +203,7 @@ def test_the_c_is_checked_on_drives(sigmaswarm: Command, tuned: Path, drives: Pa
 
 @needs_gcc
 @pytest.mark.usefixtures("unoptimized")
-def test_a_new_export_removes_what_was_built_from_an_earlier_one(
+def test_a_new_export_removes_builds_of_an_earlier_one(
     sigmaswarm: Command, tuned: Path, drives: Path, here: Path
 ):
     export = ("export", tuned, "--to", "c99", "--out", "c", "--overwrite")
@@ -223,7 +223,7 @@ def test_a_new_export_removes_what_was_built_from_an_earlier_one(
 
 
 @pytest.mark.usefixtures("unoptimized")
-def test_export_says_how_to_go_on(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
+def test_export_proposes_the_next_command(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
     drive = drives / "urban-clear-00"
     said = sigmaswarm("export", tuned, "--to", "filterpy", "--out", "py").out
     assert said.endswith("next: python py/run_filter.py DRIVE estimate.csv\n")
@@ -251,7 +251,7 @@ def test_export_says_how_to_go_on(sigmaswarm: Command, tuned: Path, drives: Path
         ),
     ],
 )
-def test_mistakes_get_one_line(
+def test_a_mistake_in_export_gives_one_line(
     sigmaswarm: Command, tuned: Path, drives: Path, here: Path, arguments, said: str
 ):
     arguments = [drives / "urban-clear-00" if a == "DRIVE" else a for a in arguments]
@@ -261,7 +261,7 @@ def test_mistakes_get_one_line(
     assert list(here.iterdir()) == []
 
 
-def test_a_file_without_an_interval_is_sent_back(sigmaswarm: Command, tuned: Path, here: Path):
+def test_a_file_without_an_interval_is_refused(sigmaswarm: Command, tuned: Path, here: Path):
     Path("p.toml").write_text(tuned.read_text().replace("nominal_interval = 0.02\n", ""))
     ended = sigmaswarm("export", "p.toml", "--to", "c99", "--out", "x")
     assert ended.code == 2 and "add nominal_interval" in ended.err
@@ -281,9 +281,7 @@ def test_run_writes_maps_and_truth(sigmaswarm: Command, tuned: Path, drives: Pat
 
 
 @pytest.mark.parametrize("place", ["49", "north,8", "91,8", "49,181", "49,8,1,2", "nan,8"])
-def test_a_place_that_is_none_is_refused(
-    sigmaswarm: Command, tuned: Path, drives: Path, here: Path, place: str
-):
+def test_an_invalid_place_is_refused(sigmaswarm: Command, tuned: Path, drives: Path, here: Path, place: str):
     ended = sigmaswarm("run", tuned, drives / "urban-clear-00", "--out", "e.kml", "--origin", place)
     assert ended.code == 2
     remedy = "write latitude (-90 to 90) and longitude (-180 to 180), for example 49.011,8.416"
@@ -291,7 +289,7 @@ def test_a_place_that_is_none_is_refused(
     assert list(here.iterdir()) == []
 
 
-def test_a_drive_that_knows_its_place_takes_no_other(
+def test_another_place_is_refused_for_a_drive_with_an_origin(
     sigmaswarm: Command, tuned: Path, drives: Path, here: Path
 ):
     shutil.copytree(drives / "urban-clear-00", "drive")
@@ -303,8 +301,8 @@ def test_a_drive_that_knows_its_place_takes_no_other(
     assert sigmaswarm("run", tuned, "drive", "--out", "e.gpx").code == 0
 
 
-def test_results_replace_no_files_of_anyone_else(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
-    """An earlier result of the same kind is replaced as a whole; a folder with anything else is refused."""
+def test_results_do_not_replace_other_files(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
+    """An earlier result of the same kind is replaced as a whole; a folder with other files is refused."""
     drive = drives / "urban-clear-00"
     assert sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--replay", drive).code == 0
     assert (here / "c/replay.csv").exists()
@@ -332,7 +330,9 @@ def test_results_replace_no_files_of_anyone_else(sigmaswarm: Command, tuned: Pat
         assert (ended.code, ended.err.count("\n")) == (2, 1), (command, ended.err)
         assert "choose another --out" in ended.err, ended.err
     assert [file.name for file in (here / "mine").iterdir()] == ["page.html"]
-    (here / "mine/ins_gps.h").write_text("mine")  # an export may be next to other files, but replaces none
+    (here / "mine/ins_gps.h").write_text(
+        "mine"
+    )  # an export can be next to other files, but does not replace them
     ended = sigmaswarm("export", tuned, "--to", "c99", "--out", "mine", "--overwrite")
     assert ended.code == 2 and "ins_gps.h: is not part of an earlier export" in ended.err
     (here / "mine/ins_gps.h").unlink()
@@ -358,7 +358,7 @@ def test_an_evaluation_replaces_the_page_of_the_last_and_not_its_own_tuning(
     assert ended.code == 2 and "is not part of the result in this folder; move it" in ended.err
 
 
-def test_an_export_says_what_to_do_where_mountings_differ(sigmaswarm: Command, tuned: Path, here: Path):
+def test_an_export_states_the_remedy_if_mountings_differ(sigmaswarm: Command, tuned: Path, here: Path):
     for name, second in (("one", (0.0, 10.5, 90.0)), ("two", (0.0, 10.5, 45.0))):
         content = tomllib.loads(tuned.read_text())
         data = [

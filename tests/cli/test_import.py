@@ -28,7 +28,7 @@ Command = Callable[..., Any]
 
 
 def simulated() -> Drive:
-    """A simulated drive with fixes in degrees and all of their columns."""
+    """Return a simulated drive with all columns; fixes in degrees."""
     drive = library.simulate("urban", run=3, duration=40.0, imu_rate=50.0, gps="white-1m")
     fixes = len(drive.gps)
     lat, lon, alt = enu_to_geodetic(np.column_stack([drive.gps.x, drive.gps.y, np.zeros(fixes)]), ORIGIN).T
@@ -40,7 +40,7 @@ def simulated() -> Drive:
 
 @pytest.fixture(scope="module")
 def bagged(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """An MCAP file, written once."""
+    """Return an MCAP file, written once."""
     return write_mcap(tmp_path_factory.mktemp("bagged") / "log.mcap", messages(a_drive())).read_bytes()
 
 
@@ -74,7 +74,9 @@ def test_from_a_bag_to_a_bag_with_the_estimate(sigmaswarm: Command, here: Path, 
         assert before.start_time <= after.start_time and after.end_time <= before.end_time
     ended = sigmaswarm("run", tuned, "drive", "--out", "estimate.tum", "--merge", "monday")
     assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
-    ended = sigmaswarm("run", tuned, "drive", "--out", "e.ros2", "--beside", "tuesday")  # the name of 0.3.0
+    ended = sigmaswarm(
+        "run", tuned, "drive", "--out", "e.ros2", "--beside", "tuesday"
+    )  # the option's name in 0.3.0
     assert ended.code == 2
     assert "tuesday: no such bag" in ended.err
 
@@ -99,12 +101,12 @@ def test_from_a_bag_to_an_evaluation(sigmaswarm: Command, here: Path):
             )
     for table, columns in (
         ("imu", "time"),
-        ("gps", "time std_x std_y"),  # the speeds, drawn by chance, contradict the positions and are left out
+        ("gps", "time std_x std_y"),  # random speeds, which contradict the positions, are omitted
         ("truth", "time vx vy"),
     ):
         for column in columns.split():
             a, b = getattr(getattr(got, table), column), getattr(getattr(drive, table), column)
-            np.testing.assert_allclose(a, b, rtol=0, atol=1e-9, err_msg=column)  # stamps are whole ns
+            np.testing.assert_allclose(a, b, rtol=0, atol=1e-9, err_msg=column)  # timestamps are in whole ns
     np.testing.assert_allclose(got.gps.x, drive.gps.x, atol=5e-9)
     np.testing.assert_allclose(wrap_angle(got.truth.theta - drive.truth.theta), 0, atol=1e-12)
 
@@ -168,7 +170,7 @@ def test_options_reach_the_drive(sigmaswarm: Command, here: Path, bagged: bytes)
     np.testing.assert_allclose(got.imu.az, 2 * drive.imu.az)
     assert np.median(got.gps.time - drive.gps.time) == pytest.approx(-0.05, abs=1e-6)
     assert got.name == "tuesday" and got.metadata["gps_lever_arm_m"] == [-1.2, 0.0, 0.5]
-    assert "az" in ended.out  # what looks wrong is told: gravity twice as strong
+    assert "az" in ended.out  # the warning states that gravity is twice as large
 
 
 @pytest.mark.parametrize("more", [(), ("--format", "csv")])
@@ -242,7 +244,7 @@ def test_mistakes_are_one_line(
     assert len(lines) == 1 and said in lines[0], ended.err
     assert not (here / "out").exists()
     if "full" in arguments:
-        assert "importing" not in ended.err  # told before any work
+        assert "importing" not in ended.err  # reported before any work
         first = sigmaswarm("import", *arguments)  # --overwrite would not help
         assert (first.code, first.err) == (2, ended.err) and "--overwrite" not in first.err
 
@@ -269,7 +271,7 @@ def test_a_missing_library_is_named(
     (here / file).write_bytes(content)
     for name in [n for n in sys.modules if n == library_name or n.startswith(library_name + ".")]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, library_name, None)  # as if it were not installed
+    monkeypatch.setitem(sys.modules, library_name, None)  # simulates a missing library
     with pytest.raises(ImportError):
         importlib.import_module(library_name)
     ended = sigmaswarm("import", file, "--out", "out")
@@ -288,8 +290,8 @@ def test_help_names_every_format(sigmaswarm: Command):
         assert name in said
 
 
-def test_no_drive_is_written_that_can_not_be_read(sigmaswarm: Command, here: Path):
-    """The one that was there stays, and the name is refused before the log is read."""
+def test_a_drive_that_can_not_be_read_is_not_written(sigmaswarm: Command, here: Path):
+    """The existing drive is kept, and the name is refused before the log is read."""
     rows = [f"{i / 100},0,0,0,{i},0" for i in range(300)]
     (here / "log.csv").write_text("t,ax,ay,gz,x,y\n" + "\n".join(rows) + "\n")
     assert sigmaswarm("import", "log.csv", "--out", "drive").code == 0
@@ -304,8 +306,8 @@ def test_no_drive_is_written_that_can_not_be_read(sigmaswarm: Command, here: Pat
         assert {path.name: path.read_bytes() for path in (here / "drive").iterdir()} == before
 
 
-def test_columns_names_can_not_steer_the_terminal(sigmaswarm: Command, here: Path):
-    """Escapes of a column's name, its cells and a table's name are shown as such."""
+def test_names_of_columns_can_not_control_the_terminal(sigmaswarm: Command, here: Path):
+    """Escape sequences in column names, cells and table names are shown as text."""
     rows = [f"{i / 100},0,0,0,{i},0,\x1b[31mred\x9b" for i in range(300)]
     (here / "log\x1b[2J.csv").write_text("t,ax,ay,gz,x,y,\x1b]0;owned\x07\n" + "\n".join(rows) + "\n")
     (here / "two").mkdir()
@@ -317,7 +319,7 @@ def test_columns_names_can_not_steer_the_terminal(sigmaswarm: Command, here: Pat
     assert not {"\x1b", "\x07", "\x9b"} & set(ended.out), repr(ended.out)
 
 
-def test_show_says_what_nobody_reads(sigmaswarm: Command, here: Path):
+def test_show_lists_unused_columns(sigmaswarm: Command, here: Path):
     rows = [f"{i / 100},0,0,9.81,{20 + i % 3},0,{i},0,3" for i in range(300)]
     names = ["t", "ax", "ay", "AccelUp", "Engine Temp (C)", "gz", "x", "y", "fix_type"]
     (here / "log.csv").write_text("\n".join([",".join(names), *rows]) + "\n")
@@ -355,7 +357,7 @@ def test_show_states_the_faults_of_columns_that_import_states(
     assert ended.code == 2 and fault in ended.err, ended.err
 
 
-def test_rows_are_counted_as_show_proposes(sigmaswarm: Command, here: Path):
+def test_row_numbers_follow_the_proposal_of_show(sigmaswarm: Command, here: Path):
     drive = simulated()
     fixes = {n: np.interp(drive.imu.time, drive.gps.time, getattr(drive.gps, n)) for n in ("lat", "lon")}
     columns = {"ax": drive.imu.ax, "ay": drive.imu.ay, "gz": drive.imu.gz, **fixes}
@@ -390,7 +392,7 @@ def test_show_names_the_mounting_that_its_note_recommends(sigmaswarm: Command, h
 def test_show_proposes_mount_auto_if_gravity_is_not_on_z(
     sigmaswarm: Command, here: Path, force: str, mount: str
 ):
-    """A phone in a holder was imported as if it were flat; forces without gravity show no direction."""
+    """A phone in a holder was imported as if it were horizontal; accelerations without gravity show no direction."""
     rows = [f"{i / 100},{force},0,0,0,{i},0" for i in range(300)]
     (here / "log.csv").write_text("t,ax,ay,az,gx,gy,gz,x,y\n" + "\n".join(rows) + "\n")
     said = sigmaswarm("import", "log.csv", "--show").out
@@ -412,7 +414,7 @@ def test_limits_are_options(sigmaswarm: Command, here: Path, option: str):
         assert ended.code == 2 and f"raise {option}" in ended.err
 
 
-def test_what_was_read_from_which_column_is_said_without_show(sigmaswarm: Command, here: Path):
+def test_used_columns_are_listed_without_show(sigmaswarm: Command, here: Path):
     drive = library.simulate("urban", run=3, duration=40.0, imu_rate=50.0, gps="white-1m")
     log = Path("log")
     log.mkdir()
@@ -450,8 +452,8 @@ def test_fixes_that_no_filter_uses_are_counted_once(
     assert [f["severity"] for f in found if f["code"] == "gps-outside"] == [severity]
 
 
-def test_nothing_that_is_read_is_overwritten(sigmaswarm: Command, here: Path, tuned: Path):
-    """The files of a log, or of a drive, may have the names of those that are written."""
+def test_input_files_are_not_overwritten(sigmaswarm: Command, here: Path, tuned: Path):
+    """The files of a log or a drive can have the same names as the written files."""
     drive = library.write_drive(library.simulate("urban", duration=40.0, imu_rate=50.0), here / "log")
     before = {file.name: file.read_bytes() for file in drive.iterdir()}
     for source, more in ((drive, ()), (drive / "imu.csv", ("--gps", drive / "gps.csv"))):
@@ -476,7 +478,7 @@ def test_the_refusal_names_every_file_that_overwrite_replaces(sigmaswarm: Comman
 
 
 def test_several_files_in_place_of_one_are_explained(sigmaswarm: Command, here: Path):
-    """A shell's pattern gives several files; Cyclopts calls them unused tokens."""
+    """A shell pattern gives several files, which Cyclopts calls unused tokens."""
     for command, takes in (
         (
             ("import", "a.csv", "b.csv", "c.csv", "--out", "x"),
@@ -514,8 +516,8 @@ def test_a_drive_is_not_written_into_a_drive(sigmaswarm: Command, here: Path):
 
 
 @pytest.mark.long
-def test_what_is_next_follows_the_findings(sigmaswarm: Command, here: Path, doctored: None):
-    """An IMU upside down: neither the assumption of its axes, nor a tuning, is proposed."""
+def test_the_next_command_follows_from_the_findings(sigmaswarm: Command, here: Path, doctored: None):
+    """The IMU is upside down: no assumption about its axes, and no tuning, is proposed."""
     drive = library.simulate("urban", duration=60.0, imu_rate=50.0, gps="white-1m")
     imu = drive.imu
     down = [-values for values in (imu.ay, imu.az, imu.gy, imu.gz) if values is not None]
@@ -543,10 +545,10 @@ def test_what_is_next_follows_the_findings(sigmaswarm: Command, here: Path, doct
 @pytest.mark.parametrize(
     "command", some(["tune {} --out q", "doctor {}", "evaluate {filter} {}", "split {} --out q"], 4)
 )
-def test_a_log_in_place_of_a_drive_is_answered_with_the_import_to_type(
+def test_a_log_instead_of_a_drive_gives_the_import_command(
     sigmaswarm: Command, here: Path, tuned: Path, command: str
 ):
-    """A file, a folder of a log, and one whose tables are named like a drive's."""
+    """The input is a file, a folder of a log, or a folder with tables named as in a drive."""
     drive = library.simulate("urban", run=3, duration=40.0, imu_rate=50.0, gps="white-1m")
     Path("log").mkdir()
     pl.DataFrame({n: v for n, v in vars(drive.imu).items() if v is not None}).write_csv("log/imu.csv")
@@ -563,8 +565,8 @@ def test_a_log_in_place_of_a_drive_is_answered_with_the_import_to_type(
         assert len(library.read_drive(shlex.split(typed)[-1]).gps) > 10
 
 
-def test_a_file_in_place_of_a_drive_is_answered_with_its_folder(sigmaswarm: Command, here: Path):
-    """A file of a drive or of a log of several files; a table with both sensors is a log alone."""
+def test_a_file_instead_of_a_drive_gives_its_folder(sigmaswarm: Command, here: Path):
+    """The input is a file of a drive or of a log with several files; a table with both sensors is a complete log."""
     drive = library.simulate("urban", run=3, duration=40.0, imu_rate=50.0, gps="white-1m")
     library.write_drive(drive, "drive")
     assert "; name the folder drive\n" in sigmaswarm("doctor", "drive/imu.csv").err
@@ -602,7 +604,7 @@ def test_what_the_diagnosis_of_an_import_states_is_printed_once(sigmaswarm: Comm
 
 
 @pytest.mark.parametrize("origin", some([(48.0, 11.0, 0.0), (-23.0, -46.0, 0.0), (37.0, -122.0, 0.0)], 3))
-def test_exchanged_latitude_and_longitude_end_in_a_command_that_helps(
+def test_exchanged_latitude_and_longitude_give_a_command_that_helps(
     sigmaswarm: Command, here: Path, origin: tuple[float, float, float]
 ):
     """From the import and from the doctor; a latitude beyond 90 degrees is refused."""

@@ -45,7 +45,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "import": ("import", "imu.csv", "--gps", "gps.csv", "--out", "out/d", "--overwrite"),
 }  # fmt: skip
 FOLDERS = {"run-bag", "simulate"}
-"""What can't take the place of something that is there."""
+"""Commands that can't replace existing files."""
 
 
 def tree(folder: Path) -> dict[str, bytes]:
@@ -58,7 +58,7 @@ def hidden(folder: Path) -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def evaluated(drives: Path, tuned: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with an evaluation."""
+    """Return a folder with an evaluation."""
     folder = tmp_path_factory.mktemp("evaluated") / "e"
     found = evaluate(read_drive(drives / "urban-clear-00"), FilterParameters.load(tuned))
     with no_pictures():
@@ -68,7 +68,7 @@ def evaluated(drives: Path, tuned: Path, tmp_path_factory: pytest.TempPathFactor
 
 @pytest.fixture
 def arguments(evaluated: Path, drives: Path, tuned: Path, here: Path):
-    """A function that gives a command's arguments, in a folder that has what it needs."""
+    """Return a function that gives a command's arguments, and creates a folder with its inputs."""
 
     def prepared(name: str) -> list[str]:
         drive = drives / "urban-clear-00"
@@ -88,7 +88,7 @@ _WHOLE: dict[tuple[str, ...], tuple[dict[str, bytes], int]] = {}
 
 
 def whole(sigmaswarm, words: list[str], monkeypatch: pytest.MonkeyPatch) -> tuple[dict[str, bytes], int]:
-    """What a command leaves that nobody disturbs, and how many times it flushed a file; found out once."""
+    """Return the output of an undisturbed run of a command, and the number of its flushes; cached."""
     if tuple(words) in _WHOLE:
         Path("out").rmdir()
         return _WHOLE[tuple(words)]
@@ -110,7 +110,7 @@ def whole(sigmaswarm, words: list[str], monkeypatch: pytest.MonkeyPatch) -> tupl
 
 
 def put_old(name: str, found: dict[str, bytes], drive: Path) -> dict[str, bytes]:
-    """Something older in the place of what a command is going to write."""
+    """Write older files in the place of a command's output."""
     Path("out").mkdir()
     if name == "import":
         shutil.copytree(drive, "out/d")
@@ -128,7 +128,7 @@ def put_old(name: str, found: dict[str, bytes], drive: Path) -> dict[str, bytes]
         lambda *case: case in (("run-bag", "first"), ("evaluate", "last"), ("import", "last")),
     ),
 )
-def test_a_kill_leaves_nothing_half_done(
+def test_a_kill_leaves_no_incomplete_files(
     sigmaswarm, arguments, drives: Path, monkeypatch: pytest.MonkeyPatch, name: str, moment: str
 ):
     words = arguments(name)
@@ -149,7 +149,7 @@ def test_a_kill_leaves_nothing_half_done(
         assert text in (old.get(file), found.get(file)), file
     files._sweep.cache_clear()
     assert sigmaswarm(*words).code == 0
-    assert tree(Path("out")) == found  # and nothing hidden is left
+    assert tree(Path("out")) == found  # no hidden files remain
 
 
 @pytest.mark.parametrize("name", quickly([(name,) for name in COMMANDS], lambda name: name == "evaluate"))
@@ -178,7 +178,7 @@ def test_a_full_disk_leaves_what_was_there(
 def test_a_disk_that_is_full_at_each_write(
     sigmaswarm, arguments, drives: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ):
-    """The first file, the middle or the last one can't be flushed: what was there stays, no new file is alone."""
+    """The flush of the first, the middle or the last file fails: old files are kept, and no single new file remains."""
     words = arguments(name)
     found, flushed = whole(sigmaswarm, words, monkeypatch)
     sync = os.fsync
@@ -208,7 +208,7 @@ def test_a_disk_that_is_full_at_each_write(
             assert now == old
 
 
-def test_a_disk_that_is_really_full(sigmaswarm, arguments, monkeypatch: pytest.MonkeyPatch):
+def test_a_full_file_system(sigmaswarm, arguments, monkeypatch: pytest.MonkeyPatch):
     words = arguments("run")
     mounted = subprocess.run(
         ["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", "out"], capture_output=True, check=False
@@ -229,7 +229,7 @@ def test_a_disk_that_is_really_full(sigmaswarm, arguments, monkeypatch: pytest.M
 
 
 def test_two_runs_into_one_bag(sigmaswarm, arguments):
-    """One of them gives it its name, the other one says so; nobody removes what the other made."""
+    """One run writes the bag, the other run reports the conflict; neither removes files of the other."""
     words = arguments("run-bag")
     both = [Process(COMMAND, words) for _ in range(2)]
     ended = [(process.communicate()[1], process.wait()) for process in both]
@@ -243,7 +243,7 @@ def test_two_runs_into_one_bag(sigmaswarm, arguments):
 
 
 def test_two_tunings_into_one_folder(drives: Path, here: Path):
-    """One of them fills it, the other one says so; started again, it goes on from what is there."""
+    """One run fills the folder, the other run reports the conflict; a new run continues it."""
     words = [
         "tune",
         drives / "urban-clear-00",

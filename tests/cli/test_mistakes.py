@@ -1,4 +1,4 @@
-"""Every mistake ends with exit code 2 and one line that names the place. `pytest -s` shows the table."""
+"""Every mistake gives exit code 2 and one line that names the place. `pytest -s` prints the table."""
 
 import shutil
 from collections.abc import Callable
@@ -13,7 +13,7 @@ Edit = Callable[[Path], object]
 
 
 def cell(file: str, row: int, column: str, value: str) -> Edit:
-    """Write a value into a file's line ``row``, as an editor counts."""
+    """Write a value into line ``row`` of the file, counted as in an editor."""
 
     def edit(folder: Path) -> None:
         table = [line.split(",") for line in (folder / file).read_text().splitlines()]
@@ -63,7 +63,7 @@ def standing(folder: Path) -> None:
     (folder / "gps.csv").write_text("\n".join([header, *(f"{r.split(',')[0]},1.0,2.0" for r in rows)]))
 
 
-# what is done to the good drive, and what the line must say
+# change of the good drive, and the expected parts of the line
 DRIVES: dict[str, tuple[Edit, list[str]]] = {
     "missing-folder": (shutil.rmtree, ["bad", "does not exist", "folder"]),
     "missing-imu": (lambda f: (f / "imu.csv").unlink(), ["bad/imu.csv", "missing"]),
@@ -86,7 +86,7 @@ DRIVES: dict[str, tuple[Edit, list[str]]] = {
 
 
 def checked(ended, expected: list[str], case: str) -> None:
-    """Exit code 2, nothing on stdout, one line on stderr with all that is expected."""
+    """Check exit code 2, no stdout, and one line on stderr with all expected parts."""
     print(f"\n{case:>28} | {ended.err.strip()}")
     assert ended.code == 2
     assert ended.out == ""
@@ -145,7 +145,7 @@ def folder(name: str) -> Edit:
     return lambda parent: (parent / name / "within").mkdir(parents=True)
 
 
-# what is there beside good/ and tuning.toml, the command, and what the line must say
+# preparation of the folder with good/ and tuning.toml, command, and expected parts of the line
 OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     "unknown-command": (nothing, "tone good", ["tone", "tune"]),
     "unknown-option": (nothing, "tune good --out t --partikles 3", ["--partikles"]),
@@ -370,12 +370,12 @@ def test_a_wrong_option(sigmaswarm, good: Path, tuned: Path, here: Path, case: s
     prepare(here)
     before = {p: p.is_file() and p.stat().st_mtime_ns for p in here.rglob("*")}
     checked(sigmaswarm(*command.split()), expected, f"{case}: {command}")
-    # Nothing made, no file touched; a lock that came and went changes a folder's own time.
+    # No file is created or changed. Folders are not compared: a temporary lock changes their time.
     assert {p: p.is_file() and p.stat().st_mtime_ns for p in here.rglob("*")} == before
 
 
 def test_a_failing_filter_writes_nothing(sigmaswarm, good: Path, tuned: Path, here: Path, monkeypatch):
-    """Variances in a file are positive, so a failure is planted behind them."""
+    """A variance of 1e308 makes the filter fail."""
     text = tuned.read_text().replace("0.001", "1e308")
     Path("huge.toml").write_text(text)
     ended = sigmaswarm("run", "huge.toml", good, "--out", "x.csv")
@@ -383,8 +383,8 @@ def test_a_failing_filter_writes_nothing(sigmaswarm, good: Path, tuned: Path, he
     assert not Path("x.csv").exists()
 
 
-def test_a_mistake_can_be_mended_and_the_command_repeated(sigmaswarm, good: Path, here: Path):
-    """A command that ended with a mistake leaves nothing that stops the next try."""
+def test_a_command_can_be_repeated_after_a_mistake(sigmaswarm, good: Path, here: Path):
+    """A failed command leaves no files that prevent the next run."""
     standing(shutil.copytree(good, "bad") and Path("bad"))
     assert sigmaswarm("tune", "bad", "--out", "t").code == 2
     ended = sigmaswarm("tune", good, "--out", "t", "--particles", 2, "--generations", 1)

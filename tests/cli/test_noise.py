@@ -14,7 +14,7 @@ from static_logs import static_log
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A minute at rest as a table of t, ax, ay, gz."""
+    """Write one minute at rest as a table of t, ax, ay, gz."""
     path = tmp_path_factory.mktemp("static") / "rest.csv"
     imu = static_log("mpu-6050", 60.0, 0.05)
     pl.DataFrame({"t": imu.time, "ax": imu.ax, "ay": imu.ay, "gz": imu.gz}).write_csv(path)
@@ -101,7 +101,7 @@ def test_a_mistake_is_one_line(sigmaswarm, log: Path, here: Path, case: str):
 
 
 def changed(path: Path) -> dict[Path, int]:
-    """Times of the last change, ns; two changes within a second have the same stat_result."""
+    """Return modification times, ns."""
     return {file: file.stat().st_mtime_ns for file in (path, *path.rglob("*"))}
 
 

@@ -14,7 +14,7 @@ from processes import COMMAND, Process, run
 from sigmaswarm.drives.writer import write_drive
 from support import make_drive, quickly
 
-HEAVY = ["numba", "polars", "matplotlib", "scipy", "numpy"]  # pydantic states the options that help shows
+HEAVY = ["numba", "polars", "matplotlib", "scipy", "numpy"]  # pydantic defines options of the help
 
 
 def sigmaswarm(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -47,12 +47,12 @@ for arguments in (["--version"], ["--help"], ["tone"], ["tune", "--help"]):
 
 
 @pytest.mark.long
-def test_without_arguments_it_helps():
+def test_without_arguments_help_is_printed():
     done, helped = sigmaswarm(), sigmaswarm("--help")
     assert (done.returncode, done.stdout) == (0, helped.stdout)
 
 
-def test_the_installed_command_answers():
+def test_the_installed_command_runs():
     script = Path(sys.executable).with_name("sigmaswarm")
     if not script.exists():
         pytest.skip("sigmaswarm is not installed as a command beside this Python")
@@ -63,7 +63,7 @@ def test_the_installed_command_answers():
 @pytest.mark.long
 @pytest.mark.parametrize("empty", quickly([(False,), (True,)], lambda empty: not empty))
 def test_the_second_start_compiles_nothing(tmp_path: Path, drives: Path, tuned: Path, empty: bool):
-    """Numba itself says what it loads and what it saves."""
+    """Numba reports loads and saves of compiled code."""
     environment = {"NUMBA_DEBUG_CACHE": "1"} | ({"NUMBA_CACHE_DIR": str(tmp_path / "cache")} if empty else {})
     commands = [
         ["run", tuned, drives / "urban-clear-00", "--out", tmp_path / "x.csv", "--json"],
@@ -72,7 +72,7 @@ def test_the_second_start_compiles_nothing(tmp_path: Path, drives: Path, tuned: 
     said, took = [], []
     for command in commands:
         start = time.perf_counter()
-        # Where the cache is there already, the first one only completes it.
+        # If the cache exists, the first run only completes it.
         done = sigmaswarm(*command, **environment) if empty or said else run(COMMAND, *command)
         took.append(time.perf_counter() - start)
         assert done.returncode == 0, done.stderr
@@ -83,7 +83,7 @@ def test_the_second_start_compiles_nothing(tmp_path: Path, drives: Path, tuned: 
     print(f"first start {took[0]:.1f} s, second {took[1]:.1f} s")
 
 
-def test_an_interrupt_says_how_to_go_on(tmp_path: Path):
+def test_an_interrupt_states_how_to_continue(tmp_path: Path):
     write_drive(make_drive(duration=40), tmp_path / "drive")
     command = ["tune", tmp_path / "drive", "--out", tmp_path / "t", "--generations", 100000]
     process = Process(COMMAND, command)

@@ -1,4 +1,4 @@
-"""`sigmaswarm record-carla`: the recorder runs in a separate process, whose result the command reports."""
+"""`sigmaswarm record-carla`: the recorder runs in a separate process, and the command reports the result."""
 
 import dataclasses
 import os
@@ -20,7 +20,7 @@ BRAKE = ("--maneuver", "brake", "--environment", "clear", "--runs", "1")
 
 
 def start(*arguments: object, **environment: str) -> subprocess.Popen[str]:
-    """The command in a group of processes of its own, as a terminal has it."""
+    """Start the command in a new process group, as a terminal does."""
     return subprocess.Popen(
         [sys.executable, "-c", PROGRAM, "record-carla", *map(str, arguments)],
         stdout=subprocess.PIPE,
@@ -50,15 +50,15 @@ def test_records_a_drive(tmp_path: Path):
     assert drive.metadata["scenario"]["seed"] == 4
 
 
-def test_interrupted_it_puts_the_server_in_order(tmp_path: Path):
+def test_an_interrupt_restores_the_server(tmp_path: Path):
     python_with("0.9.16")
     with stand_in(tmp_path) as server:
-        many = *BRAKE[:-1], "20"  # so that it is not done before it is interrupted
+        many = *BRAKE[:-1], "20"  # long enough to be interrupted
         process = start("--out", tmp_path / "d", "--port", server.port, *many, HOME=str(tmp_path))
         assert process.stderr is not None
         assert "brake-clear-00" in process.stderr.readline()
         time.sleep(0.3)
-        os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C does: to the command and to the recorder
+        os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C: to the command and the recorder
         _, err = process.communicate(timeout=30)
     assert process.returncode == 130
     assert "interrupted; repeat the command with --resume" in err

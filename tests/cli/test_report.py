@@ -10,7 +10,7 @@ import pytest
 @pytest.mark.parametrize("number", ["NaN", "Infinity"])
 def test_scores_with_nan(sigmaswarm, drives: Path, tuned: Path, here: Path, number: str):
     assert sigmaswarm("evaluate", tuned, drives / "urban-clear-00", "--out", "e").code == 0
-    setup = here / "e" / "evaluation.json"  # no hashes, as an older version wrote it
+    setup = here / "e" / "evaluation.json"  # no hashes, as in older versions
     setup.write_text(json.dumps({k: v for k, v in json.loads(setup.read_text()).items() if k != "files"}))
     file = here / "e" / "scores.json"
     good = file.read_text()

@@ -31,13 +31,13 @@ NAMES = [f"{m}-rain-0{run}" for m in ("turns", "brake") for run in range(2)]
 
 
 def digests(folder: str) -> dict[str, str]:
-    """Of every file below a folder."""
+    """Return the digest of every file below a folder."""
     files = sorted(p for p in Path(folder).rglob("*") if p.is_file())
     return {str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
 
 @pytest.mark.long
-def test_the_same_bytes_whatever_the_number_of_workers(sigmaswarm, here: Path):
+def test_the_bytes_do_not_depend_on_the_number_of_workers(sigmaswarm, here: Path):
     said = json.loads(sigmaswarm("simulate", "--out", "a", *SOME, "--workers", 1, "--json").out)
     assert said == {"drives": [f"a/{name}" for name in NAMES], "written": 4, "kept": 0}
     ended = sigmaswarm("simulate", "--out", "b", *SOME, "--workers", 2)
@@ -51,7 +51,7 @@ def test_the_same_bytes_whatever_the_number_of_workers(sigmaswarm, here: Path):
     assert not set(digests("a").values()) & set(digests("c").values())
 
 
-def test_resume_makes_what_is_missing_to_the_same_bytes(sigmaswarm, here: Path):
+def test_resume_adds_missing_drives_with_the_same_bytes(sigmaswarm, here: Path):
     sigmaswarm("simulate", "--out", "whole", *SOME)
     sigmaswarm(
         "simulate", "--out", "part", "--maneuver", "turns", "--environment", "rain", "--runs", 1, "--seed", 7
@@ -106,11 +106,11 @@ def test_every_option_reaches_the_drive(sigmaswarm, here: Path):
     assert drive.metadata == expected.metadata
     np.testing.assert_array_equal(drive.imu.ax, expected.imu.ax)
     np.testing.assert_array_equal(drive.gps.x, expected.gps.x)
-    assert drive.duration == pytest.approx(30.0, abs=0.1)  # its clock jitters
+    assert drive.duration == pytest.approx(30.0, abs=0.1)  # the clock has jitter
     assert read_drive("s/brake-rain-00").metadata["scenario"]["vibration"] == 1.0
 
 
-def test_workers_are_as_many_threads(sigmaswarm, here: Path, monkeypatch):
+def test_workers_set_the_number_of_threads(sigmaswarm, here: Path, monkeypatch):
     threads, write = set(), library.write_drive
 
     def noted(drive, path):
@@ -136,7 +136,7 @@ def test_help_names_every_choice(sigmaswarm):
         assert [name for name in choices if name not in said] == []
 
 
-def test_labels_of_one_friction_are_said_to_be_so(sigmaswarm, here: Path):
+def test_environments_with_equal_friction_are_reported(sigmaswarm, here: Path):
     shared = sigmaswarm(
         "simulate", "--out", "a", "--maneuver", "brake", "--environment", "clear", "fog", "--runs", 1
     )
@@ -148,8 +148,8 @@ def test_labels_of_one_friction_are_said_to_be_so(sigmaswarm, here: Path):
 
 
 @pytest.mark.long
-def test_a_failure_on_the_way_is_one_line_and_can_be_resumed(sigmaswarm, here: Path, monkeypatch):
-    """A disk that is full, say: what was written is whole, and --resume goes on."""
+def test_a_failure_gives_one_line_and_can_be_resumed(sigmaswarm, here: Path, monkeypatch):
+    """The disk becomes full: written drives are complete, and --resume continues."""
     write = library.write_drive
 
     def full(drive, path):
@@ -184,4 +184,4 @@ def test_plot_draws_a_recorded_drive_without_truth(sigmaswarm, here: Path, caplo
     assert json.loads(ended.out) == {"out": "by-me.png"}
     assert Path("by-me.png").read_bytes().startswith(b"\x89PNG")
     assert ended.err == ""
-    assert [record.getMessage() for record in caplog.records] == []  # matplotlib has nothing to complain of
+    assert [record.getMessage() for record in caplog.records] == []  # no warning from matplotlib

@@ -32,7 +32,7 @@ def test_run_writes_the_smoothed_estimates(sigmaswarm, drives: Path, tuned: Path
     assert np.mean(whole.covariance[:, 0, 0]) < 0.6 * np.mean(causal.covariance[:, 0, 0])
 
 
-def test_evaluate_has_a_row_for_it_and_so_has_the_page(sigmaswarm, drives: Path, tuned: Path, here: Path):
+def test_evaluate_and_its_page_have_a_row(sigmaswarm, drives: Path, tuned: Path, here: Path):
     drive = next(drives.iterdir())
     ended = sigmaswarm("evaluate", tuned, drive, "--smooth", "--out", "evaluation")
     assert ended.code == 0
@@ -54,7 +54,7 @@ def test_evaluate_has_a_row_for_it_and_so_has_the_page(sigmaswarm, drives: Path,
 
 
 @pytest.mark.parametrize("with_truth", [True, False])
-def test_its_scores_are_those_of_the_estimates(drives: Path, tuned: Path, with_truth: bool):
+def test_the_scores_equal_those_of_the_estimates(drives: Path, tuned: Path, with_truth: bool):
     drive, p = read_drive(next(drives.iterdir())), FilterParameters.load(tuned)
     drive = drive if with_truth else replace(drive, truth=None)
     found = evaluate(drive, p, smooth=True, outage_length=4.0)

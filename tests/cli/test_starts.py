@@ -14,7 +14,7 @@ from sigmaswarm.drives.alignment import initial_state
 
 
 def still(length: float = 60.0) -> Drive:
-    """A vehicle that stands."""
+    """Return a standing vehicle."""
     t, at = np.arange(0, length, 0.02), np.arange(0.5, length - 1, 0.5)
     zero, noise = np.zeros(len(t)), np.random.default_rng(1).normal(0, 0.5, (2, len(at)))
     imu = {"t": t, "ax": zero, "ay": zero, "gz": zero + 1e-4 * np.sin(t)}
@@ -67,7 +67,7 @@ def test_a_heading_column_of_a_moving_vehicle_is_in_the_convention_that_its_cour
     assert start.mean[4] == pytest.approx(theta[0], abs=0.05) and start.time <= initial_state(drive).time
 
 
-def test_split_says_that_a_part_has_no_start(sigmaswarm: Command, tmp_path) -> None:
+def test_split_reports_a_part_without_a_start(sigmaswarm: Command, tmp_path) -> None:
     write_drive(still(), tmp_path / "still")
     ended = sigmaswarm("split", tmp_path / "still", "--out", tmp_path / "parts")
     assert ended.code == 0 and "still-test can't be used as a drive" in ended.err.replace("\n", " ")
@@ -108,4 +108,4 @@ def test_import_proposes_the_cut_of_a_log_whose_imu_was_moved(
     assert lines[0].startswith("split day --at ") and lines[1] == "doctor parts --fix mended"
     assert sigmaswarm(*lines[0].split()).code == 0
     assert "repair_alone = true" in (tmp_path / "parts" / "day-test" / "drive.toml").read_text()
-    assert sigmaswarm(*lines[1].split()).code == 0  # nothing serious is left
+    assert sigmaswarm(*lines[1].split()).code == 0  # no serious finding remains

@@ -17,7 +17,7 @@ def test_a_small_study_and_its_tables(sigmaswarm: Command, here: Path):
     ended = sigmaswarm("study", "--out", "out", "--config", "study.toml", *SMALL)
     assert ended.code == 0, ended.err
     assert "Table III" in ended.out
-    assert "21,607" in ended.out  # the paper's
+    assert "21,607" in ended.out  # number of the paper
     for name in (
         "results.json",
         "scores.csv",
@@ -52,7 +52,7 @@ def test_mistakes_take_one_line(sigmaswarm: Command, here: Path):
 
 
 @pytest.mark.parametrize("package", ["jax", "optax"])
-def test_a_missing_library_is_told_in_one_line_before_any_work(
+def test_a_missing_library_gives_one_line_before_any_work(
     package: str, sigmaswarm: Command, here: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setitem(sys.modules, package, None)

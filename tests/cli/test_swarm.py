@@ -24,7 +24,7 @@ def test_run_writes_the_mixture_and_the_log_of_the_bank(sigmaswarm, drives: Path
     np.testing.assert_allclose(table["std_theta"].to_numpy(), np.sqrt(whole.covariance[:, 4, 4]), rtol=1e-9)
     assert told["said"] == told["warnings"]
     said = pl.read_csv(told["swarm"])
-    assert np.ptp(np.diff(said["t"].to_numpy())) < 0.1  # once a second
+    assert np.ptp(np.diff(said["t"].to_numpy())) < 0.1  # one row per second
     np.testing.assert_allclose(said.select(pl.sum_horizontal("^weight_.*$")).to_series(), 1.0)
     settled = FilterParameters.load(told["settled"])
     assert (settled.model, settled.kind) == (p.model, p.kind)
@@ -32,7 +32,7 @@ def test_run_writes_the_mixture_and_the_log_of_the_bank(sigmaswarm, drives: Path
     assert sigmaswarm("run", told["settled"], drive, "--out", "again.csv").code == 0
 
 
-def test_evaluate_has_a_row_for_it_and_so_has_the_page(sigmaswarm, drives: Path, tuned: Path, here: Path):
+def test_evaluate_and_its_page_have_a_row(sigmaswarm, drives: Path, tuned: Path, here: Path):
     drive = next(drives.iterdir())
     ended = sigmaswarm("evaluate", tuned, drive, "--bank", "--out", "evaluation")
     assert ended.code == 0

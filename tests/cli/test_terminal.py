@@ -30,7 +30,7 @@ def command(*arguments: object, stdout: object = subprocess.PIPE, **environment:
 
 @pytest.fixture
 def drive(drives: Path, here: Path):
-    """A function that makes a drive of a name, as drive.toml states it."""
+    """Return a function that makes a drive with a given name in drive.toml."""
 
     def made(name: str) -> Path:
         shutil.copytree(drives / "urban-clear-00", "named", dirs_exist_ok=True)
@@ -42,7 +42,7 @@ def drive(drives: Path, here: Path):
 
 
 @pytest.mark.parametrize("out", some(["x[/y]", "x[bold]y", ":smile:"], 3))
-def test_a_path_is_no_markup(sigmaswarm, tuned: Path, drives: Path, here: Path, out: str):
+def test_a_path_is_not_interpreted_as_markup(sigmaswarm, tuned: Path, drives: Path, here: Path, out: str):
     (here / out).mkdir(parents=True)
     for arguments in (
         ("export", tuned, "--to", "robot_localization", "--out", f"{out}/x"),
@@ -62,7 +62,7 @@ def test_a_path_is_no_markup(sigmaswarm, tuned: Path, drives: Path, here: Path, 
         lambda name: "$" in name and EVIL in name,
     ),
 )
-def test_any_name_can_be_drawn_and_told(sigmaswarm, drive, tuned: Path, name: str):
+def test_any_name_can_be_drawn_and_printed(sigmaswarm, drive, tuned: Path, name: str):
     shown = name.replace(EVIL, r"a\x1b]0;owned\x9cb\x1b[2J")
     assert sigmaswarm("plot", drive(name), "--out", "p.png").code == 0
     ended = sigmaswarm("doctor", "named")
@@ -73,7 +73,7 @@ def test_any_name_can_be_drawn_and_told(sigmaswarm, drive, tuned: Path, name: st
     assert not {c for c in ended.out if not c.isprintable()} - {"\n"}
 
 
-def test_a_control_character_of_a_file_is_told_as_an_escape(sigmaswarm, drive):
+def test_a_control_character_of_a_file_is_printed_as_an_escape(sigmaswarm, drive):
     file = drive("n") / "imu.csv"
     file.write_text(file.read_text().replace("t,", "\x1b[2Jt,", 1))
     ended = sigmaswarm("doctor", "named")
@@ -116,7 +116,7 @@ def test_any_terminal_will_do(drive, environment: dict[str, str]):
     ),
     ids=str,
 )
-def test_a_reader_that_is_gone_is_no_mistake(drive, arguments: list[str]):
+def test_a_closed_pipe_is_not_an_error(drive, arguments: list[str]):
     drive("n")
     read, write = os.pipe()
     os.close(read)
@@ -127,7 +127,7 @@ def test_a_reader_that_is_gone_is_no_mistake(drive, arguments: list[str]):
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
-def test_a_full_output_is_told(drive):
+def test_a_full_output_is_reported(drive):
     drive("n")
     with Path("/dev/full").open("wb") as full:
         done = command("split", "named", "--out", "parts", stdout=full)
