@@ -217,7 +217,10 @@ class Tuning(Generic[P]):
     def __repr__(self) -> str:
         record, given = self.record, getattr(self.config, "use", None)
         sources = "" if given is None else f" with {', '.join(given) or 'position fixes alone'}"
-        lines = [record.headline, f"filter: {record.called}{sources}, {count_of(len(self.trial_costs), 'trial')}"]
+        lines = [
+            record.headline,
+            f"filter: {record.called}{sources}, {count_of(len(self.trial_costs), 'trial')}",
+        ]
         if isinstance(self.config, ModelTuneConfig):
             units = record.units
             values = (
