@@ -120,5 +120,20 @@ def test_every_promise_names_a_test():
         assert re.search(r"`tests/[\w/]+\.py|python -m fuzzing", row.split(" | ")[-1]), row
 
 
+def guide_paths():
+    """Yield the paths in the contributor guide, each with the folders that its paragraph or row names."""
+    text = prose(ROOT / "CONTRIBUTING.md")
+    for paragraph in re.split(r"\n(?=- |\||\n)", text):
+        names = re.findall(r"`([\w./-]+(?:/|\.(?:py|md|toml|in|js|txt)))`", paragraph)
+        folders = {name.rpartition("/")[0] for name in names}
+        yield from ((name, folders) for name in names)
+
+
+@pytest.mark.parametrize(("name", "folders"), [pytest.param(*case, id=case[0]) for case in guide_paths()])
+def test_paths_in_the_contributor_guide_exist(name: str, folders: set[str]):
+    bases = ROOT, ROOT / "src/sigmaswarm"
+    assert any((base / folder / name).exists() for base in bases for folder in {"", *folders})
+
+
 def test_the_readme_has_at_most_120_lines():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120

@@ -31,8 +31,8 @@ from sigmaswarm.importing.positions import (
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.shared_frame import assumed_origin, require_same_axes
 from sigmaswarm.importing.source import ROLES, Role
+from sigmaswarm.importing.time_units import FASTEST_IMU, MAX_STEP, MIN_FIX_INTERVAL, SLOWEST_IMU
 from sigmaswarm.importing.timeline import DECIMAL_PERIODS, MINUTE, STEPS, wraps_too_fast
-from sigmaswarm.importing.times import FASTEST_IMU, MAX_STEP, MIN_FIX_INTERVAL, SLOWEST_IMU
 from sigmaswarm.importing.velocities import without_wrong_velocity
 from sigmaswarm.wording import printable, rows_left_out
 

@@ -10,7 +10,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.inspection import Inspection
 from sigmaswarm.importing.recipe import COLUMNS
 from sigmaswarm.importing.source import ROLES
-from sigmaswarm.importing.times import quoted_column
+from sigmaswarm.importing.table_columns import quoted_column
 from sigmaswarm.importing.units import factor_of
 
 # Expressions that convert a column to the unit of a drive, by quantity and unit of the column

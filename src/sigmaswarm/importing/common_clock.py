@@ -11,7 +11,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.expressions import time_expression
 from sigmaswarm.importing.names import is_time, read_name
 from sigmaswarm.importing.source import Part, Role
-from sigmaswarm.importing.times import column_time
+from sigmaswarm.importing.time_units import column_time
 
 Roles = dict[Role, tuple[Part, ...]]
 

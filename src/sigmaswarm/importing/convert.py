@@ -35,7 +35,8 @@ from sigmaswarm.importing.source import (
 )
 from sigmaswarm.importing.tick_evidence import rate_by_duration, rate_by_motion, shown_rate, wrong_tick
 from sigmaswarm.importing.ticks import Counter, describe_rate, time_of_ticks
-from sigmaswarm.importing.times import UNKNOWN_TICK, of_one_table
+from sigmaswarm.importing.time_units import UNKNOWN_TICK
+from sigmaswarm.importing.times import of_one_table
 from sigmaswarm.importing.unnamed import header_by_values
 from sigmaswarm.wording import list_names, printable
 

@@ -18,16 +18,11 @@ from sigmaswarm.importing.expressions import (
 )
 from sigmaswarm.importing.guess import SAMPLE_ROWS
 from sigmaswarm.importing.names import read_name
-from sigmaswarm.importing.quantities import (
-    MAX_DAMAGED_SHARE,
-    MAX_QUARTILE_RATIO,
-    NO_NUMBER,
-    NO_VALUE,
-    is_huge,
-    is_placeholder,
-)
+from sigmaswarm.importing.quantities import MAX_QUARTILE_RATIO
 from sigmaswarm.importing.source import FILES, ImportProgress, Limits, Log, Part, Role
-from sigmaswarm.importing.times import of_one_table, rising_time, time_of, wrong_unit
+from sigmaswarm.importing.table_columns import MAX_DAMAGED_SHARE, NO_NUMBER, NO_VALUE, is_huge, is_placeholder
+from sigmaswarm.importing.time_units import wrong_unit
+from sigmaswarm.importing.times import of_one_table, rising_time, time_of
 from sigmaswarm.wording import list_names, printable, quoted
 
 ROW = "row"  # column of row numbers, from 0, in tables without a column of this name

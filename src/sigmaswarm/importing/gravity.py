@@ -13,10 +13,10 @@ from sigmaswarm.importing.expressions import compile_expression
 from sigmaswarm.importing.gather import with_row_numbers
 from sigmaswarm.importing.mounting import AUTO
 from sigmaswarm.importing.names import read_name
-from sigmaswarm.importing.quantities import DIMENSIONS, PER_G
+from sigmaswarm.importing.quantities import PER_G
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import Part
-from sigmaswarm.importing.times import column_numbers, median_of
+from sigmaswarm.importing.table_columns import DIMENSIONS, column_numbers, median_of
 from sigmaswarm.importing.units import in_si
 
 FORCES, RATES = ("ax", "ay", "az"), ("gx", "gy", "gz")

@@ -10,28 +10,21 @@ import polars as pl
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.common_clock import on_common_clock
-from sigmaswarm.importing.degree_parts import degree_parts
+from sigmaswarm.importing.coordinates import degree_parts, degrees_as_meters, from_ecef, geographic_position
 from sigmaswarm.importing.expressions import compile_expression
 from sigmaswarm.importing.names import Name, plain_words, read_name, read_names, split_words
-from sigmaswarm.importing.quantities import (
-    Columns,
-    degrees_as_meters,
-    from_ecef,
-    geographic_position,
-    heading,
-    is_placeholder,
-    quantity,
-    with_gravity,
-)
+from sigmaswarm.importing.quantities import heading, quantity, with_gravity
 from sigmaswarm.importing.source import Fault, Guess, Part, Role
-from sigmaswarm.importing.ticks import rates_by_clock
-from sigmaswarm.importing.times import (
-    TimeExpression,
+from sigmaswarm.importing.table_columns import (
+    ColumnExpression,
+    Columns,
     column_numbers,
+    is_placeholder,
     median_of,
     quoted_column,
-    time_of_rows,
 )
+from sigmaswarm.importing.ticks import rates_by_clock
+from sigmaswarm.importing.times import time_of_rows
 from sigmaswarm.wording import list_names
 
 Z_DOWN = "x=x,y=-y"  # mounting of an IMU with x forward, y right and z down
@@ -355,7 +348,7 @@ def _candidates(
     return {role: [t for t in found if t in tables] for role, tables in chosen.items()}
 
 
-def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[str, TimeExpression]]:
+def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[str, ColumnExpression]]:
     """Yield the columns of a role as expressions; ``rows_of``: role whose usual rate determines the unit of times."""
     filled: dict[str, Role] = {"gz": "imu", "ax": "imu", "x": "gps", "lat": "gps"}
     keys: dict[Role, str] = {of: columns.names[what].column for what, of in filled.items() if what in columns}
@@ -368,7 +361,7 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
         yield from found.items()
         located = True
     elif role in ("gps", "truth") and columns.has("x", "y") and (fault := degrees_as_meters(columns, role)):
-        yield "lat", TimeExpression("", fault=fault)
+        yield "lat", ColumnExpression("", fault=fault)
         located = True
     if keep := _with_fix(columns) if role == "gps" else _of_first_sensor(columns) if role == "imu" else None:
         yield "keep", keep
@@ -388,7 +381,7 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
             yield ("heading" if what == "bearing" and heads else course), heading(columns, what, role)
         elif what == "std_heading" and columns.names[what].unit is None:
             degrees = "radians" in heading(columns, "bearing", role).expression
-            yield what, TimeExpression(f"radians({columns.text(what)})" if degrees else columns.text(what))
+            yield what, ColumnExpression(f"radians({columns.text(what)})" if degrees else columns.text(what))
         else:
             found = quantity(columns, what, role)
             yield what.removeprefix("wheel_"), replace(found, **gravity.get(what, {}))
@@ -396,7 +389,7 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
         yield from _std_of_messages(columns.frame.columns)
 
 
-def _of_first_sensor(columns: Columns) -> TimeExpression | None:
+def _of_first_sensor(columns: Columns) -> ColumnExpression | None:
     """Return the condition of the rows of the first IMU if the rows of several IMUs alternate in a table."""
     axes = [name.column for what, name in columns.names.items() if what in ("ax", "gz")]
     rows = columns.frame.drop_nulls(axes)
@@ -414,19 +407,19 @@ def _of_first_sensor(columns: Columns) -> TimeExpression | None:
         ):
             one, another = (f"{column} == {sensor}" for sensor in sensors[:2])
             note = f"the rows of several IMUs alternate, and those with {one} are read"
-            return TimeExpression(one, f'{note}; for another IMU write --map "imu.keep={another}"')
+            return ColumnExpression(one, f'{note}; for another IMU write --map "imu.keep={another}"')
     return None
 
 
-def _std_of_messages(names: Sequence[str]) -> Iterator[tuple[str, TimeExpression]]:
+def _std_of_messages(names: Sequence[str]) -> Iterator[tuple[str, ColumnExpression]]:
     """Yield the standard deviations of NavSatFix messages in a table; `joining` leaves out values of 0."""
     for what, element in (("std_x", 0), ("std_y", 4)):
         found = [n for n in names if re.search(rf"position_covariance\W?_?{element}\W?$", n, re.IGNORECASE)]
         if len(found) == 1:
-            yield what, TimeExpression(f"sqrt({quoted_column(found[0])})")
+            yield what, ColumnExpression(f"sqrt({quoted_column(found[0])})")
 
 
-def _with_fix(columns: Columns) -> TimeExpression | None:
+def _with_fix(columns: Columns) -> ColumnExpression | None:
     """From a column of flags, return the condition of rows with a fix, or a note if it excludes many likely fixes.
 
     In some codes, 0 is a fix without fixed ambiguities.
@@ -445,11 +438,11 @@ def _with_fix(columns: Columns) -> TimeExpression | None:
     if not kept.any():
         return None
     if kept.sum() >= (1 - MAX_DROPPED) * len(fixes) or _jump(fixes.select(names), kept):
-        return TimeExpression(text)
+        return ColumnExpression(text)
     seen = (
         f"{(~kept).sum()} of {len(fixes)} fixes are used, although the condition {text} is not true for them"
     )
-    return TimeExpression("", note=f'{seen}; to leave these fixes out, write --map "gps.keep={text}"')
+    return ColumnExpression("", note=f'{seen}; to leave these fixes out, write --map "gps.keep={text}"')
 
 
 def _jump(places: pl.DataFrame, kept: pl.Series) -> bool:

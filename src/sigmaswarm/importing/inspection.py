@@ -21,14 +21,14 @@ from sigmaswarm.importing.expressions import compile_expression, is_valid_expres
 from sigmaswarm.importing.gather import ROW, with_row_numbers
 from sigmaswarm.importing.gravity import tilted_mount
 from sigmaswarm.importing.guess import Z_DOWN
-from sigmaswarm.importing.increments import RATE, increments
 from sigmaswarm.importing.joining import EVER, without_overlap
 from sigmaswarm.importing.opening import Request, opened
 from sigmaswarm.importing.proposal import Proposal, check_proposal, propose_columns, reversed_forces
-from sigmaswarm.importing.quantities import in_units
+from sigmaswarm.importing.quantities import RATE, in_units, increments
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Fault, ImportProgress, Log, Part, Role
-from sigmaswarm.importing.times import column_numbers, rising_time, time_of, time_of_rows
+from sigmaswarm.importing.table_columns import column_numbers
+from sigmaswarm.importing.times import rising_time, time_of, time_of_rows
 from sigmaswarm.importing.unnamed import columns_by_units, columns_by_values
 
 PREVIEW_ROWS = 5000  # number of first rows of a table from which ranges are computed

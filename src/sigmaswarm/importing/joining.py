@@ -15,6 +15,7 @@ from sigmaswarm.importing.dates import SECOND, Nanoseconds
 from sigmaswarm.importing.gather import PartColumns
 from sigmaswarm.importing.positions import Say, Values, valid_positions, with_longitudes
 from sigmaswarm.importing.source import Part, Role
+from sigmaswarm.importing.table_columns import scaled_column
 from sigmaswarm.importing.timeline import (
     MAX_REPEATED_SHARE,
     from_digits,
@@ -26,7 +27,6 @@ from sigmaswarm.importing.timeline import (
     spread_stamps,
     unwrap,
 )
-from sigmaswarm.importing.times import scaled_column
 from sigmaswarm.wording import count_of, printable, rows_left_out
 
 MIN_STD = 1e-6  # m or rad; a standard deviation of at most this value counts as missing

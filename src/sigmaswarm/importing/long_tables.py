@@ -8,7 +8,7 @@ import polars as pl
 
 from sigmaswarm.importing.names import is_time, read_names
 from sigmaswarm.importing.source import Log, first_bytes
-from sigmaswarm.importing.times import column_numbers
+from sigmaswarm.importing.table_columns import column_numbers
 from sigmaswarm.wording import printable
 
 MAX_KINDS = 20

@@ -22,7 +22,7 @@ from sigmaswarm.importing.mounting import parse_mount
 from sigmaswarm.importing.positions import Say, Values
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import Part
-from sigmaswarm.importing.times import quoted_column
+from sigmaswarm.importing.table_columns import quoted_column
 
 MIN_HEADING_RANGE = 180  # deg, smallest part of the circle whose headings determine the hard iron
 BIN, MIN_SAMPLES = 10, 5  # deg, width of a bin of headings; smallest number of samples in a covered bin

@@ -11,30 +11,48 @@ from sigmaswarm.importing.units import COUNTS, PARTS_OF_SECONDS, Unit, UnitDimen
 
 LONGEST_NAME = 200
 
-_PARTS = "|".join(PARTS_OF_SECONDS)
-TIME = (
-    f"t|ts|time|time_?stamps?(?:_(?:unix|posix|utc))?|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|(?:unix|posix)(?:_?time)?|utc|{_PARTS}|"
-    f"interval|(?:time|secs?|seconds|{_PARTS})_since_\\w{{1,20}}|since_start|loggingtime|logging_time"
+
+def _any_of(*texts: str) -> str:
+    """Return a pattern of patterns that are separated by spaces."""
+    return "|".join(pattern for text in texts for pattern in text.split())
+
+
+_PARTS = _any_of(*PARTS_OF_SECONDS)
+TIME = _any_of(
+    "t ts time time_?stamps?(?:_(?:unix|posix|utc))? stamp",
+    "secs? seconds seconds_elapsed",
+    "date_?time utime epoch (?:unix|posix)(?:_?time)? utc",
+    *PARTS_OF_SECONDS,
+    f"interval (?:time|secs?|seconds|{_PARTS})_since_\\w{{1,20}} since_start",
+    "loggingtime logging_time",
 )
-TIME_OF_WEEK = (
-    "(?:gps|gnss)?_?(?:i?tow|sow|wsec|(?:time|secs?|seconds|ms)_?(?:of|in|into)_?(?:the_)?week|"
-    "week_(?:secs?|seconds|time))"
+_OF_WEEK = _any_of(
+    "i?tow sow wsec (?:time|secs?|seconds|ms)_?(?:of|in|into)_?(?:the_)?week week_(?:secs?|seconds|time)"
+)
+TIME_OF_WEEK = f"(?:gps|gnss)?_?(?:{_OF_WEEK})"
+_CLOCKS = _any_of(
+    "boot sys(?:tem)? device sensor host log(?:ger)? utc gps gnss rx recv",
+    "local mono(?:tonic)? elapsed offset",
 )
 # Names of times, for tables without a more usual name
-CLOCK = (
-    rf"received|boot|date|cts|(?:esp_)?timer|up_?time|ticks?|sample_?time_?fine|time_?(?:startup|imu|gps|gnss|fix|utc|boot)|elapsed|tod|sod|{TIME_OF_WEEK}|(?:time|sec|secs|seconds)_of_(?:the_)?day|"
-    "datenum|t_?(?:imu|gps|gnss|acc|gyro?|truth|ref|gt)|(?:imu|gps|gnss|fix|truth)_?t|(?:(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|utc|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed|offset)_?){1,2}(?:time|clock|stamp)"
+CLOCK = _any_of(
+    "received boot date cts (?:esp_)?timer up_?time ticks? sample_?time_?fine",
+    "time_?(?:startup|imu|gps|gnss|fix|utc|boot)",
+    f"elapsed tod sod {TIME_OF_WEEK} (?:time|sec|secs|seconds)_of_(?:the_)?day",
+    "datenum t_?(?:imu|gps|gnss|acc|gyro?|truth|ref|gt) (?:imu|gps|gnss|fix|truth)_?t",
+    f"(?:(?:{_CLOCKS})_?){{1,2}}(?:time|clock|stamp)",
 )
 STAMP = "(?:.*_)?header_(?:time_?)?stamp"  # ROS header stamps, in tables converted from bags
 WEEK = "(?:gps|gnss)?_?(?:week|wnc?|weeks)(?:_?(?:no|num|number))?"
 
-_ACCELERATION = (
-    "a|acc|accl|accel|acceleration|accelerometer|accelerometer_acceleration|lin(?:ear)?_?acc(?:el|eleration)?|specific_force|"
-    "f|f_?b|a_rs_s|linear"
+_ACCELERATION = _any_of(
+    "a acc accl accel acceleration accelerometer accelerometer_acceleration",
+    "lin(?:ear)?_?acc(?:el|eleration)? specific_force f f_?b a_rs_s linear",
 )
-_RATE = (
-    "g|w|pqr|gyr|gyro|gyroscope|gyro_rotation|gyroscope_gyro_?uncalibrated|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rot|rotation_?rate|rate|"
-    "w_?b|w_rs_s|angular|(?:velocidade?|velocita|vitesse)_ang[uo]lai?re?"
+_RATE = _any_of(
+    "g w pqr gyr gyro gyroscope gyro_rotation gyroscope_gyro_?uncalibrated omega",
+    "ang(?:ular)?_?vel(?:ocity)? ang(?:ular)?_?rate rot rotation_?rate rate w_?b w_rs_s angular",
+    "(?:velocidade?|velocita|vitesse)_ang[uo]lai?re?",
 )
 _STD = "(?:std|stdev|std_?dev|sigma|sd)"  # survey-grade receivers log these in m, also for latitude and longitude
 TURNS = {"roll": "gx", "pitch": "gy", "yaw": "gz"}
@@ -88,7 +106,12 @@ _SHORT = r"(?:field|data|msg|imu\d?)_(?=[agw][xyz](?:_|$))"
 # Prefixes of message tables and of loggers
 _CHIPS = r"(?:adis|adxl|bmi|bmx|bno|icm|iim|lis|lsm|mpu)\d*_(?=[ag]_?[xyz]$)|measurement_(?=[xyz]$)"
 _PREFIXES = re.compile(
-    rf"(?:field|data|msg|unit|imu\d?|gps\d?|gnss\d?|fix|location|position|pos_lla|pos)_(?=...)|(?:gps|gnss)\d?_(?=[pv]?[xyzenu]$)|(?:pose_){{1,2}}position_(?=[xyz]$)|calibrated_(?=acc|gyr)|{_SHORT}|{_CHIPS}"
+    _any_of(
+        r"(?:field|data|msg|unit|imu\d?|gps\d?|gnss\d?|fix|location|position|pos_lla|pos)_(?=...)",
+        r"(?:gps|gnss)\d?_(?=[pv]?[xyzenu]$) (?:pose_){1,2}position_(?=[xyz]$) calibrated_(?=acc|gyr)",
+        _SHORT,
+        _CHIPS,
+    )
 )
 _FIXES = r"gps\d?|gnss\d?|fix|position|location"
 # Words of a shared prefix that do not change the meaning of a name; others may mark an estimate or another quantity

@@ -21,10 +21,10 @@ from sigmaswarm.drives.table_files import MAX_VALUE
 from sigmaswarm.errors import InputError, SigmaswarmError
 from sigmaswarm.importing.names import plain_words, read_name, unit_of
 from sigmaswarm.importing.positions import RADIUS_68
-from sigmaswarm.importing.quantities import AXES, gravity_columns
+from sigmaswarm.importing.quantities import gravity_columns
 from sigmaswarm.importing.rates import unit_of_rates
 from sigmaswarm.importing.source import Part, Role
-from sigmaswarm.importing.times import quoted_column
+from sigmaswarm.importing.table_columns import AXES, quoted_column
 from sigmaswarm.importing.units import in_si
 
 # Words for directions, with their signs in the axes x forward, y left, z up

@@ -10,7 +10,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.sensors import white_noise
 from sigmaswarm.importing.gather import ROW, PartColumns
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.times import column_numbers, quoted_column
+from sigmaswarm.importing.table_columns import column_numbers, quoted_column
 from sigmaswarm.wording import count_of, printable
 
 # Of a column that is a clock: smallest number of changes, and smallest share of usual changes

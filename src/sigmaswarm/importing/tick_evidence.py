@@ -12,8 +12,9 @@ from sigmaswarm.importing.gather import PartColumns
 from sigmaswarm.importing.rates import MIN_CONFIRMED, MIN_EXPLAINED, turn_ratio
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import Role
+from sigmaswarm.importing.table_columns import scaled_column
 from sigmaswarm.importing.ticks import Counter, closest_rate, time_of_ticks, usual_rate
-from sigmaswarm.importing.times import FASTEST_IMU, SLOWEST_IMU, scaled_column
+from sigmaswarm.importing.time_units import FASTEST_IMU, SLOWEST_IMU
 
 FIX_RATES = (0.1, 0.2, 0.5, 1, 2, 4, 5, 8, 10, 12.5, 16, 18, 20, 25, 50)  # Hz, usual rates of receivers
 # Largest relative difference of turns and of accelerations at the right rate

@@ -12,11 +12,9 @@ from sigmaswarm.importing.dates import SECOND
 from sigmaswarm.importing.expressions import time_expression
 from sigmaswarm.importing.names import CLOCK, read_names
 from sigmaswarm.importing.source import TickRate
-from sigmaswarm.importing.times import (
-    column_time,
-    find_time,
-    quoted_column,
-)
+from sigmaswarm.importing.table_columns import quoted_column
+from sigmaswarm.importing.time_units import column_time
+from sigmaswarm.importing.times import find_time
 from sigmaswarm.wording import printable
 
 WRAPS = (2**16, 2**24, 2**31, 2**32)  # numbers of ticks after which counters wrap

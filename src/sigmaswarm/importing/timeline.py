@@ -11,7 +11,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import MIN_DATE, SECOND, WEEK, Nanoseconds
 from sigmaswarm.importing.positions import Say
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.times import MAX_DECREASING_SHARE, MAX_STEP, MIN_STEP, UNITS
+from sigmaswarm.importing.time_units import MAX_DECREASING_SHARE, MAX_STEP, MIN_STEP, UNITS
 from sigmaswarm.wording import count_of, list_names, rows_left_out
 
 MINUTE = 60 * SECOND

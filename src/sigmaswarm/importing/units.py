@@ -166,6 +166,11 @@ def parse_unit(text: str) -> Unit | None:
     return Unit(text, dimension, factor if dimension else 0.0)
 
 
+def may_be_gradians(unit: Unit) -> bool:
+    """Return True for "grad" and its short forms, which mean degrees in some languages and gradians in others."""
+    return re.match(r"gr(?:ad[es]?)?(?![a-z])", unit.text.strip().lower()) is not None
+
+
 def possible_units(lat: float, lon: float) -> list[str]:
     """Return the possible units of latitude and longitude with these magnitudes, as units per degree, largest first."""
     return [k for k in PER_DEGREE if lat <= 90 * float(k) and lon <= 360 * float(k)]

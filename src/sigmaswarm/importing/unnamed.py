@@ -10,19 +10,12 @@ import polars as pl
 from sigmaswarm.arrays import Array
 from sigmaswarm.importing.dates import SECOND
 from sigmaswarm.importing.expressions import time_expression
-from sigmaswarm.importing.increments import RATE
 from sigmaswarm.importing.names import read_name, read_names
-from sigmaswarm.importing.quantities import AXES, MAX_QUARTILE_RATIO, PER_G
+from sigmaswarm.importing.quantities import MAX_QUARTILE_RATIO, PER_G, RATE
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.times import (
-    column_numbers,
-    column_time,
-    date_time,
-    median_of,
-    quoted_column,
-    step_of,
-    time_of,
-)
+from sigmaswarm.importing.table_columns import AXES, column_numbers, median_of, quoted_column
+from sigmaswarm.importing.time_units import column_time, date_time, step_of
+from sigmaswarm.importing.times import time_of
 from sigmaswarm.importing.units import G, in_si
 
 UNNAMED = re.compile(r"(?:c|.*_)\d+|.*\[\d+\]")

@@ -12,10 +12,10 @@ from shlex import quote
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.names import read_name
-from sigmaswarm.importing.quantities import NO_NUMBER, NO_VALUE
 from sigmaswarm.importing.readers.packed_cells import NAMED, packed_cells
 from sigmaswarm.importing.readers.row_kinds import MAX_ROWS, require_one_kind
 from sigmaswarm.importing.source import first_bytes
+from sigmaswarm.importing.table_columns import NO_NUMBER, NO_VALUE
 from sigmaswarm.importing.units import COUNTS, parse_unit
 
 HEADER_BYTES = 4_000_000

@@ -17,7 +17,7 @@ from sigmaswarm.importing.positions import FLAT_NOTE, RADIUS_68
 from sigmaswarm.importing.readers.columns import log_of_names
 from sigmaswarm.importing.readers.packed import names_in
 from sigmaswarm.importing.source import Guess, Limits, Log, Part, Role, first_bytes
-from sigmaswarm.importing.times import median_of
+from sigmaswarm.importing.table_columns import median_of
 
 FILES = ("Accelerometer.csv", "Gyroscope.csv", "Location.csv")
 _AXES = {"t": "time", "x": "x", "y": "y", "z": "z"}
