@@ -11,7 +11,6 @@ MAX_CHARACTERS = 60  # largest length of a name or a cell
 MAX_NAMES = 12
 TO_DO = "TO DO: "  # begins remarks that require action
 REASON = ". Reason: "  # follows the remedy in these remarks
-NO_ACTION = "no action is needed"  # begins remedies of findings that require no action
 
 
 def to_do(remedy: str, why: str) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from sigmaswarm.cli.output import Output, Remark
 from sigmaswarm.files import free_path
-from sigmaswarm.wording import NO_ACTION, as_sentence, count_of, printable, sentences
+from sigmaswarm.wording import as_sentence, count_of, printable, sentences
 
 if TYPE_CHECKING:
     from sigmaswarm.datasets.dataset import Dataset
@@ -91,7 +91,7 @@ def warn_of_serious(
         elif codes := ", ".join(
             f.code
             for f in diagnosis.findings
-            if f.severity == "warning" and f.code not in printed and not f.remedy.startswith(NO_ACTION)
+            if f.severity == "warning" and f.code not in printed and f.needs_action
         ):
             findings = (
                 f"the log makes the filter less accurate ({codes}); {_doctor(folder)} describes the faults"

@@ -19,14 +19,14 @@ from sigmaswarm.doctor.checks.odometer import check_odometer
 from sigmaswarm.doctor.checks.timing import check_clock, check_sampling, check_truth
 from sigmaswarm.doctor.checks.velocity import check_velocity
 from sigmaswarm.doctor.evidence import gather
-from sigmaswarm.doctor.findings import SEVERITIES, Diagnosis, Finding, finding_of
+from sigmaswarm.doctor.findings import NO_ACTION, SEVERITIES, Diagnosis, Finding, finding_of
 from sigmaswarm.doctor.repairs import AXIS_ACTIONS, leave_different_axes
 from sigmaswarm.drives.checks import invalid_times, shortage_of
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.drives.split import name_of_whole
 from sigmaswarm.errors import DriveError
-from sigmaswarm.wording import NO_ACTION, printable
+from sigmaswarm.wording import printable
 
 # The order of findings of equal severity
 CHECKS = (
@@ -108,7 +108,7 @@ def _contradicted(finding: Finding) -> Finding:
         f"that this fault exists, repair it yourself: {finding.remedy}"
     )
     severity = "warning" if finding.severity == "serious" else finding.severity
-    return replace(finding, severity=severity, remedy=remedy, repair=None)
+    return replace(finding, severity=severity, remedy=remedy, repair=None, needs_action=False)
 
 
 def _of_one_sensor(finding: Finding) -> Finding:

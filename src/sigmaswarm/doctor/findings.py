@@ -10,6 +10,7 @@ Severity = Literal["note", "warning", "serious"]
 # Serious: tuned filters adapt to the fault; warning: tuned filters are less accurate; note: information
 SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "note")
 
+NO_ACTION = "no action is needed"
 _WRONG_TIME = "a filter compares each fix with its estimate at another time; at 20 m/s, 0.1 s are 2 m"
 _WRONG_AXES = (
     "a filter mistakes gravity and turns for other motion, so heading and position drift between fixes"
@@ -100,6 +101,8 @@ class Finding:
         Time at which to cut the log, s; the part after this time does not have the fault.
     command : str
         Command in ``remedy`` with the placeholders DRIVE and parts, or "".
+    needs_action : bool
+        False if the remedy is that no action is needed.
     """
 
     code: str
@@ -112,6 +115,7 @@ class Finding:
     repair: Repair | None = None
     cut: float | None = None
     command: str = ""
+    needs_action: bool = True
 
     @property
     def consequence(self) -> str:
@@ -120,7 +124,8 @@ class Finding:
 
     def to_dict(self) -> dict[str, Any]:
         """Return a dictionary for JSON."""
-        about: dict[str, Any] = {k: v for k, v in vars(self).items() if k not in ("repair", "cut", "command")}
+        left_out = ("repair", "cut", "command", "needs_action")
+        about: dict[str, Any] = {k: v for k, v in vars(self).items() if k not in left_out}
         about |= {"consequence": self.consequence, "repairable": self.repair is not None}
         return about | {"span": list(self.span)}
 

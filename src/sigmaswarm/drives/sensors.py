@@ -108,7 +108,7 @@ def log_properties(drive: Drive | LogProperties) -> LogProperties:
         fix_interval=float(np.median(np.diff(gps.time))) if len(gps) > 1 else np.nan,
         noise=white_noise(gps.x + 1j * gps.y),
         true_std=true_std(drive),
-        assumed_std=stated_std(drive) is None and _visible_noise(drive) is None,
+        assumed_std=assumes_std(drive),
         # An imported drive states its axes, but not a rotation of zero.
         mounting=drive.mounting or (NO_ROTATION if axes_of(drive.metadata) else None),
     )
@@ -152,6 +152,11 @@ def receiver_std(drive: Drive) -> tuple[float, float]:
         return stated
     std = _visible_noise(drive) or UNSTATED_GPS_STD
     return std, std
+
+
+def assumes_std(drive: Drive) -> bool:
+    """Return True if neither the receiver nor the white noise of its fixes shows their standard deviation."""
+    return stated_std(drive) is None and _visible_noise(drive) is None
 
 
 def _visible_noise(drive: Drive) -> float | None:

@@ -13,13 +13,12 @@ import numpy as np
 from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.acceleration_fit import gyro_drift
 from sigmaswarm.doctor.evidence import Evidence
-from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
+from sigmaswarm.doctor.findings import NO_ACTION, Finding, Repair, confidence_of
 from sigmaswarm.doctor.fixes import Mask
 from sigmaswarm.doctor.verdicts import DEGREE, MIN_GAIN_ERROR
 from sigmaswarm.doctor.windows import integral, moving_mean, smoothed
 from sigmaswarm.doctor.yaw_fit import yaw_windows
 from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
-from sigmaswarm.wording import NO_ACTION
 
 # rad, RMS change of the course within 20 s; smaller changes are due to swaying
 MIN_SCALE_TURN = np.radians(1.0)
@@ -114,7 +113,7 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
         what = f"the gyro's bias is about {np.degrees(bias):.2f} deg/s"
         model = evidence.suggestion.model
         remedy = f"{NO_ACTION}, since the default filter of tune (--model {model}) estimates the bias"
-        yield Finding("gyro-bias", severity, what, where, span, 0.95, remedy)
+        yield Finding("gyro-bias", severity, what, where, span, 0.95, remedy, needs_action=False)
 
 
 def _whole_gain(evidence: Evidence) -> float:

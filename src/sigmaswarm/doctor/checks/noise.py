@@ -10,9 +10,8 @@ import numpy as np
 
 from sigmaswarm.doctor.acceleration_fit import MIN_NOISE
 from sigmaswarm.doctor.evidence import MAX_SCATTER_RATIO, Evidence
-from sigmaswarm.doctor.findings import Finding, Repair, confidence_of, split_command
-from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, motion_in_noise, receiver_std, stated_std
-from sigmaswarm.wording import NO_ACTION
+from sigmaswarm.doctor.findings import NO_ACTION, Finding, Repair, confidence_of, split_command
+from sigmaswarm.drives.sensors import assumes_std, motion_in_noise, receiver_std, stated_std
 
 MAX_OBSERVED_RATIO = 2.0  # largest ratio of observed noise to stated noise
 # m, standard deviation that no receiver reaches in motion (data sheets of RTK state 0.006 to 0.01 m). A smaller
@@ -86,8 +85,9 @@ def _disturbed(evidence: Evidence) -> Iterator[Finding]:
         f"{NO_ACTION} with the default filter of tune (robust), which reduces the weight of such fixes; for "
         f"other filters, leave them out: {command}"
     )
+    where, span = "gps.csv, positions", (start, end)
     yield Finding(
-        "gps-disturbed", "warning", what, "gps.csv, positions", (start, end), 0.99, remedy, command=command
+        "gps-disturbed", "warning", what, where, span, 0.99, remedy, command=command, needs_action=False
     )
 
 
@@ -98,9 +98,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         return
     if known is None:
         assumed = float(np.mean(receiver_std(evidence.drive)))
-        or_scatter = " or the scatter, if the baseline then drifts clearly less" * (
-            assumed == UNSTATED_GPS_STD
-        )
+        or_scatter = " or the scatter, if the baseline then drifts clearly less" * assumes_std(evidence.drive)
         what = (
             f"the receiver states no accuracy. The fixes scatter by {scatter:.2g} m per axis, which is a lower limit "
             "of their standard deviation, since slow errors do not increase the scatter. A tuning without truth "

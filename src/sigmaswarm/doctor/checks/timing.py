@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -130,7 +131,9 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     if remark := unshared_times(imu.time, gps.time):
         most = outside_of(imu.time, gps.time).mean() > MAX_UNUSED_SHARE
         severity = "warning" if most else "note"
-        yield finding_of(remark, severity, _ends(imu.time), 1.0)
+        found = finding_of(remark, severity, _ends(imu.time), 1.0)
+        # a receiver may record longer than the IMU, and the additional fixes have no effect
+        yield replace(found, needs_action=remark.code != "gps-outside")
     yield from clock_jumps(imu.time, gps)
     same = np.append(False, (np.diff(imu.ax) == 0) & (np.diff(imu.ay) == 0) & (np.diff(imu.gz) == 0))
     if same.mean() > MAX_REPEATED_SHARE:
