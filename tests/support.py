@@ -1,6 +1,6 @@
 """Helpers of the tests: selection of quick test cases, the folder of the real drives, an exact synthetic drive."""
 
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Collection, Generator, Iterable
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from importlib.util import find_spec
@@ -203,6 +203,12 @@ def assert_same(a: Drive, b: Drive) -> None:
             left, right = getattr(one, f.name), getattr(other, f.name)
             assert (left is None) == (right is None), f.name
             assert left is None or left.tobytes() == right.tobytes(), f.name
+
+
+def file_contents(folder: Path, omitted: Collection[str] = ()) -> dict[str, bytes]:
+    """Return the content of each file in a folder and its subfolders, by path, except files named in ``omitted``."""
+    files = (path for path in sorted(folder.rglob("*")) if path.is_file() and path.name not in omitted)
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 def in_degrees(drive: Drive, altitude: bool = True) -> Drive:

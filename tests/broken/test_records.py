@@ -29,7 +29,7 @@ from sigmaswarm.scoring.records import EvaluationRecord, ScoresRecord
 from sigmaswarm.scoring.tracks import load_tracks
 from sigmaswarm.tuning.record import TuningRecord, history_of, load_history
 from sigmaswarm.tuning.store import ResultFolder, finished_trial
-from support import make_drive, no_pictures
+from support import file_contents, make_drive, no_pictures
 
 pytestmark = pytest.mark.usefixtures("undiagnosed")
 
@@ -108,10 +108,6 @@ def test_a_trial_that_is_no_trial(broken: str | int, tmp_path: Path):
         finished_trial(tmp_path, 0)
 
 
-def listing(folder: Path) -> dict[str, bytes]:
-    return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
-
-
 @pytest.mark.parametrize("fails_at", range(1, 6))
 def test_files_take_their_places_together_or_not_at_all(
     fails_at: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -120,7 +116,7 @@ def test_files_take_their_places_together_or_not_at_all(
     (folder / "sub").mkdir(parents=True)
     for name in ("a", "b", "sub/c", "mine"):
         (folder / name).write_text("old")
-    before, moved, rename = listing(folder), 0, Path.rename
+    before, moved, rename = file_contents(folder), 0, Path.rename
 
     def failing(path: Path, target: Path) -> Path:
         nonlocal moved
@@ -134,7 +130,7 @@ def test_files_take_their_places_together_or_not_at_all(
         (new / "sub").mkdir()
         for name in ("a", "b", "sub/c"):
             write_atomically(new / name, "new")
-    assert listing(folder) == before
+    assert file_contents(folder) == before
 
 
 @pytest.mark.parametrize("killed_at", range(1, 6))
@@ -143,7 +139,7 @@ def test_a_kill_between_two_files_is_undone_by_the_next_run(killed_at: int, tmp_
     folder.mkdir()
     for name in "abc":
         (folder / name).write_text("old")
-    before = listing(folder)
+    before = file_contents(folder)
     if (child := os.fork()) == 0:
         rename, moved = Path.rename, 0
 
@@ -161,7 +157,7 @@ def test_a_kill_between_two_files_is_undone_by_the_next_run(killed_at: int, tmp_
         os._exit(0)
     os.waitpid(child, 0)
     write_atomically(folder / "another", "x")
-    assert listing(folder) == before | {"another": b"x"}
+    assert file_contents(folder) == before | {"another": b"x"}
 
 
 @pytest.fixture(scope="module")
@@ -192,7 +188,7 @@ def test_report_refuses_a_file_of_another_evaluation(name: str, folders: tuple[P
 def test_an_export_over_an_older_one_is_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     p = FilterParameters(0.5, 2.0, 1.0, (1e-4,) * 5, (1.0, 1.0), nominal_interval=0.01)
     export_filter(p, "c99", tmp_path / "c")
-    before = listing(tmp_path / "c")
+    before = file_contents(tmp_path / "c")
     written = 0
 
     def full(path: Path, content: bytes | str) -> None:
@@ -206,7 +202,7 @@ def test_an_export_over_an_older_one_is_whole(tmp_path: Path, monkeypatch: pytes
     other = FilterParameters(0.5, 2.0, 1.0, (1e-3,) * 5, (2.0, 1.0), nominal_interval=0.01)
     with pytest.raises(InputError, match=str(tmp_path / "c")):
         export_filter(other, "c99", tmp_path / "c")
-    assert listing(tmp_path / "c") == before
+    assert file_contents(tmp_path / "c") == before
 
 
 def test_a_config_that_is_no_table(folders: tuple[Path, Path], tmp_path: Path):
@@ -345,7 +341,7 @@ def test_a_comparison_over_an_older_one_is_whole(
     fails_at: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compared: Comparison
 ):
     save_comparison(compared, tmp_path)
-    before = listing(tmp_path)
+    before = file_contents(tmp_path)
     other = replace(compared, contenders=compared.contenders[::-1])
     write = atomic_file.__wrapped__
 
@@ -359,7 +355,7 @@ def test_a_comparison_over_an_older_one_is_whole(
     monkeypatch.setattr("sigmaswarm.reports.figures.atomic_file", full)
     with pytest.raises(InputError, match=fails_at):
         save_comparison(other, tmp_path)
-    assert listing(tmp_path) == before
+    assert file_contents(tmp_path) == before
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from processes import Process, run
 from sigmaswarm import FilterParameters, evaluate, files, read_drive
 from sigmaswarm.files import RESULT_FILE
 from sigmaswarm.reports.evaluation import save_evaluation
-from support import no_pictures, quickly
+from support import file_contents, no_pictures, quickly
 
 COMMAND = """
 from sigmaswarm.cli import main
@@ -46,10 +46,6 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 FOLDERS = {"run-bag", "simulate"}
 """Commands that can't replace existing files."""
-
-
-def tree(folder: Path) -> dict[str, bytes]:
-    return {str(f.relative_to(folder)): f.read_bytes() for f in sorted(folder.rglob("*")) if f.is_file()}
 
 
 def hidden(folder: Path) -> Iterator[Path]:
@@ -102,7 +98,7 @@ def whole(sigmaswarm, words: list[str], monkeypatch: pytest.MonkeyPatch) -> tupl
         patched.setattr(os, "fsync", counted)
         ended = sigmaswarm(*words)
     assert ended.code == 0, ended.err
-    found = tree(Path("out"))
+    found = file_contents(Path("out"))
     assert found and not list(hidden(Path("out")))
     shutil.rmtree("out")
     _WHOLE[tuple(words)] = found, count[0]
@@ -118,7 +114,7 @@ def put_old(name: str, found: dict[str, bytes], drive: Path) -> dict[str, bytes]
         for file in found:
             Path("out", file).parent.mkdir(exist_ok=True)
             Path("out", file).write_bytes(found[file] if file == RESULT_FILE else b"old")
-    return tree(Path("out"))
+    return file_contents(Path("out"))
 
 
 @pytest.mark.parametrize(
@@ -137,7 +133,7 @@ def test_a_kill_leaves_no_incomplete_files(
     at = 1 if moment == "first" else flushed
     done = run(DYING, at, *words)
     assert done.returncode == -9, done.stderr
-    left = tree(Path("out"))
+    left = file_contents(Path("out"))
     assert list(hidden(Path("out")))  # it was killed while it wrote
     shown = {
         file: text
@@ -149,7 +145,7 @@ def test_a_kill_leaves_no_incomplete_files(
         assert text in (old.get(file), found.get(file)), file
     files._sweep.cache_clear()
     assert sigmaswarm(*words).code == 0
-    assert tree(Path("out")) == found  # no hidden files remain
+    assert file_contents(Path("out")) == found  # no hidden files remain
 
 
 @pytest.mark.parametrize("name", quickly([(name,) for name in COMMANDS], lambda name: name == "evaluate"))
@@ -165,7 +161,7 @@ def test_a_full_disk_leaves_what_was_there(
     assert len(told) == 1
     assert "can't be written (File too large); free some space, or name another folder" in told[0]
     assert "out" in told[0]
-    left = tree(Path("out"))
+    left = file_contents(Path("out"))
     assert set(old) <= set(left)
     for file, text in left.items():
         assert text in (old.get(file), found.get(file)), file
@@ -200,7 +196,7 @@ def test_a_disk_that_is_full_at_each_write(
         assert len(told) == 1
         assert "out" in told[0] and "No space left on device" in told[0]
         assert "Traceback" not in ended.err
-        now = tree(Path("out"))
+        now = file_contents(Path("out"))
         if name in FOLDERS:
             assert set(now) <= set(found)
             assert all(text == found[file] for file, text in now.items())
@@ -223,7 +219,7 @@ def test_a_full_file_system(sigmaswarm, arguments, monkeypatch: pytest.MonkeyPat
             "sigmaswarm: out/e.csv: can't be written (No space left on device); free some space, or name another "
             "folder\n"
         )
-        assert tree(Path("out")) == {"e.csv": b"good"}
+        assert file_contents(Path("out")) == {"e.csv": b"good"}
     finally:
         subprocess.run(["umount", "-l", "out"], check=True)
 

@@ -39,7 +39,7 @@ from sigmaswarm.experiments.study.scores import score_all
 from sigmaswarm.scoring.batch import PassOptions
 from sigmaswarm.scoring.remote import make_scorer
 from sigmaswarm.tuning.batch import require_fit
-from support import assert_same
+from support import assert_same, file_contents
 
 pytest.importorskip("distributed")
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
@@ -69,23 +69,19 @@ def client(processes: Processes):
         yield client
 
 
-def tree(folder: Path) -> dict[str, bytes]:
-    return {str(f.relative_to(folder)): f.read_bytes() for f in sorted(folder.rglob("*")) if f.is_file()}
-
-
 @pytest.fixture(scope="module")
 def on_threads(folders: list[Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """What a tuning on threads leaves, with two drives held back."""
     out = tmp_path_factory.mktemp("threads") / "out"
     drives = [read_drive(folder) for folder in folders]
     tune(drives[:3], validation=drives[3:], out=out, **SMALL)
-    return tree(out)
+    return file_contents(out)
 
 
 def test_a_tuning_ends_in_the_bytes_of_one_on_threads(client, folders, on_threads, tmp_path):
     given = [read_drive(folders[0]), *folders[1:3]]  # drives and places may stand side by side
     tune(given, validation=folders[3], out=tmp_path / "out", cluster=client, **SMALL)
-    assert tree(tmp_path / "out") == on_threads
+    assert file_contents(tmp_path / "out") == on_threads
 
 
 @pytest.mark.long
@@ -115,7 +111,7 @@ def test_a_killed_worker_changes_no_bit_and_the_next_one_takes_over(folders, on_
         with pytest.warns(match="no worker is left at tcp://127.0.0.1:.*: waiting for a worker"):
             asked = {"validation": folders[3:], "out": tmp_path / "out", "progress": disturb}
             tune(folders[:3], cluster=client, **asked, **SMALL)
-        assert tree(tmp_path / "out") == on_threads
+        assert file_contents(tmp_path / "out") == on_threads
 
         # With the scheduler gone it ends in one line, and goes on elsewhere.
         def end(progress) -> None:
@@ -138,7 +134,7 @@ def test_a_killed_worker_changes_no_bit_and_the_next_one_takes_over(folders, on_
         assert time.monotonic() - began < 60
     drives = [read_drive(folder) for folder in folders]
     tune(drives[:3], validation=drives[3:], out=tmp_path / "two", resume=True, **SMALL)
-    assert tree(tmp_path / "two") == on_threads
+    assert file_contents(tmp_path / "two") == on_threads
 
 
 def test_a_newcomer_takes_its_share(processes, client, folders):
@@ -327,4 +323,4 @@ def test_nothing_was_warned_of(processes):
 def test_what_workers_cannot_import_is_one_line(client, folders):
     (dataset,), _ = remote_datasets(Cluster(client), [folders[:1]])
     with pytest.raises(ClusterError, match=r"^worker tcp://.* can't run the task .*ModuleNotFoundError"):
-        dataset.map(tree)  # of a module that no worker has
+        dataset.map(test_nothing_was_warned_of)  # of a module that no worker has

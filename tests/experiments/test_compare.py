@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from sigmaswarm.scoring.score import score_estimate
 from sigmaswarm.scoring.targets import tracking_pass
 from sigmaswarm.tuning.batch import run_batch
 from sigmaswarm.tuning.tune import tune
-from support import make_drive, no_pictures
+from support import file_contents, make_drive, no_pictures
 
 DRIVES = [make_drive(duration=15.0, seed=s, name=f"d{s}") for s in range(2)]
 HELD_OUT = [make_drive(duration=15.0, seed=7, name="other")]
@@ -40,9 +41,7 @@ OPTIONS = {
 pytestmark = pytest.mark.usefixtures("unpainted", "undiagnosed")
 
 
-def contents(folder: Path) -> dict[str, bytes]:
-    files = (p for p in sorted(folder.rglob("*")) if p.is_file() and p.name != "times.csv")
-    return {str(p.relative_to(folder)): p.read_bytes() for p in files}
+contents = partial(file_contents, omitted={"times.csv"})
 
 
 @pytest.fixture(scope="module")

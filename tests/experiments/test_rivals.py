@@ -6,6 +6,7 @@ import re
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,7 @@ from sigmaswarm.scoring.targets import outage_windows, tracking_pass
 from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.tuning.search import TrialRunner
 from sigmaswarm.tuning.tune import tune
-from support import quickly, require
+from support import file_contents, quickly, require
 
 require("optax", "JAX and Optax are not installed (extra learned)")
 require("sklearn", "scikit-learn is not installed (extra bo)")
@@ -82,9 +83,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Study:
     return found
 
 
-def contents(folder: Path) -> dict[str, bytes]:
-    files = (path for path in sorted(folder.rglob("*")) if path.is_file() and path.name not in TIMED)
-    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+contents = partial(file_contents, omitted=TIMED)
 
 
 def scores(folder: Path, trial: int, method: str) -> dict[tuple[str, str], float]:

@@ -7,6 +7,7 @@ import random
 import signal
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,7 @@ from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_pass, outage_window
 from sigmaswarm.tuning.search import MIN_RACED_DRIVES, TrialRunner
 from sigmaswarm.tuning.space import SearchSpace, search_space
 from sigmaswarm.tuning.tune import tune
-from support import no_pictures
+from support import file_contents, no_pictures
 
 TINY = StudyConfig(
     maneuvers=("turns", "outages"), environments=("clear",), runs=3, trials=2, particles=4, generations=3
@@ -40,9 +41,7 @@ pytestmark = pytest.mark.usefixtures("quick_study")
 DIFFERENT = {"timings.json", "runtime.md", "runtime.tex", "runtime.csv"}
 
 
-def contents(folder: Path) -> dict[str, bytes]:
-    files = (path for path in sorted(folder.rglob("*")) if path.is_file() and path.name not in DIFFERENT)
-    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+contents = partial(file_contents, omitted=DIFFERENT)
 
 
 @pytest.fixture(scope="module")

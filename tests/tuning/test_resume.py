@@ -23,7 +23,7 @@ from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint, saved_history, saved_options
 from sigmaswarm.tuning.tune import tune
-from support import make_drive, quickly
+from support import file_contents, make_drive, quickly
 
 pytestmark = pytest.mark.usefixtures("undiagnosed")
 
@@ -38,11 +38,6 @@ OPTIONS = {
     "seed": 3,
 }
 GENERATIONS = 50
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    """Return the content of each file of a result, by its name."""
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
 class Interruption(Exception):
@@ -87,7 +82,7 @@ def test_the_callback_stops_a_tuning(tmp_path: Path):
 def uninterrupted(tmp_path_factory) -> dict[str, bytes]:
     folder = tmp_path_factory.mktemp("whole")
     tune(DRIVES, out=folder, **OPTIONS)
-    return contents(folder)
+    return file_contents(folder)
 
 
 def test_a_finished_tuning_leaves_these_files(uninterrupted: dict[str, bytes]):
@@ -111,7 +106,7 @@ def test_a_resumed_tuning_ends_in_the_same_bytes(tmp_path: Path, uninterrupted, 
     interrupted(DRIVES, out, generation, **OPTIONS)
     assert not (out / "tuning.toml").exists()
     tune(DRIVES, out=out, resume=True, **OPTIONS)
-    assert contents(out) == uninterrupted
+    assert file_contents(out) == uninterrupted
 
 
 def test_interrupting_after_every_generation_gives_the_same_bytes(tmp_path: Path, uninterrupted):
@@ -121,7 +116,7 @@ def test_interrupting_after_every_generation_gives_the_same_bytes(tmp_path: Path
     told: list[Progress] = []
     tune(DRIVES, out=out, resume=True, progress=told.append, **OPTIONS)
     assert told == []  # all generations were finished
-    assert contents(out) == uninterrupted
+    assert file_contents(out) == uninterrupted
 
 
 def test_resuming_a_finished_tuning_computes_nothing(tmp_path: Path, uninterrupted):
@@ -130,12 +125,12 @@ def test_resuming_a_finished_tuning_computes_nothing(tmp_path: Path, uninterrupt
     again = tune(DRIVES, out=out, resume=True, progress=pytest.fail, **OPTIONS)
     assert again.parameters == tuning.parameters
     assert again.to_dict() == tuning.to_dict()
-    assert contents(out) == uninterrupted
+    assert file_contents(out) == uninterrupted
 
 
 def test_resume_starts_a_tuning_that_does_not_exist(tmp_path: Path, uninterrupted):
     tune(DRIVES, out=tmp_path / "new" / "out", resume=True, **OPTIONS)
-    assert contents(tmp_path / "new" / "out") == uninterrupted
+    assert file_contents(tmp_path / "new" / "out") == uninterrupted
 
 
 def test_patience_is_counted_across_an_interruption(tmp_path: Path):
@@ -145,7 +140,7 @@ def test_patience_is_counted_across_an_interruption(tmp_path: Path):
     assert 4 < length < 40
     interrupted(DRIVES[:1], tmp_path / "cut", length - 1, **options)
     tune(DRIVES[:1], out=tmp_path / "cut", resume=True, **options)
-    assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
+    assert file_contents(tmp_path / "cut") == file_contents(tmp_path / "whole")
 
 
 def test_failures_are_counted_across_an_interruption(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -161,7 +156,7 @@ def test_failures_are_counted_across_an_interruption(tmp_path: Path, monkeypatch
     interrupted(DRIVES, tmp_path / "cut", 3, **options)
     (resumed,) = tune(DRIVES, out=tmp_path / "cut", resume=True, **options).trials
     assert (resumed.failures, resumed.evaluations) == (whole.failures, whole.evaluations)
-    assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
+    assert file_contents(tmp_path / "cut") == file_contents(tmp_path / "whole")
 
 
 # --- Killed processes --------------------------------------------------------------------------------------
@@ -196,8 +191,8 @@ def test_a_tuning_killed_several_times_ends_in_the_same_bytes(tmp_path: Path, ki
 
     assert Process(COMMAND, [*command, "--out", killed, "--resume"]).wait() == 0
     assert uninterrupted.wait() == 0
-    assert {"tuning.toml", "trial-000/result.json", "trial-000/history.npz"} <= set(contents(whole))
-    assert contents(killed) == contents(whole)
+    assert {"tuning.toml", "trial-000/result.json", "trial-000/history.npz"} <= set(file_contents(whole))
+    assert file_contents(killed) == file_contents(whole)
 
 
 def generations_in(checkpoint: Path) -> int:
@@ -209,14 +204,14 @@ def generations_in(checkpoint: Path) -> int:
 
 
 def refusal(drives, out: Path, **options) -> str:
-    before = contents(out)
+    before = file_contents(out)
     with pytest.raises(InputError) as caught:
         tune(drives, out=out, **options)
     message = str(caught.value)
     print(message)
     assert "\n" not in message
     assert str(out) in message
-    assert contents(out) == before  # no file changes
+    assert file_contents(out) == before  # no file changes
     return message
 
 
@@ -363,7 +358,7 @@ def test_a_search_from_a_start_is_resumed_with_the_same_bits(tmp_path: Path):
     tune(DRIVES, out=tmp_path / "whole", **options)
     interrupted(DRIVES, tmp_path / "killed", 2, **options)
     tune(DRIVES, out=tmp_path / "killed", resume=True, **options)
-    assert contents(tmp_path / "killed") == contents(tmp_path / "whole")
+    assert file_contents(tmp_path / "killed") == file_contents(tmp_path / "whole")
 
 
 def test_a_run_without_entries_of_later_versions_is_resumed(tmp_path: Path):

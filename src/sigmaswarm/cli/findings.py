@@ -146,8 +146,8 @@ def repair_command(diagnosis: "Diagnosis", folder: "Location") -> Remedy:
 
 def diagnosis_of_whole(part: "Location") -> "tuple[Diagnosis, Path] | None":
     """Diagnose the drive from which a part was split; return None if the folder of this drive is not found."""
-    from sigmaswarm.cli.whole_drive import find_whole
     from sigmaswarm.doctor.diagnose import diagnose
+    from sigmaswarm.drives.split import find_whole
 
     if not (whole := find_whole(part)):
         return None

@@ -21,8 +21,8 @@ def name_files(remark: str, folders: Sequence[Path]) -> str:
 
     If the user must edit the drive.toml of a part of a drive, name the file of the whole drive instead.
     """
-    from sigmaswarm.cli.whole_drive import description_of, find_whole
     from sigmaswarm.drives.description import cut_of
+    from sigmaswarm.drives.split import description_of, find_whole
     from sigmaswarm.tuning.receiver import AT_THE_TOP, TUNE_AGAIN
 
     if not folders or _DESCRIPTION not in remark:
@@ -67,7 +67,7 @@ def name_training_files(
     ``names``: names of the training drives, which are sought next to the evaluated drives. If none is found, add the
     name of the first training drive.
     """
-    from sigmaswarm.cli.whole_drive import description_of
+    from sigmaswarm.drives.split import description_of
 
     near = dict.fromkeys(folder.parent for folder in local_folders(evaluated))
     folders = [above / name for name in names for above in near if description_of(above / name)]

@@ -7,7 +7,7 @@ import numpy as np
 from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.verdicts import MIN_GAIN_TURN
-from sigmaswarm.doctor.windows import integral, smoothed
+from sigmaswarm.doctor.windows import integral, smoothed, without_lines
 from sigmaswarm.doctor.yaw_fit import yaw_windows
 
 ROUNDS, MAX_CHANGE = 8, 0.7  # iterations; s, largest change of a delay in one iteration
@@ -46,13 +46,7 @@ def clock_drift(evidence: Evidence) -> ClockDrift | None:
     turned, since = integral(imu.time, rate), course.time - float(course.time[rows].mean())
     within = course.time[rows] - course.time[rows].mean(axis=1, keepdims=True)
     weight = np.minimum(np.abs(course.velocity[rows]) / 10, 1.0)
-    q = np.linalg.qr(weight[:, :, None] * np.stack([np.ones_like(within), within], axis=-1))[0]
-
-    def rest(angles: Array) -> Array:
-        """Return the weighted angles (w, n) minus a straight line in each window."""
-        weighted = (weight * angles)[:, :, None]
-        return (weighted - q @ (q.transpose(0, 2, 1) @ weighted))[:, :, 0]
-
+    rest = without_lines(weight, within)
     seen, delay, length = (
         rest(course.angle[rows]),
         np.array([fit.delay, 0.0, 0.0]),

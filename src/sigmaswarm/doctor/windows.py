@@ -1,6 +1,6 @@
 """Integrals, means, overlapping windows of fixes, and least squares with common and separate unknowns."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeVar
@@ -39,6 +39,20 @@ def moving_mean(rows: Array, count: int) -> Array:
     padded = np.pad(rows, ((0, 0), (left, count - left - 1)), mode="symmetric")
     first = np.cumsum(padded[:, :count], axis=1)[:, -1:]
     return np.cumsum(np.hstack([first, padded[:, count:] - padded[:, :-count]]), axis=1) / count
+
+
+def without_lines(weight: Array, t: Array) -> Callable[[Array], Array]:
+    """Return a function that multiplies angles by ``weight`` and subtracts a straight line in ``t`` from each window.
+
+    All arrays have the shape (w, n): w windows of n fixes.
+    """
+    q = np.linalg.qr(weight[:, :, None] * np.stack([np.ones_like(t), t], axis=-1))[0]
+
+    def rest(angles: Array) -> Array:
+        weighted = (weight * angles)[:, :, None]
+        return (weighted - q @ (q.transpose(0, 2, 1) @ weighted))[:, :, 0]
+
+    return rest
 
 
 def windows_of(time: Array, usable: NDArray[np.bool_], length: float) -> NDArray[np.intp]:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.fixes import Course
-from sigmaswarm.doctor.windows import Regression, integral, regress, smoothed, windows_of
+from sigmaswarm.doctor.windows import Regression, integral, regress, smoothed, windows_of, without_lines
 from sigmaswarm.drives.drive import Drive
 
 WINDOW = 20.0  # s: long enough for turns, and so short that the integral of a bias is a straight line
@@ -91,13 +91,7 @@ def fit_column(
             columns.append(-gain * delayed(rate, delay) + 0j)
         return regress(angle, columns, own, weight, rounds)
 
-    q = np.linalg.qr(weight[:, :, None] * np.stack([np.ones_like(t), t], axis=-1))[0]
-
-    def rest(angles: Array) -> Array:
-        """Return the weighted angles (w, n) minus a straight line in each window."""
-        weighted = (weight * angles)[:, :, None]
-        return (weighted - q @ (q.transpose(0, 2, 1) @ weighted))[:, :, 0]
-
+    rest = without_lines(weight, t)
     seen = rest(course.angle[rows])
 
     def misfit(delay: float) -> float:

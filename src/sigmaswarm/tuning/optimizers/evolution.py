@@ -12,7 +12,18 @@ CROSSOVER, CROSSOVER_INDEX, MUTATION_INDEX = 0.9, 15.0, 20.0
 """Probability of crossover, and indices eta of crossover and mutation; higher indices cause smaller changes."""
 
 
-class GeneticAlgorithm(AskTell):
+class _Evolution(AskTell):
+    """Base of optimizers with a population: ``members`` (n, d), and their costs (n,)."""
+
+    saved = ("members", "member_costs")
+
+    def _begin(self) -> Array:
+        self.members = super()._begin()
+        self.member_costs = np.full(self.population, np.inf)
+        return self.members.copy()
+
+
+class GeneticAlgorithm(_Evolution):
     """Tournaments, simulated binary crossover, polynomial mutation, elitism.
 
     K. Deb and R. B. Agrawal, Complex Systems 9, 115-148, 1995; bounded crossover and mutation: K. Deb, Comput. Methods
@@ -20,17 +31,11 @@ class GeneticAlgorithm(AskTell):
     """
 
     name = "ga"
-    saved = ("members", "member_costs")
     crossover: float = CROSSOVER
     crossover_index: float = CROSSOVER_INDEX
     """Index eta_c of the crossover."""
     mutation_index: float = MUTATION_INDEX
     """Index eta_m of the mutation."""
-
-    def _begin(self) -> Array:
-        self.members = super()._begin()
-        self.member_costs = np.full(self.population, np.inf)
-        return self.members.copy()
 
     def _learn(self, costs: Array) -> None:
         if np.isinf(self.member_costs).all():  # the first generation
@@ -114,25 +119,19 @@ def mutated(
     return np.where(chosen, points + np.where(u < 0.5, down, up) * width, points)
 
 
-class DifferentialEvolution(AskTell):
+class DifferentialEvolution(_Evolution):
     """R. Storn and K. Price, J. Global Optimization 11, 341-359, 1997.
 
     The schemes are rand/1/bin and best/1/bin, with a scale factor that is drawn in every generation (dither).
     """
 
     name = "de"
-    saved = ("members", "member_costs")
     base: Literal["best", "rand"] = "best"
     """Base vector: the best member, or a random member."""
     scale: tuple[float, float] = (0.5, 1.0)
     """Range of the scale factor F."""
     crossover: float = 0.7
     """CR, the probability that a coordinate comes from the mutant."""
-
-    def _begin(self) -> Array:
-        self.members = super()._begin()
-        self.member_costs = np.full(self.population, np.inf)
-        return self.members.copy()
 
     def _learn(self, costs: Array) -> None:
         better = costs <= self.member_costs
