@@ -15,18 +15,14 @@ from scipy.optimize import minimize
 from custom_models import PARAMETERS, PENDULUM, SCALING, pendulum_log, point_log, point_model
 from filters.custom.test_run import exact_nll
 from processes import Process
-from sigmaswarm import InputError, Log, Tuning, run_model, tune
-from support import make_drive, quickly
-from tuning.test_resume import contents, generations_in, interrupted
+from sigmaswarm import InputError, Log, run_model, tune
+from support import file_contents, make_drive, quickly
+from tuning.test_resume import generations_in, interrupted
+from tuning.test_tune import bits
 
 POINT = point_model()
 LOGS = [pendulum_log(name, seed=seed, duration=10.0) for seed, name in enumerate(("a", "b"))]
 SMALL = {"model": PENDULUM, "particles": 5, "generations": 6, "trials": 2, "seed": 3}
-
-
-def bits(tuning: Tuning) -> list[bytes]:
-    arrays = [a for t in tuning.trials for a in (t.point, t.best, t.median)]
-    return [a.tobytes() for a in arrays] + [repr((tuning.parameters, tuning.cost)).encode()]
 
 
 @pytest.mark.long
@@ -168,7 +164,7 @@ def test_a_resumed_tuning_ends_in_the_same_bytes(tmp_path: Path, generation: int
     tune(LOGS, out=tmp_path / "whole", **SMALL)
     interrupted(LOGS, tmp_path / "cut", generation, **SMALL)
     tune(LOGS, out=tmp_path / "cut", resume=True, **SMALL)
-    assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
+    assert file_contents(tmp_path / "cut") == file_contents(tmp_path / "whole")
 
 
 KILLED = {"particles": 6, "generations": 40, "trials": 1, "seed": 8}
@@ -194,7 +190,7 @@ def test_a_tuning_killed_in_another_process_ends_here_in_the_same_bytes(tmp_path
     assert not (tmp_path / "killed" / "trial-000").exists()
     tune(pendulum_log(), model=PENDULUM, out=tmp_path / "killed", resume=True, **KILLED)
     tune(pendulum_log(), model=PENDULUM, out=tmp_path / "whole", **KILLED)
-    assert contents(tmp_path / "killed") == contents(tmp_path / "whole")
+    assert file_contents(tmp_path / "killed") == file_contents(tmp_path / "whole")
 
 
 # --- Errors ------------------------------------------------------------------------------------------------

@@ -35,7 +35,17 @@ SMALL = {"particles": 9, "generations": 4, "seed": 3}
 tune = partial(tune_by_default, model="planar5", objective="truth-rmse")
 
 
-class Table:
+class MeanOverDrives:
+    """A problem whose cost is the mean over drives, and whose parameters are the point."""
+
+    def combined(self, each: np.ndarray) -> np.ndarray:
+        return each.mean(axis=1)
+
+    def parameters(self, point: np.ndarray) -> np.ndarray:
+        return point
+
+
+class Table(MeanOverDrives):
     """A problem with given costs of shape (n, m); a point is the number of its row. It records the evaluations."""
 
     def __init__(self, costs: np.ndarray) -> None:
@@ -46,12 +56,6 @@ class Table:
         rows = points[:, 0].astype(int)
         self.asked += [(row, drive) for row in rows for drive in drives]
         return self.table[np.ix_(rows, drives)]
-
-    def combined(self, each: np.ndarray) -> np.ndarray:
-        return each.mean(axis=1)
-
-    def parameters(self, point: np.ndarray) -> np.ndarray:
-        return point
 
 
 def raced(costs: np.ndarray, order):
@@ -184,7 +188,7 @@ def test_every_optimizer_can_race(optimizer: str, tmp_path: Path):
     assert bits(tune(DRIVES, out=tmp_path, resume=True, **asked)) == bits(tuning)
 
 
-class Bowls:
+class Bowls(MeanOverDrives):
     """A problem with a bowl for each drive; some points fail on one drive. It counts evaluations."""
 
     def __init__(self, n_drives: int) -> None:
@@ -199,12 +203,6 @@ class Bowls:
         costs = self.hard[list(drives)] + ((points[:, None] - self.bottoms[list(drives)]) ** 2).sum(axis=2)
         costs[np.ix_(points[:, 0] < -0.8, [k for k, drive in enumerate(drives) if drive == 5])] = np.inf
         return costs
-
-    def combined(self, each: np.ndarray) -> np.ndarray:
-        return each.mean(axis=1)
-
-    def parameters(self, point: np.ndarray) -> np.ndarray:
-        return point
 
     def costs(self, points: np.ndarray, executor) -> np.ndarray:
         return self.combined(self.costs_by_drive(points, range(len(self.steps)), executor))
