@@ -107,7 +107,7 @@ def meaning_of(name: str) -> Meaning | None:
         if len(words) > count and words[-1] != "turn" and (found := unit_of(words[-count:])) and found.known:
             words, unit = words[:-count], found
             break
-    if re.fullmatch("[agw][xyz]", words[-1] if words else "") and _ESTIMATES.isdisjoint(words):  # bosch_ax
+    if len(words) > 1 and re.fullmatch("[agw][xyz]", words[-1]) and _ESTIMATES.isdisjoint(words):  # bosch_ax
         words = [*words[:-1], "acc" if words[-1][0] == "a" else "gyro", words[-1][1]]
     if unit and unit.dimension in ("rate", "acceleration", "length", "angle"):
         column_text = in_si(unit, column_text)
