@@ -439,7 +439,7 @@ def test_a_map_without_a_table_is_told_which_table_has_its_columns(tmp_path: Pat
         imported(tmp_path, maps=["gz=odd"])
     got = imported(tmp_path, maps=["gz=odd"], choice=TableChoice({"imu": "my imu.csv"})).drive
     assert_close(got.imu, imu, "time ax ay gz")
-    with pytest.raises(InputError, match=r"choose one for gz with --imu-topic TABLE,"):
+    with pytest.raises(InputError, match=r"choose one for gz with --imu-table TABLE,"):
         imported(tmp_path, maps=["gz=none"])
 
 
