@@ -20,10 +20,12 @@ FACTOR_TOLERANCE = 1.35
 MIN_EXPLAINED = 0.2
 MAX_RANGE = 4  # binary logarithm of the largest ratio of two ranges of a gyro
 MIN_GAIN_ERROR = 0.1  # smallest reported relative difference of a gain from a factor
-# rad, RMS change of the course within 20 s above which the course determines column, sign and unit of the gyro. Below
-# it, the course is mostly noise, and any interpretation other than gz in rad/s must exceed `MIN_GAIN_SIGMAS` or
-# `LARGE_SHARE`.
+# rad, RMS change of the course within 20 s below which the course is mostly noise
 MIN_GAIN_TURN = 0.05
+# rad, RMS change of the course within 20 s above which it determines column, sign and unit of the gyro. Below it, any
+# interpretation other than gz in rad/s must exceed `MIN_GAIN_SIGMAS` or `LARGE_SHARE`, and no other factor is accepted:
+# on 3 of 342 windows of 60 s in real drives, a lane change in a city led to gains of -1.3, 1.4 and 1.6.
+CLEAR_GAIN_TURN = 0.1
 LARGE_SHARE = 0.5
 # Ratio of a gain to its standard deviation above which a column may explain a small fraction of the course's changes.
 # In a city, most of these changes are errors of the fixes.
@@ -72,12 +74,12 @@ def yaw_of(fit: YawFit | None, imu: Imu) -> Yaw:
     fitting = _units_of(fit.gain)
     follows = size > (1 if fit.share > SUFFICIENT_SHARE else MIN_FOLLOWING_RATIO) * MIN_GAIN_SIGMAS
     follows = follows and fit.separates_delay and not _units_of(fit.undelayed)
-    if not fitting and follows and fit.course_change > MIN_GAIN_TURN and _is_level(imu):
+    if not fitting and follows and fit.course_change > CLEAR_GAIN_TURN and _is_level(imu):
         exponent = round(math.log2(abs(fit.gain)))
         power = math.copysign(2.0**exponent, fit.gain)
         another_range = abs(exponent) <= MAX_RANGE and abs(fit.gain / power - 1) < MIN_GAIN_ERROR
         fitting = [power if another_range else fit.gain]
-    clear = size > MIN_GAIN_SIGMAS or fit.share > LARGE_SHARE or fit.course_change > MIN_GAIN_TURN
+    clear = size > MIN_GAIN_SIGMAS or fit.share > LARGE_SHARE or fit.course_change > CLEAR_GAIN_TURN
     if not fitting or not (clear or (fit.column, fitting[0]) == ("gz", 1.0)):
         return Yaw()
     return Yaw(fit.column, fitting[0], known=True)

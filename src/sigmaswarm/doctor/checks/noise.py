@@ -73,7 +73,7 @@ def _disturbed(evidence: Evidence) -> Iterator[Finding]:
     part = slice(int(np.argmax(high)), len(high) - int(np.argmax(high[::-1])))
     moved, off = np.diff(course.position[fit.rows[part]], axis=1), np.diff(fit.residual[part], axis=1)
     turn = np.degrees(np.max(np.abs(np.angle(moved * np.conj(moved - off)))))
-    duration = len(fixes) * float(np.median(np.diff(course.time)))
+    duration = (len(fixes) - 1) * float(np.median(np.diff(course.time)))
     start, end = float(course.time[fixes[0]]), float(course.time[fixes[-1]])
     what = (
         f"for {duration:.0f} of the {end - start:.0f} s from t = {start:.0f} s, the fixes scatter by {noise:.2g} m per "
