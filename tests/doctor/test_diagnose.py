@@ -131,6 +131,35 @@ def test_a_lane_change_in_a_city_shows_no_factor_of_the_gyro(begin: float):
     assert serious(sigmaswarm.diagnose(reversed_gyro)) == []
 
 
+@needs_shared
+@pytest.mark.parametrize(
+    ("name", "begin"),
+    [
+        ("kingston-1", 219.1),  # the car stands, and the fixes repeat to a millimeter: rotation, tilt
+        ("kingston-1", 253.79),  # it moves for four seconds: gravity of 131 m/s2
+        ("kingston-1", 705.29),  # wrong fixes: an offset of 22 s with an arbitrary factor
+        ("kingston-1", 670.89),  # wrong fixes in a part that a delay of the truth leaves out
+        ("kingston-1", 1730.2),  # starts and stops determine no axis, but an offset of 1.3 s
+        ("kingston-1", 1836.19),  # a rotation that the leftward acceleration contradicts
+        ("kingston-1", 1847.0),  # a rotation that only the forward acceleration shows
+        ("kingston-1", 2102.79),  # an offset of 4.5 standard deviations
+        ("dresden", 8.0),  # an offset of 1.3 standard deviations
+    ],
+)
+def test_a_part_of_a_good_recording_has_no_serious_finding(name: str, begin: float):
+    found = sigmaswarm.diagnose(clip(recorded(name), begin, begin + 60.0))
+    assert serious(found) == []
+
+
+def test_a_vehicle_at_rest_with_quiet_fixes_has_no_axes():
+    """Fixes that repeat to a tenth of a millimeter, and slowly move by 4 cm, do not show a motion."""
+    rng, time, fix = np.random.default_rng(0), np.arange(0.0, 60.0, 0.1), np.arange(0.0, 60.0)
+    ax, ay, gz = rng.normal(0.0, 0.05, (3, 600)) + [[-0.05], [-0.03], [0.0]]
+    x, y = rng.normal(0.0, 1e-4, (2, 60)) + 0.02 * np.tanh((fix - 30.0) / 3.0) * [[1.0], [0.4]]
+    found = sigmaswarm.diagnose(Drive("still", Imu(time, ax, ay, 0.01 * gz), Gps(fix, x, y)))
+    assert "unseen-motion" in found.codes and serious(found) == []
+
+
 @pytest.mark.parametrize(
     ("sensors", "maneuver"),
     quickly(

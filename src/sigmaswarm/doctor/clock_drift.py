@@ -15,7 +15,7 @@ OUTLIER_SIGMAS = 1.5  # larger residuals have less weight
 OVERLAP = 2.0  # each fix lies in two windows, so the variance is that of half as many windows
 # Smallest drift: in standard deviations, as a rate, and as a change of the delay over the drive, s; smallest ratio of
 # this change to the time in which the car travels as far as the standard deviation of a fix
-MIN_SIGMAS, MIN_DRIFT, MIN_CHANGE, MIN_NOISE_RATIO = 5.0, 2e-4, 0.4, 2.0
+MIN_SIGMAS, MIN_DRIFT, MIN_CHANGE, MIN_NOISE_RATIO = 5.5, 2e-4, 0.4, 2.0
 MAX_DRIFT = 0.01  # the linear model of the delay does not determine a larger drift
 MIN_WINDOWS = 4.0  # smallest effective number of windows with turns
 MIN_SPEED = 1.0  # m/s, smallest assumed speed v in c / v

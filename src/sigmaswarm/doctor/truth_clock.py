@@ -14,6 +14,7 @@ BASE, BASE_INTERVALS = 2.0, 2.0
 MAX_GAP, GAP_INTERVALS = 3.0, 1.5
 MAX_SPEED = 150.0  # m/s, largest velocity that is compared
 MIN_TIME = 20.0  # s, shortest time with both velocities
+MIN_OVERLAP = 0.65  # smallest fraction of the shorter of the two tracks with both velocities
 MIN_SPEED = 1.0  # m/s, lowest RMS speed
 MIN_DELAY = 2.5  # s, smallest delay of a wrong clock; larger than the delay of a receiver
 # Largest difference of the velocities at the best delay, relative to their size; smallest ratio of the difference at
@@ -38,7 +39,7 @@ def truth_delay(time: Array, fixes: Positions, truth_time: Array, truth: Positio
         return None
     count = correlate(seen, known, method="fft")
     power = correlate(seen, np.abs(v) ** 2, method="fft") + correlate(np.abs(w) ** 2, known, method="fft")
-    enough = count >= max(MIN_TIME / STEP, 0.5 * min(known.sum(), seen.sum()))
+    enough = count >= max(MIN_TIME / STEP, MIN_OVERLAP * min(known.sum(), seen.sum()))
     valid = enough & (power > 2 * MIN_SPEED**2 * count)
     products = correlate(w, v, method="fft").real
     apart = np.where(valid, 1 - 2 * products / np.where(valid, power, 1.0), np.inf)
@@ -47,7 +48,16 @@ def truth_delay(time: Array, fixes: Positions, truth_time: Array, truth: Positio
     least = MIN_RATIO * max(float(apart[best]), 1e-6)
     others = apart[np.abs(delays - delays[best]) > PEAK_WIDTH]
     wrong = abs(delays[best]) >= MIN_DELAY
-    without = float(apart[none]) if wrong and abs(delays[none]) < STEP else np.inf
+    without = np.inf
+    if wrong and abs(delays[none]) < STEP:
+        # The difference without a delay over the same fixes: a delay may only exclude a part with bad fixes.
+        i = np.arange(len(v))
+        at, there = i + none - (len(v) - 1), i + best - (len(v) - 1)
+        both = (known > 0) & _inside(there, seen) & _inside(at, seen)
+        one, other = v[both], w[at[both]]
+        size = float(np.sum(np.abs(one) ** 2 + np.abs(other) ** 2))
+        same = float(np.sum(np.abs(one - other) ** 2)) / max(size, 1e-12)
+        without = min(float(apart[none]), same)
     if apart[best] >= MAX_DIFFERENCE or min(without, others.min(initial=np.inf)) <= least:
         return None
     near = delays[best] + np.arange(-STEP, STEP + FINE_STEP / 2, FINE_STEP)
@@ -58,6 +68,12 @@ def truth_delay(time: Array, fixes: Positions, truth_time: Array, truth: Positio
         return float(np.mean(np.abs(apart - np.mean(apart)) ** 2))
 
     return round(float(min(near, key=distance)), 2)
+
+
+def _inside(index: NDArray[np.intp], known: Array) -> NDArray[np.bool_]:
+    """Return True where an index is inside an array and its element is not 0."""
+    inside = (index >= 0) & (index < len(known))
+    return inside & (known[index.clip(0, len(known) - 1)] > 0)
 
 
 def _velocities(time: Array, position: Positions, usual: float) -> tuple[float, Positions, Array]:

@@ -46,7 +46,7 @@ MIN_OFFSET = 0.1  # s, smallest reported offset; the receiver's noise hides smal
 # m/s, smallest `AccelerationFit.varied` that determines the delay; noise of the IMU causes up to 0.04 m/s
 MIN_VARIED = 0.1
 # Ratios of an offset to its standard deviation: note, warning with repair, serious
-OFFSET_SIGMAS = (2.5, 3.3, 4.5)
+OFFSET_SIGMAS = (2.5, 3.3, 5.5)
 MAX_CONTRADICTION = 3.0  # standard deviations by which two estimates of the offset may differ
 MAX_RECORDED_ANGLE = math.radians(5)  # rad, largest rotation about z without a penalty
 ANGLES = np.radians(np.arange(-40.0, 40.5, 0.5))
@@ -205,7 +205,12 @@ def clock_of(
     """Combine the delays that accelerometers and gyro show; their difference increases the standard deviation."""
     found: list[tuple[float, float]] = []
     max_offset = float(acceleration_fit.DELAYS[-1])
-    if acceleration is not None and mount is not None and acceleration.varied > MIN_VARIED:
+    if (
+        acceleration is not None
+        and mount is not None
+        and any(mount.known)
+        and acceleration.varied > MIN_VARIED
+    ):
         # The delay and its standard deviation, given M: the conditional Gaussian of the fit.
         (expected,), slack = _expected(mount.axes, mount.unit, np.array([mount.angle]))
         covariance = acceleration.covariance
