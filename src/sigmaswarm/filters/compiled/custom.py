@@ -281,7 +281,7 @@ def _limited(nis, limit):
 
 @_kernel
 def _finite(mean, covariance):
-    """Return True if both arrays are finite. The sum of all elements times 0 is then 0, otherwise NaN."""
+    """Return True if all elements are finite: 0 times a finite element is 0, and 0 times inf or NaN is NaN."""
     total = 0.0
     for i in range(mean.size):
         total += 0.0 * mean[i]
