@@ -204,7 +204,7 @@ def describe_restarts(drive: str, times: Sequence[float]) -> str:
 
 
 class _Contradiction:
-    """How long the measurements have contradicted the estimate without interruption."""
+    """Duration for which the measurements have contradicted the estimate without interruption."""
 
     def __init__(self) -> None:
         self._record = np.zeros(3)

@@ -43,7 +43,7 @@ from sigmaswarm.filters.kernel_array import KernelArray
 
 GENERATIONS = 8
 WEIGHT, CROSSOVER = 0.7, 0.9  # F and CR of differential evolution
-CONVERGENCE_TIME = 2.0  # s at the start of a replay; not scored, since filters with new offsets converge
+CONVERGENCE_TIME = 2.0  # s at the start of a replay, in which filters with new offsets converge; not scored
 MIN_SCORED_FIXES = 8  # smallest number of scored fixes for a result
 MAX_OFFSET = 8.0  # largest offset, in standard deviations of its prior
 
