@@ -38,7 +38,7 @@ class BatchResult:
     scores : tuple of tuple of Score
         ``scores[i][j]``: set i on drive j.
     failed : ndarray of bool, shape (n_sets,)
-        True for a set with which a covariance became indefinite or a value became NaN on any drive.
+        True for a set with which, on any drive, a covariance became indefinite or a value was not finite.
     """
 
     costs: Array

@@ -1,4 +1,4 @@
-"""How far parameters can change before the cost increases, and inflation of the process noise.
+"""Sensitivity of the cost to each parameter, and inflation of the process noise.
 
 The process noise is inflated so that the filter suits roads and IMUs that the tuning did not use. Inflation selects the
 largest noise whose cost is close to the lowest cost, similar to the one-standard-error rule (L. Breiman et al.,
@@ -95,7 +95,7 @@ def sensitivities(
     shares = np.array([0.5**k for k in range(10, -1, -1)])  # fractions of the distance to the bound
     steps = np.stack([down, up], axis=1)
     points = (point + shares[:, np.newaxis] * steps[:, :, np.newaxis]).reshape(-1, len(point))
-    # The points of a parameter at a bound repeat in this direction.
+    # If a parameter is at a bound, its points in the direction of this bound are equal.
     tried, inverse = np.unique(points, axis=0, return_inverse=True)
     rises = problem.relative_increase(problem.costs(tried, executor)[inverse], cost)
     rises = rises.reshape(len(names), 2, len(shares))

@@ -299,10 +299,11 @@ def car_problem(
 
 
 def _std_check(scorer: AnyBatchScorer, config: TuneConfig, have: Sequence[LogProperties]) -> StdCheck | None:
-    """Compare the assumed standard deviation of fixes with their scatter, if no truth, receiver or noise shows it.
+    """Compare the assumed standard deviation of fixes with their scatter, if it is assumed on all drives.
 
-    Return None if some drives show it, since the result applies to all receivers. Return None with fix-error, which
-    models the assumed standard deviation as that of correlated errors.
+    Return None if a log or the truth shows the standard deviation on some drive, since the result applies to all
+    receivers. Return None also with fix-error, which models the assumed standard deviation as that of correlated
+    errors.
     """
     if (
         not all(one.assumed_std for one in have)
