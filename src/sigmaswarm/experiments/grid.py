@@ -23,7 +23,7 @@ T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
 # Function that receives the number of finished rounds, and raises `InterruptedError` after an interrupt.
 Report = Callable[[int], None]
-POLL_INTERVAL = 0.05  # s between readings of the progress, and between a fork's checks that its parent still runs
+POLL_INTERVAL = 0.05  # s between readings of the progress, and between checks that the parent still runs
 KILLED_MESSAGE = "a process of this experiment was killed, perhaps for lack of memory; continue with --resume"
 _run: Callable[[int], Any] | None = None  # runs a task by its index in a forked process
 
