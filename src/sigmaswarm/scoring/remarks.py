@@ -22,7 +22,7 @@ from sigmaswarm.scoring.tracks import FirstTrack
 from sigmaswarm.wording import count_of
 
 COMPLETE_SHARE = 0.99  # fraction of the time with truth above which gaps are not reported
-MIN_INFORMATIVE_NIS = 1.0  # mean NIS below which predicted fixes do not measure the position error
+MIN_INFORMATIVE_NIS = 1.0  # mean NIS below which innovations do not show the position error
 # Ratio of a method's error to the tuned filter's error, below which a method without tuning is reported as better
 MAX_ERROR_RATIO = 0.9
 

@@ -25,7 +25,7 @@ from sigmaswarm.wording import to_do
 PRIOR_STD = 0.5  # prior standard deviation of log10 R below the receiver's variance
 PRIOR_STD_ABOVE = 0.25  # prior standard deviation of log10 R above that variance, for fix-error only
 MAX_STD_RATIO = 3.0  # ratio of the receiver's standard deviation to that of R above which a warning is given
-MIN_STATED_SHARE = 0.05  # fraction of R from stated variances up to which a warning is given
+MIN_STATED_SHARE = 0.05  # a warning is given if stated variances are at most this fraction of R
 SPAN = 600.0  # s in the middle of a drive in which scatter is measured; more time gives the same result
 MIN_PRIOR_COST = 0.02  # nats per fix; a larger cost of the prior leads to a remark
 MIN_SCATTER = 0.5  # m per axis; if fixes scatter less, the receiver smooths them or uses RTK
