@@ -150,8 +150,9 @@ def inflate(
 ) -> tuple[Array, float, float]:
     """Inflate the process noise of a point, shape (d,), within the bounds, as far as its cost permits.
 
-    ``allowed`` is the largest relative increase of the cost without a prior; it is reduced for driving times above
-    the reference. Then raise the point to the minima. Return the new point, its cost and the inflation factor.
+    ``allowed`` is the largest relative increase of the cost without a prior; it is reduced for driving times above the
+    reference. Parameters below their minima are then raised to these minima. Return the new point, its cost and the
+    inflation factor.
     """
     space = problem.space
     decades = np.arange(0.0, MAX_DECADES + STEP / 2, STEP)

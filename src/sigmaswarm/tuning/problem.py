@@ -108,7 +108,7 @@ class Problem(ABC, Generic[P]):
         return self.costs(points, executor)
 
     def diagnosis(self, point: Array, executor: Executor | None) -> dict[str, Any]:
-        """Return the attributes of `Tuning` on faults of the filter at a point that the objective does not show."""
+        """Return the attributes of `Tuning` that describe faults of the filter at a point, which the cost hides."""
         return {}
 
     def baseline_point(self) -> Array | None:

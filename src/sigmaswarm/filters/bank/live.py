@@ -1,8 +1,8 @@
 """A bank of sixteen filters with the interface of a `LiveFilter`.
 
-A search starts from an earlier state of the bank, which no late fix can change. Its result replaces filters in another
-earlier state that no late fix can change, and the bank processes the later samples again. Therefore, estimates do not
-depend on the time that the search takes.
+A search starts from a stored state of the bank that no late fix can change. `SEARCH_DELAY` after the start of the
+search, its result replaces filters in a newer stored state that no late fix can change, and the bank processes the
+later samples again. Therefore, estimates do not depend on the computing time of the search.
 """
 
 from collections.abc import Sequence
@@ -60,9 +60,9 @@ class LiveFilterBank(LiveFilter):
     which older fixes count less. Filter 0 has the tuned parameters and equals a `LiveFilter`. Filters 1 to 7 have fixed
     offsets, for larger biases and for other receivers. Every 10 s of driving, the filters with the lowest weights among
     filters 8 to 15 are replaced: one by the result of a search over the last minute, and each of the others by a
-    randomly changed copy of a good filter. Thus the bank adapts to other sensors or another GPS reception. On the
-    vehicle of the training drives, the bank is not more accurate than a single filter. If the mixture diverges, filters
-    1 to 15 are reset; most of them keep the biases of the mixture.
+    randomly changed copy of a good filter. Thus the bank adapts to other sensors or to better or worse GPS reception.
+    On the vehicle of the training drives, the bank is not more accurate than a single filter. If the mixture diverges,
+    filters 1 to 15 are reset; most of them keep the biases of the mixture.
 
     The interface is that of a `LiveFilter`, without the smoothed state. A copy by `pickle` continues with identical
     results. After a reset, all filters ignore fixes from before the reset.

@@ -237,7 +237,7 @@ if hasattr(os, "register_at_fork"):
 
 @dataclass(frozen=True, eq=False)
 class PendingSearch:
-    """A search over logged steps; ``logged`` is the number of the first step after them.
+    """A search over logged steps; ``logged`` is the number of the first step after the searched steps.
 
     ``leader`` is the index of the filter with the largest weight. The search starts from an earlier state of this
     filter or, if it is a copy, of its original. A forked copy of this object searches in the calling thread, and an
