@@ -154,8 +154,8 @@ def test_a_part_of_a_good_recording_has_no_serious_finding(name: str, begin: flo
 def test_a_vehicle_at_rest_with_quiet_fixes_has_no_axes():
     """Fixes that repeat to a tenth of a millimeter, and slowly move by 4 cm, do not show a motion."""
     rng, time, fix = np.random.default_rng(0), np.arange(0.0, 60.0, 0.1), np.arange(0.0, 60.0)
-    ax, ay, gz = rng.normal(0.0, 0.05, (3, 600)) + [[-0.05], [-0.03], [0.0]]
-    x, y = rng.normal(0.0, 1e-4, (2, 60)) + 0.02 * np.tanh((fix - 30.0) / 3.0) * [[1.0], [0.4]]
+    ax, ay, gz = rng.normal(0.0, 0.05, (3, 600))
+    x, y = rng.normal(0.0, 1e-4, (2, 60)) + np.outer([0.02, 0.008], np.tanh((fix - 30.0) / 3.0))
     found = sigmaswarm.diagnose(Drive("still", Imu(time, ax, ay, 0.01 * gz), Gps(fix, x, y)))
     assert "unseen-motion" in found.codes and serious(found) == []
 
