@@ -28,7 +28,7 @@ MAX_FORCE, MAX_RATE = 3 * GRAVITY, math.radians(2000.0)
 
 
 def require_gravity_in_force(imu: Imu) -> None:
-    """Refuse an IMU whose angular rates have the constant magnitude of gravity, which its accelerations lack."""
+    """Reject an IMU with gravity in its angular rates instead of its accelerations."""
     if imu.az is None or imu.gx is None or imu.gy is None:
         return
     if np.median(np.linalg.norm((imu.ax, imu.ay, imu.az), axis=0)) > GRAVITY / 2:

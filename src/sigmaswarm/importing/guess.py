@@ -46,7 +46,8 @@ _RECEIVER = re.compile(r"gps|gnss", re.IGNORECASE)
 _OF_RECEIVER = ("lat", "lon", "alt", "speed", "course", "bearing")
 _WHEELS = re.compile(r"odo|wheel|(?:^|[^a-z])can(?:[^a-z]|$)", re.IGNORECASE)
 TRUTH = re.compile(r"truth|ground|reference|(?:^|[^a-z])(?:gt|ref)(?:[^a-z]|$)", re.IGNORECASE)
-# Words of a truth's columns that do not change the meaning of a name; x_ref and ref_x may be setpoints
+# Words that mark a column as truth; the rest of the name is interpreted. The suffix _ref is not among them, since x_ref
+# may be a setpoint; so may ref_x (`_MAYBE_TRUTH`).
 _OF_TRUTH = re.compile(
     r"^(?:(?:ground_?)?truth|true|gt|ref(?:erence)?)[\W_]|[\W_](?:(?:ground_?)?truth|true|gt)$",
     re.IGNORECASE,
@@ -76,7 +77,7 @@ _SATELLITES = "(?:gps_|gnss_)?(?:(?:num|n|no|number_of)_?)?(?:sats?|sv|satellite
 _STATUS = (
     rf"{_FIXED}|(?:(?:gps|gnss|nav|pos|position|sol|solution)_?)?(?:status|state|mode|type|solution|quality)"
 )
-# Names of `_STATUS` that may also be those of an autopilot, whose words resemble a receiver's: AUTO, FOLLOW_GPS, ACTIVE
+# Names of `_STATUS` that autopilots also use; their words resemble those of receivers: AUTO, FOLLOW_GPS, ACTIVE
 _PILOT = "state|mode|type"
 # Words that mean no fix, in lower case and joined by "_"
 _NO_FIX = (
@@ -89,7 +90,8 @@ _FIX = (
 )
 # Words that mean a fix, and that only a receiver uses
 _SURE_FIX = r".*(?:[23]d|fix|rtk|float|single|ppp|sbas|psr|valid).*"
-# Names of columns with the number of a sensor; largest number of sensors; smallest share of rows at which it changes
+# Names of columns with the number of a sensor; largest number of sensors; smallest share of rows at which the sensor's
+# number changes
 _SENSOR_NUMBER = (
     "i|instance|index|id|address|serial|"
     "(?:imu|sensor|device|dev|node|unit)(?:_?(?:id|no|nr|number|index|instance|name))?"
@@ -258,7 +260,7 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
             columns.names[what], columns.degrees[what] = Name(column, what), text
         else:
             columns.names[what] = next(n for n in read_names(frame.columns) if n.column == column)
-    called = f"{table} {'_'.join(split_words(table))}"  # also in English
+    called = f"{table} {'_'.join(split_words(table))}"  # the name, and its words in English
     letter = "a" if FORCES.search(called) else "g" if RATES.search(called) else ""
     if letter and not columns.has("lat", "lon"):
         for axis in "xyz":
@@ -427,7 +429,7 @@ def _std_of_messages(names: Sequence[str]) -> Iterator[tuple[str, TimeExpression
 
 
 def _with_fix(columns: Columns) -> TimeExpression | None:
-    """From a column of flags, return the condition of rows with a fix, or a note if it excludes many likely fixes.
+    """Return the condition of rows with a fix from a column of flags, or a note if it would exclude many likely fixes.
 
     In some codes, 0 is a fix without fixed ambiguities.
     """

@@ -268,7 +268,7 @@ def _with_shown_unit(proposal: Proposal, drive: Drive) -> Proposal:
 
 
 def _plausible(drive: Drive) -> Drive:
-    """Refuse numbers that no sensor reports, since they would overflow the doctor's sums."""
+    """Reject numbers that no sensor reports, since they would overflow the doctor's sums."""
     for table in (drive.imu, drive.gps):
         for name, values in vars(table).items():
             if name != "time" and values is not None and np.abs(values).max(initial=0.0) > MAX_VALUE:
@@ -308,7 +308,7 @@ def _corrected(proposal: Proposal, drive: Drive, diagnosis: Diagnosis) -> Propos
 
 
 def reversed_forces(parts: Sequence[Part], make: Callable[[Proposal], Drive]) -> Proposal | None:
-    """Propose the other sign for accelerations, if the angular rates and all other axes are right; otherwise None.
+    """Propose the opposite sign for the accelerations if the doctor finds this fault; otherwise return None.
 
     Phones with iOS report accelerations with the sign of gravity, which no rotation corrects.
     """

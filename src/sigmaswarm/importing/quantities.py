@@ -21,7 +21,8 @@ from sigmaswarm.importing.units import (
 )
 from sigmaswarm.wording import quoted
 
-# Units of time that mean fractions of a degree in the names of latitude and longitude, by factor to s
+# Units of time in the names of latitude and longitude (min, s) mean arcminutes and arcseconds: number of these units
+# per degree, by the factor of the unit to s
 _ARCS = {60.0: "60", 1.0: "3600"}
 # Texts for a missing number: without letters and digits (---.---), or written by a C library or a spreadsheet
 NO_NUMBER = r"^[^0-9A-Za-z]*$|#(?:IND|QNAN|SNAN|INF|N/A|NUM!|VALUE!|DIV/0!)"
@@ -29,7 +30,8 @@ PLACEHOLDERS = (
     *(-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, 1e10, -1e10),
     *(32767.0, -32768.0, 2147483647.0, -2147483648.0),
 )
-# Magnitude of placeholders such as 1e38 and the largest numbers of 32 and 64 bits; measurements in any unit are smaller
+# Smallest magnitude of placeholders such as 1e38 and the largest numbers of 32 and 64 bits; measurements in any unit
+# are smaller
 MIN_HUGE = 1e15
 NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-", "invalid", *("*" * n for n in range(1, 20)))
 DIMENSIONS: dict[str, UnitDimension] = {
@@ -44,7 +46,7 @@ REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta",
 # Largest fraction of rows that may contradict the form of the other rows; such rows are presumably damaged
 MAX_DAMAGED_SHARE = 0.02
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
-# Middle between gravity in cm/s2 (981) and in mg (1000); the unit is unknown at smaller distances from it
+# Middle between gravity in cm/s2 (981) and in mg (1000); largest distance from it at which the unit is unknown
 MIDDLE_OF_MG_AND_GAL, MAX_NEAR_MIDDLE = 990.3, 3.0
 # Largest ratio of the third to the first quartile of the magnitude of accelerations with gravity
 MAX_QUARTILE_RATIO = 1.5
@@ -246,7 +248,7 @@ def _without_unit(columns: Columns, what: str, role: Role) -> TimeExpression:
         size, low, high = median_of(sizes), *(float(sizes.quantile(q) or 0.0) for q in (0.25, 0.75))
         values = {a: columns.numbers(a).abs() for a in {*axes, "az"} if a in columns}
         usual = {a: median_of(v.filter(v > 0)) for a, v in values.items()}
-        # like gravity; accelerations without gravity are small at rest
+        # steady, like gravity; accelerations without gravity are small at rest
         steady = high <= MAX_QUARTILE_RATIO * low
         if steady and (0.9 < size < 1.12 or (0.8 < usual.get("az", 0.0) < 1.2 and size < 5.0)):
             return TimeExpression(

@@ -37,7 +37,7 @@ DELAYS = (-1.0, -0.5, -0.25, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0
 # Fraction of the variance of the changes of course that the rates must explain to show another unit, and to confirm the
 # assumed one
 MIN_EXPLAINED, MIN_CONFIRMED = 0.9, 0.5
-# rad, smallest standard deviation of the changes of course; their smallest number
+# rad, smallest standard deviation of the changes of course; smallest number of changes
 MIN_TURN_STD, MIN_TURNS = 0.1, 20
 # standard deviations; larger residuals, for example of a robot that spins in place, are left out
 OUTLIER_SIGMAS = 3.0
@@ -58,8 +58,8 @@ def unit_of_rates(
 ) -> RateUnit:
     """Compare rates without a stated unit with the course of the fixes; find the unit if the assumed unit is wrong.
 
-    ``unitless``: columns without a unit, as text in expressions, by column of the drive. If the course does not change,
-    a note states that rad/s is assumed.
+    ``unitless``: columns without a unit, as text in expressions, by column of the drive. If the changes of course do
+    not confirm the unit, a note states that rad/s is assumed.
     """
     rates = unitless.keys() & {"gx", "gy", "gz"}
     times = {role: parts[0].columns.get("t", "") for role, parts in roles.items() if parts}

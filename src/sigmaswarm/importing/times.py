@@ -60,7 +60,7 @@ DATE_FORMATS = (
 )
 # Smallest fraction of dates that must fit a format; the others are presumably damaged
 MIN_FITTING_SHARE = 0.99
-FORMAT_SAMPLE = 50  # texts, evenly spaced, that exclude formats which read none of them
+FORMAT_SAMPLE = 50  # number of evenly spaced texts; a format that reads none of them is excluded
 UNKNOWN_TICK = "have no likely unit"  # in the fault of a counter
 COUNTER_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 CALENDAR = ("year", "month", "day", "hour", "minute", "second")
@@ -169,7 +169,8 @@ def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
 
 
 def rising_time(frame: pl.DataFrame, role: Role) -> str:
-    """Return the expression of a time, s: of the first column that increases and has no known name, else "".
+    """Return the time, s, as an expression of the first increasing column without a known name; "" without such a
+    column.
 
     A counter may wrap. A counter of rows, which increases by 1, is not a time.
     """
@@ -259,7 +260,9 @@ def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> TimeExpress
     for first, rest, scale in sorted(pairs, key=lambda p: "stamp" not in p[0].words):
         whole, part = column_numbers(frame[first.column]), column_numbers(frame[rest.column])
         fits = (whole == whole.round()).all() and part.is_between(0, 1 / scale - 0.5).all()
-        falls = rest.words[-1] != "ms" or (part.diff() < 0).any()  # otherwise ms may count from the start
+        falls = (
+            rest.words[-1] != "ms" or (part.diff() < 0).any()
+        )  # otherwise ms may count from the beginning of the log
         if len(whole) and len(part) and fits and falls:
             text = f"{quoted_column(first.column)} + {scaled(quoted_column(rest.column), scale)}"
             return TimeExpression(text, f"the time is the sum of {first.column} and {rest.column}")
@@ -391,7 +394,7 @@ def column_time(name: Name, frame: pl.DataFrame, role: Role) -> TimeExpression:
 
 
 def unknown_unit(name: Name, column: str, dimension: str, role: Role, likely: str = "") -> str:
-    """Describe a unit that is not known; ``likely``: the likely expression in SI units, for the remedy."""
+    """Describe an unknown or wrong unit; ``likely``: the likely expression in SI units, for the remedy."""
     known = name.unit is not None and name.unit.known
     kind = f"a unit of {name.unit.dimension}, not of {dimension}" if name.unit and known else "not known"
     message = (
