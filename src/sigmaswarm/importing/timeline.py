@@ -163,8 +163,7 @@ def recordings(time: Nanoseconds, *, pauses: bool) -> list[slice]:
 
 
 def _rate_by_rows(time: Nanoseconds, parts: list[slice]) -> float:
-    """Return the rows per second of a clock whose fractions are wrong; 0 if the recordings do not last one second
-    each."""
+    """Return the rows per second of a clock with wrong fractions; 0 if the recordings do not last one second each."""
     inner = parts[1:-1]
     first = np.array([int(time[p].min()) for p in inner])
     rows = float(np.median([p.stop - p.start for p in inner]))

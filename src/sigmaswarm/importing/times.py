@@ -169,8 +169,7 @@ def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
 
 
 def rising_time(frame: pl.DataFrame, role: Role) -> str:
-    """Return the time, s, as an expression of the first increasing column without a known name; "" without such a
-    column.
+    """Return the time, s, as an expression of the first increasing column without a known name; otherwise "".
 
     A counter may wrap. A counter of rows, which increases by 1, is not a time.
     """
@@ -260,9 +259,7 @@ def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> TimeExpress
     for first, rest, scale in sorted(pairs, key=lambda p: "stamp" not in p[0].words):
         whole, part = column_numbers(frame[first.column]), column_numbers(frame[rest.column])
         fits = (whole == whole.round()).all() and part.is_between(0, 1 / scale - 0.5).all()
-        falls = (
-            rest.words[-1] != "ms" or (part.diff() < 0).any()
-        )  # otherwise ms may count from the beginning of the log
+        falls = rest.words[-1] != "ms" or (part.diff() < 0).any()  # otherwise ms may be the whole time
         if len(whole) and len(part) and fits and falls:
             text = f"{quoted_column(first.column)} + {scaled(quoted_column(rest.column), scale)}"
             return TimeExpression(text, f"the time is the sum of {first.column} and {rest.column}")

@@ -95,8 +95,7 @@ def _letters(frame: pl.DataFrame) -> dict[str, str]:
 
 
 def _times(frame: pl.DataFrame, role: Role, summed: Mapping[str, str]) -> Iterator[str]:
-    """Yield time expressions of texts, increasing columns and sums of columns, from left to right; row numbers come
-    last."""
+    """Yield time expressions of texts, increasing columns and sums of columns in table order, row numbers last."""
     found: list[tuple[bool, str]] = []
     texts = {name: frame[name].drop_nulls() for name in frame.columns if frame.schema[name] == pl.String}
     for day, clock in pairwise(frame.columns):
