@@ -1,12 +1,12 @@
 """Regression of the path on the accelerations: mounting angle, scale, tilt, and delay of the fixes.
 
-In windows of several seconds, the IMU determines the path, integrated from an unknown start:
+In windows of several seconds, the IMU determines the path, integrated from an unknown position and velocity:
 
     p(t) = p0 + v0 t + double integral of e^(i theta) (M u + b),   u = (ax, ay) as recorded
 
-The fixes show this path with a delay of ``delay`` s. Course and gyro give the heading theta. M (2, 2) and ``delay`` are
-common to all windows; p0, v0 and b (tilt, slope, bias) differ between windows. The mean of b is also fitted. For a log
-without faults, M is the identity.
+Vectors (2,) are also read as complex numbers, x + i y. The fixes show this path with a delay of ``delay`` s. Course and
+gyro give the heading theta. M (2, 2) and ``delay`` are common to all windows; p0, v0 and b (tilt, slope, bias) differ
+between windows. The mean of b is also fitted. For a log without faults, M is the identity.
 """
 
 from dataclasses import dataclass

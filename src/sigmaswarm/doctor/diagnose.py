@@ -28,7 +28,7 @@ from sigmaswarm.drives.split import name_of_whole
 from sigmaswarm.errors import DriveError
 from sigmaswarm.wording import NO_ACTION, printable
 
-# The order of findings of equal severity
+# Findings of equal severity have the order of these checks
 CHECKS = (
     check_mirrored,
     check_reverse,

@@ -79,7 +79,7 @@ def fit_truth(drive: Drive, course: Course) -> TruthFit | None:
 
 
 def truth_as_fixes(drive: Drive, fit: TruthFit) -> Drive:
-    """Replace the fixes by the truth on the clock of the fixes, which has far smaller errors."""
+    """Replace the fixes by the truth, which has far smaller errors, on the clock of the fixes."""
     truth = drive.truth
     assert truth is not None
     time, antenna = antenna_track(drive, truth)

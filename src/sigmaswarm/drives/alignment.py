@@ -1,4 +1,4 @@
-"""Find the start of a filter: its initial state, computed from earlier samples, without truth.
+"""Find the start of a filter: its time and initial state, from samples up to this time, without truth.
 
 The heading of a car is not observable at standstill; after several meters of driving, the course over ground shows the
 heading. The fit to the fixes of the last few seconds (`alignment_fit`) uses the gyro to correct the course for turns,
@@ -243,9 +243,9 @@ class Alignments:
         return fit.state() if usable else None
 
     def _fitted_slow(self, k: int) -> InitialState | None:
-        """Also fit the gyro's bias, without the accelerometer, since the error due to its bias grows with time.
+        """Fit the gyro's bias too, and do not use the accelerometer, since the effect of its bias grows with time.
 
-        The stated variance of the fixes that is not white noise is that of lasting errors.
+        The part of the fixes' stated variance that is not white noise is attributed to lasting errors.
         """
         first = int(self._first[k])
         interval = float(self.time[k] - self.time[first]) / (k - first)

@@ -50,7 +50,7 @@ the measured acceleration (m). The next quantity is the position of the antenna 
 the derivative of the path with respect to the gyro's bias (m s) to the last two columns.
 """
 EAST, NORTH, YAW, SPEED, SLOPE, TRAVEL, MISFIT, YAW_BIAS, YAW_VARIANCE, RESULTS = range(10)
-"""Indices of a fit.
+"""Indices of the results of a fit.
 
 The first values are the unknowns: position (m), heading (rad) and speed (m/s) at the last fix, and b (m/s2). The others
 are travel (m; 0 if backward), largest residual (m), remaining gyro bias (rad/s) and its variance.

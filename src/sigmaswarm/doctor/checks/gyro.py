@@ -42,7 +42,7 @@ MAX_LOG_SCALE = 0.8
 # Largest relative error of the estimate; smallest lead of one scale over another, in the logarithm
 MAX_SCALE_ERROR, MIN_SCALE_LEAD = 0.25, 0.1
 
-# Column that a direction follows (0: gx, 1: gy), its sign, and its significance in standard deviations
+# Rate that changes the direction of the force: column (0: gx, 1: gy), sign, and significance in standard deviations
 RateMatch = tuple[int, float, float]
 
 

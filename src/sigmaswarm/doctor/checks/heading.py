@@ -36,8 +36,9 @@ WHERE = "gps.csv, heading"
 # A stated heading contradicts the course if they differ by more than MIN_STATED_OFFSET rad and STATED_SIGMAS standard
 # deviations.
 MIN_STATED_OFFSET, STATED_SIGMAS = math.radians(20), 3.0
-GYRO_BIAS_STD = math.radians(0.5)  # rad/s, assumed for the time from the first IMU sample to the course
-# rad, added for slow vehicles: errors of fixes that last for a minute change the course, but not its stated deviation
+GYRO_BIAS_STD = math.radians(0.5)  # rad/s, assumed gyro bias from the first IMU sample to the course
+# rad, added for slow vehicles: errors of fixes that last for a minute change the course, but its computed standard
+# deviation does not include them
 SLOW_COURSE_STD = math.radians(20)
 
 

@@ -25,8 +25,8 @@ MIN_MOVEMENT, MIN_MOVEMENT_RATIO = math.radians(18.0), 4.0
 MIN_PART, MIN_TURNED = 20.0, math.radians(45.0)
 # Smallest coherence of measured and expected accelerations in each part, and smallest RMS acceleration of the vehicle,
 # m/s2. Below the second limits, hills (RMS slope of 8%) can have the same effect, so the path must also show the turn:
-# the residuals of its regression decrease by this ratio. In 2,000 parts (60 s) of hilly drives without faults, the
-# ratio was 0.95 or more.
+# the residuals of its regression must decrease to less than MAX_RESIDUAL_RATIO of their size. In 2,000 parts (60 s) of
+# hilly drives without faults, the ratio was 0.95 or more.
 MIN_COHERENCE, MIN_MOTION = 0.5, 0.4
 CLEAR_COHERENCE, CLEAR_MOTION, MAX_RESIDUAL_RATIO = 0.7, 0.8, 0.94
 # Smallest change of the direction of acceleration, rad, that driving backward explains

@@ -139,7 +139,7 @@ def _place(evidence: Evidence) -> str:
 class _WrongStd(NamedTuple):
     larger: bool  # True if the stated standard deviation is larger than that of the fixes
     std: float  # standard deviation of the fixes, m per axis
-    by_truth: bool  # True if the truth shows this
+    by_truth: bool  # True if the comparison with the truth shows this
     confidence: float
 
 

@@ -102,7 +102,7 @@ def _is_leap(delay: float, std: float) -> bool:
 
 
 def check_truth(evidence: Evidence) -> Iterator[Finding]:
-    """Compare the clock of the truth with that of the fixes, or with that of the corrected fixes."""
+    """Compare the clock of the truth with that of the fixes, after any correction of the latter."""
     truth, known = evidence.drive.truth, evidence.truth_delay
     delay = round((known or 0.0) + evidence.moved, 2)
     if truth is None or known is None or evidence.truth_has_clock_of_fixes or abs(delay) < MIN_DELAY:

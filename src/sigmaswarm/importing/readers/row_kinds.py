@@ -76,8 +76,7 @@ def _codes(rows: Sequence[Sequence[str]], place: int) -> set[str]:
 
 
 def _are_cut(rows: Sequence[Sequence[str]], place: int) -> bool:
-    """Return True if the rows whose flag means no fix are like the first cells of the other rows, in the same
-    ranges."""
+    """Return True if the rows with a flag of no fix have only the first cells of the other rows, in the same ranges."""
     whole = [row for row in rows if len(row) > KIND_CELLS]
     flag = min(whole, key=len)[place].strip() if whole else ""
     kinds = [[row for row in whole if (row[place].strip() == flag) == cut] for cut in (True, False)]
