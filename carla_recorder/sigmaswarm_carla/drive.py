@@ -1,4 +1,4 @@
-"""Record one drive: IMU, fixes and truth of each frame."""
+"""Record one drive: IMU and truth of each frame, and a fix every `GPS_EVERY` frames."""
 
 from __future__ import annotations
 

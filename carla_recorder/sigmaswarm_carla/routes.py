@@ -63,7 +63,7 @@ class Path2D:
 
 
 class Need(NamedTuple):
-    """Requirements for the path of a maneuver: description, length (m), straight or not, and a test."""
+    """Requirements for the path of a maneuver: description, length (m), whether it must be straight, and a test."""
 
     what: str
     length: float
