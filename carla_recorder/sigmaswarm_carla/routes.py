@@ -33,7 +33,7 @@ class Path2D:
     y: list[float]
     heading: list[float]
     curvature: list[float]
-    climb: float
+    climb: float  # largest slope (rise / distance)
     start: Any  # CARLA's waypoint at the beginning
 
     @property

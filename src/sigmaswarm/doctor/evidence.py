@@ -148,7 +148,7 @@ def gather(drive: Drive) -> Evidence:
 
 
 def _clock_of_truth(evidence: Evidence) -> ClockOffset | None:
-    """Estimate the delay of the fixes from the truth on their clock; None if the fixes alone determine the delay.
+    """Estimate the delay of the fixes from the truth, on the clock of the fixes; None if impossible or not needed.
 
     The truth determines the delay better, since its errors are far smaller than those of the fixes.
     """

@@ -21,7 +21,9 @@ WINDOW = 20.0  # s, length of a window
 MIN_WINDOWS = 7
 # Prior means and standard deviations, by index of the unknown: scale k, yaw of the IMU (rad), and coordinates of l (m)
 PRIORS = {1: (1.0, DIAGONAL_TOLERANCE), 2: (0.0, 0.1), 7: (0.0, 0.5), 8: (0.0, 0.5)}
-MAX_ROUNDS, MAX_STEP, CONVERGED = 10, 0.3, 2e-3  # the last two in s
+MAX_ROUNDS = 10  # largest number of iterations
+MAX_STEP = 0.3  # s, largest change of the delay in one iteration
+CONVERGED = 2e-3  # s; a smaller change ends the iterations
 
 
 def leveled_delay(drive: Drive, course: Course, delay: float) -> tuple[float, float] | None:

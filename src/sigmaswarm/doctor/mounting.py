@@ -33,7 +33,7 @@ MIN_EXPLAINED = 0.5
 MIN_RIVAL_LEAD = 25.0  # smallest lead in chi-square over any mounting that is rotated by 90 degrees or more
 # rad, smallest standard deviations of the axis of turning (springs) and of gravity (roads, biases)
 TILT_FLOOR = math.radians(1.0), math.radians(1.0)
-YAW_FLOOR = math.radians(0.8)
+YAW_FLOOR = math.radians(0.8)  # rad, smallest standard deviation of the yaw in one round
 TRAVEL_FLOOR = math.radians(0.8)  # rad, noise of the direction of travel, due to slip and suspension
 TOLERANCE = 0.025  # tolerance of an entry of `AccelerationFit.matrix`, due to slip and to tilt in maneuvers
 ANGLES = np.radians(np.arange(-180.0, 180.0, 1.0))
@@ -48,8 +48,9 @@ MIN_LEAN = 0.001
 MAX_TILT = math.radians(15.0)
 # rad; a larger change of gravity between windows shows that the mounting is not constant
 MAX_GRAVITY_CHANGE = math.radians(8.0)
-# rad, smallest corrected tilt and rotation about z; their smallest ratio to the standard deviation
-MIN_TILT, MIN_YAW, MIN_SIGMAS = math.radians(4.0), math.radians(5.0), 3.5
+MIN_TILT = math.radians(4.0)  # rad, smallest tilt that is corrected
+MIN_YAW = math.radians(5.0)  # rad, smallest rotation about z that is corrected
+MIN_SIGMAS = 3.5  # smallest ratio of a corrected angle to its standard deviation
 SERIOUS = math.radians(7.0)  # rad, smallest rotation of a serious finding
 # The 24 rotations by multiples of 90 degrees about the axes: signed permutations
 AXIS_PERMUTATIONS = [
@@ -90,7 +91,7 @@ class Mounting:
 
     @property
     def repair(self) -> Array:
-        """The rotation (3, 3) that corrects the drive's samples to `mount`; the identity if none is needed."""
+        """The rotation (3, 3) that the drive's samples need in addition to `before`; the identity if none is needed."""
         return self.mount @ self.before.T if self.needed else np.eye(3)
 
     def _agrees(self, rest: Array, least_tilt: float = 0.0, least_yaw: float = 0.0) -> bool:
@@ -104,7 +105,7 @@ class Mounting:
 
 @dataclass(frozen=True, eq=False)
 class _Round:
-    """Result of one round; angles in rad."""
+    """Result of `_round`; angles in rad."""
 
     yaw_fit: YawFit
     delay: float

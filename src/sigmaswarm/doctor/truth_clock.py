@@ -8,18 +8,19 @@ from sigmaswarm.arrays import Array
 
 Positions = NDArray[np.complexfloating]
 STEP, FINE_STEP = 0.5, 0.01  # s, steps of the tried delays, and of those near the best delay
-# Time over which velocities are computed, and longest interval between positions within it: in s, and in usual
-# intervals; the larger value applies
+# Time over which a velocity is computed: in s, and in usual intervals between positions; the larger value applies
 BASE, BASE_INTERVALS = 2.0, 2.0
+# Longest interval between positions within this time: in s, and in usual intervals; the larger value applies
 MAX_GAP, GAP_INTERVALS = 3.0, 1.5
 MAX_SPEED = 150.0  # m/s, largest velocity that is compared
 MIN_TIME = 20.0  # s, shortest time with both velocities
 MIN_OVERLAP = 0.65  # smallest fraction of the shorter of the two tracks with both velocities
 MIN_SPEED = 1.0  # m/s, lowest RMS speed
 MIN_DELAY = 2.5  # s, smallest delay of a wrong clock; larger than the delay of a receiver
-# Largest difference of the velocities at the best delay, relative to their size; smallest ratio of the difference at
-# other delays, and without a delay, to the difference at the best delay; width of the peak at the best delay, s
-MAX_DIFFERENCE, MIN_RATIO, PEAK_WIDTH = 0.1, 3.0, 10.0
+MAX_DIFFERENCE = 0.1  # largest relative difference of the velocities at the best delay: see `truth_delay`
+# smallest ratio of the difference at other delays, and without a delay, to the difference at the best delay
+MIN_RATIO = 3.0
+PEAK_WIDTH = 10.0  # s; delays closer to the best delay do not count as other delays
 
 
 def truth_delay(time: Array, fixes: Positions, truth_time: Array, truth: Positions) -> float | None:

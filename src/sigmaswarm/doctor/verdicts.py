@@ -26,7 +26,7 @@ MIN_GAIN_TURN = 0.05
 # interpretation other than gz in rad/s must exceed `MIN_GAIN_SIGMAS` or `LARGE_SHARE`, and no other factor is accepted:
 # on 3 of 342 windows of 60 s in real drives, a lane change in a city led to gains of -1.3, 1.4 and 1.6.
 CLEAR_GAIN_TURN = 0.1
-LARGE_SHARE = 0.5
+LARGE_SHARE = 0.5  # fraction of the variance of the course's changes that a column explains
 # Ratio of a gain to its standard deviation above which a column may explain a small fraction of the course's changes.
 # In a city, most of these changes are errors of the fixes.
 MIN_GAIN_SIGMAS = 12.0
@@ -34,8 +34,9 @@ MIN_GAIN_SIGMAS = 12.0
 # s, wrong gains reached 1.2 times `MIN_GAIN_SIGMAS`; in a drive of 40 min with many wrong fixes, the right gain reaches
 # 4.8 times `MIN_GAIN_SIGMAS`.
 MIN_FOLLOWING_RATIO = 3.0
-# Decrease in chi-square for which another interpretation replaces the recorded one; largest chi-square of a log in g.
-# In steady circles, the forces hardly exceed the noise and do not determine the unit. Logs in g have a chi-square of 4.
+# Smallest decrease in chi-square for which another interpretation replaces the recorded one. Also the largest
+# chi-square of an interpretation in g (logs in g have 4), since in steady circles, the forces hardly exceed the noise
+# and do not determine the unit.
 MIN_LEAD = 16.0
 # Tolerance of the off-diagonal elements of M, for slip, and for tilt in maneuvers
 OFF_DIAGONAL_TOLERANCE = 0.05

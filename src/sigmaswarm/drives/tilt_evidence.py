@@ -48,7 +48,7 @@ class TiltEvidence:
     numbers: Array
 
     def with_bias(self, known: float) -> "TiltEvidence":
-        """Return the evidence with respect to the raw yaw rate, if ``known`` (rad/s) was subtracted from it before."""
+        """Return the evidence for the raw yaw rate; ``known`` (rad/s) was subtracted from it before the alignment."""
         numbers = self.numbers.copy()
         numbers[FORCE + 1] -= numbers[MEAN_SPEED] * known
         return TiltEvidence(numbers)

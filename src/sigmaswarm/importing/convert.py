@@ -58,8 +58,8 @@ IMU = dict.fromkeys(("az", "gx", "gy"), "") | {
 # Suffixes of receiver logs in a folder of tables; such a log is read only with --gps
 RECEIVER_LOGS = (".llh", ".pos", ".nmea", ".ubx")
 MAX_FAULTS = 3  # largest number of faults in one message
-# Trial rates, Hz, of a counter of unknown rate. The first rate that can be imported is then corrected by comparing the
-# motion of IMU and fixes.
+# Trial rates, Hz, of a counter of unknown rate. The first rate with which the import succeeds is then corrected by
+# comparing the motion of IMU and fixes.
 TRIAL_RATES = (1e4, 1e5, 1e6, 1e7, 1e8, 1e3)
 
 
@@ -278,7 +278,7 @@ def _trial(counter: Counter, request: Request, logs: Mapping[Path, Log], recipe:
 def _with_unit_of_rates(
     faults: list[str], request: Request, logs: Mapping[Path, Log], recipe: Recipe, unitless: Mapping[str, str]
 ) -> list[str]:
-    """Replace the remedy of angular rates with an unknown unit by the unit that agrees with the course of the fixes."""
+    """For angular rates without a unit, let the remedy state the unit that agrees with the course of the fixes."""
     if "gps" not in recipe.roles or not any('"imu.g' in fault for fault in faults):
         return faults
     known = {name for part in recipe.roles["imu"] for name in part.columns}

@@ -23,8 +23,8 @@ FORCES, RATES = ("ax", "ay", "az"), ("gx", "gy", "gz")
 MIN_TILT = math.radians(20.0)  # rad, smallest reported tilt; larger than the slopes of roads
 MAX_GRAVITY_ERROR = 0.5  # m/s2, largest deviation of a median magnitude from gravity
 MAX_DEVIATION = 0.3  # largest relative deviation of the median specific force from gravity
-# m/s2, largest median magnitude of a vehicle's specific force; rad/s, largest range of common gyros
-MAX_FORCE, MAX_RATE = 3 * GRAVITY, math.radians(2000.0)
+MAX_FORCE = 3 * GRAVITY  # m/s2, largest median magnitude of a vehicle's specific force
+MAX_RATE = math.radians(2000.0)  # rad/s, largest range of common gyros
 
 
 def require_gravity_in_force(imu: Imu) -> None:

@@ -90,22 +90,23 @@ _FIX = (
 )
 # Words that mean a fix, and that only a receiver uses
 _SURE_FIX = r".*(?:[23]d|fix|rtk|float|single|ppp|sbas|psr|valid).*"
-# Names of columns with the number of a sensor; largest number of sensors; smallest share of rows at which the sensor's
-# number changes
+# Names of columns that number the sensors, in tables with the rows of several IMUs
 _SENSOR_NUMBER = (
     "i|instance|index|id|address|serial|"
     "(?:imu|sensor|device|dev|node|unit)(?:_?(?:id|no|nr|number|index|instance|name))?"
 )
-MAX_SENSORS, MIN_CHANGES = 8, 0.1
+MAX_SENSORS = 8  # largest number of IMUs in such a table
+MIN_CHANGES = 0.1  # smallest fraction of rows whose sensor differs from that of the previous row
 MAX_WORDS = 20  # largest number of different words in a column of flags
 # Names of columns in which 3 means a fix in three dimensions, and 1 means no fix
 _DIMENSIONS = ".*(?:type|mode)"
-# Largest fraction of the likely fixes that a flag may exclude, unless the positions jump at these fixes; smallest ratio
-# of a jump to the 90% quantile of the other steps
-MAX_DROPPED, MIN_JUMP_RATIO = 0.2, 5.0
-# Largest ratio of the 90% to the 10% quantile of the magnitude of x, y, z of a magnetometer; largest median of its
-# vertical part, relative to the magnitude: x and y of a position may be small compared with its altitude
-MAX_SIZE_RATIO, MAX_VERTICAL_SHARE = 1.3, 0.99
+# largest fraction of the likely fixes that a flag may exclude, unless the positions jump at these fixes
+MAX_DROPPED = 0.2
+MIN_JUMP_RATIO = 5.0  # smallest ratio of a jump to the 90% quantile of the other steps
+# largest ratio of the 90% to the 10% quantile of the magnitude of x, y, z of a magnetometer
+MAX_SIZE_RATIO = 1.3
+# Largest ratio of the median of the magnetometer's z to the magnitude. In positions, x and y may be far smaller than z.
+MAX_VERTICAL_SHARE = 0.99
 _WANTED: dict[Role, tuple[str, ...]] = {
     "imu": ("ax", "ay", "az", "gx", "gy", "gz"),
     "gps": (

@@ -47,8 +47,8 @@ RECIPE = "correct their times in a recipe (--show --save-recipe FILE writes one)
 POSITIONS = ("lat", "lon", "x", "y")
 # Largest differences between the coordinates of a fix in two messages
 MAX_ROUNDED_DEGREES, MAX_ROUNDED_M = 1e-5, 1.0
-# Smallest bend at a corner of an interpolated path, relative to the median bend; smallest number of corners, and the
-# smallest share of corners at a constant interval
+# Corners of an interpolated path: smallest bend relative to the median bend, smallest number of corners, and smallest
+# fraction of corners at a constant interval
 MIN_CORNER, MIN_CORNERS, MIN_REGULAR_SHARE = 8.0, 20, 0.9
 # Largest rounding error of a second difference, in steps of the last digit; the exact limit is two steps
 MAX_ROUNDING = 2.5

@@ -35,30 +35,34 @@ WRAPS: tuple[tuple[int, str], ...] = (
     (MINUTE, "the seconds of the minute"),
     *((period, f"a counter of {period // SECOND} s") for period in DECIMAL_PERIODS),
 )
-# Smallest period and longest step of a counter that wraps after less than a minute, in usual steps
+# For counters that wrap within a minute: smallest period and longest step, both in usual steps
 MIN_PERIOD_STEPS, MAX_SHORT_STEP = 15, 5
 # Smallest number of rows of a separate recording; shorter runs of rows out of order are sorted
 MIN_ROWS = 20
-# s, smallest distance of a wrong time from the times of the rows around it; largest number of checked clock jumps
-MIN_TIME_ERROR, MAX_JUMPS = 10.0, 100
+MIN_TIME_ERROR = 10.0  # s, smallest distance of a wrong time from the times of the rows around it
+MAX_JUMPS = 100  # if the clock jumps more often, wrong times are not searched for
 # If there are more recordings of about one second, the fractions of seconds are presumably wrong
 MAX_SECONDS = 5
-MIN_STEP_BACK, STEPS = 0.2, 2  # smallest step back of a clock between recordings: in s, and in median steps
+# Smallest jump of a clock between recordings: in s, and in median steps; the larger value applies
+MIN_STEP_BACK, STEPS = 0.2, 2
 MAX_STEP_AHEAD = 3590 * SECOND  # longest pause within a recording; a change to summer time is an hour
 MAX_REPEATED_SHARE = 0.02  # if a larger fraction of rows repeats the previous time, rows share time stamps
-# Largest step within a burst of rows, relative to the mean step and to `MAX_STEP`; smallest share of such steps in a
-# log with bursts
-MAX_BURST_STEP, MAX_BURST_INTERVAL, MIN_BURST_SHARE = 0.25, 1 / 400, 0.4
+# Largest step within a burst of rows, relative to the mean step and to `MAX_STEP`; the smaller value applies
+MAX_BURST_STEP, MAX_BURST_INTERVAL = 0.25, 1 / 400
+MIN_BURST_SHARE = 0.4  # smallest fraction of such steps in a log with bursts
 MAX_ODD_SHARE = 0.2  # largest share of stamps without exactly two rows in a log with two rows per measurement
 # Rows are probably lost if coarse time stamps drift relative to a constant rate: the variance of the drift over
-# `WINDOW` stamps, rows^2, exceeds MIN_WALK plus MIN_GROWTH times the variance of the drift over one stamp. MAX_LOST:
-# largest share of lost rows of a stamp. MAX_UNEVEN_SHARE: largest share of stamps with more lost rows or unusual steps
-MIN_WALK, MIN_GROWTH, MAX_LOST, MAX_UNEVEN_SHARE = 0.3, 1.5, 0.2, 0.1
+# `WINDOW` stamps, rows^2, exceeds MIN_WALK plus MIN_GROWTH times the variance of the drift over one stamp.
+MIN_WALK, MIN_GROWTH = 0.3, 1.5
+# A stamp is uneven if its number of rows or its step differs from the usual value by more than this fraction
+MAX_LOST = 0.2
+MAX_UNEVEN_SHARE = 0.1  # if a larger fraction of stamps is uneven, rows are not spread by stamp
 # Smallest deviation of the steps of stamps, relative to a step, that rounding does not cause
 MIN_STEP_VARIATION = 0.005
 # Relative to the usual step of stamps: longest step without a pause, window in which rows have a constant rate, and
-# largest width of the band of stamps at a constant rate; smallest share of rows with this rate
-MAX_PAUSE, WINDOW, MAX_BAND, MIN_EVEN_SHARE = 2.5, 20, 1.25, 0.9
+# largest width of the band of stamps at a constant rate (see `spread_stamps`)
+MAX_PAUSE, WINDOW, MAX_BAND = 2.5, 20, 1.25
+MIN_EVEN_SHARE = 0.9  # smallest fraction of rows with such a band
 
 
 def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:

@@ -120,8 +120,8 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
 def _whole_gain(evidence: Evidence) -> float:
     """Return the ratio of the course's turns to the gyro's turns, fitted without a bias to the total turns of windows.
 
-    `fit_yaw` removes a straight line from each window. In steady circles the rest is small, so lever arm and slip have
-    the effect of a scale error.
+    `fit_yaw` removes a straight line from each window. In steady circles little of the turn remains, so lever arm and
+    slip have the effect of a scale error.
     """
     imu, course, yaw, fit = evidence.drive.imu, evidence.course, evidence.yaw, evidence.yaw_fit
     assert course is not None and fit is not None
