@@ -73,7 +73,8 @@ def mean_forces(
     """
     last, end = n - 1, fixes[n - 1, TIME]
     span = end - fixes[0, TIME]
-    # rotation and time from a fix to the last one, in the axes of the car at the last fix
+    # From a fix to the last fix, in the axes of the car at the last fix: rotation about x and y (rad), and the time
+    # integral of the car's forward direction (s)
     x, y, forward, left = 0.0, 0.0, 0.0, 0.0
     lean_x, lean_y, rate, turned_speed = 0.0, 0.0, 0.0, 0.0
     for k in range(n - 2, -1, -1):

@@ -98,13 +98,11 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         return
     if known is None:
         assumed = float(np.mean(receiver_std(evidence.drive)))
-        or_scatter = " or the scatter, if the baseline then drifts clearly less" * (
-            assumed == UNSTATED_GPS_STD
-        )
+        or_scatter = ", or the scatter if this clearly reduces the drift of the baseline filter"
         what = (
             f"the receiver states no accuracy. The fixes scatter by {scatter:.2g} m per axis, which is a lower limit "
             "of their standard deviation, since slow errors do not increase the scatter. A tuning without truth "
-            f"assumes {assumed:.2g} m{or_scatter}"
+            f"assumes {assumed:.2g} m{or_scatter if assumed == UNSTATED_GPS_STD else ''}"
         )
         remedy = "if you know a better value, write gps_std_m at the top of drive.toml"
         yield Finding("gps-noise", "note", what, "drive.toml, gps_std_m", evidence.span, 0.95, remedy)
