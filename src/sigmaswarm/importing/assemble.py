@@ -36,8 +36,8 @@ from sigmaswarm.importing.times import FASTEST_IMU, MAX_STEP, MIN_FIX_INTERVAL, 
 from sigmaswarm.importing.velocities import without_wrong_velocity
 from sigmaswarm.wording import printable, rows_left_out
 
-# For fixes made from the truth: seed of the noise, and largest number of fixes
-SEED, MAX_FIXES = 0, 10_000_000
+SEED = 0  # seed of the noise of fixes made from the truth
+MAX_FIXES = 10_000_000  # largest number of such fixes
 REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
 WITHOUT_POSITION = "gps: no column contains a position; map lat and lon (deg), or x and y (m east, north)"
 

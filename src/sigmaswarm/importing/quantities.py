@@ -46,15 +46,16 @@ REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta",
 # Largest fraction of rows that may contradict the form of the other rows; such rows are presumably damaged
 MAX_DAMAGED_SHARE = 0.02
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
-# Middle between gravity in cm/s2 (981) and in mg (1000); largest distance from it at which the unit is unknown
-MIDDLE_OF_MG_AND_GAL, MAX_NEAR_MIDDLE = 990.3, 3.0
+MIDDLE_OF_MG_AND_GAL = 990.3  # between the values of gravity in cm/s2 (981) and in mg (1000)
+MAX_NEAR_MIDDLE = 3.0  # if gravity is closer to this middle, the unit is unknown
 # Largest ratio of the third to the first quartile of the magnitude of accelerations with gravity
 MAX_QUARTILE_RATIO = 1.5
 MAX_ACCELERATION = 100.0  # m/s2, largest acceleration of a car on a smooth road
 MAX_RATE = 250.0  # deg/s, largest angular rate of a car
 # m; a larger number is in another unit, and as m it would stretch the track by 0.14% or more
 MAX_ALTITUDE = 9000.0
-RADIUS, EDGE = 6_378_137.0, 2.01e7  # m, radius of Web Mercator's sphere; edge of its map
+RADIUS = 6_378_137.0  # m, radius of Web Mercator's sphere
+EDGE = 2.01e7  # m, coordinate at the edge of Web Mercator's map
 # Units per g: counts of common sensors, then mg, cg, ug, mm/s2, cm/s2 and ft/s2
 PER_G = (16384, 8192, 4096, 4000, 2048, 1024, 256, 1000, 100, 1e6, 9806.65, 980.665, 9.80665 / 0.3048)
 _ACCELEROMETERS = (

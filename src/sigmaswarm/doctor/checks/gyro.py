@@ -25,10 +25,11 @@ from sigmaswarm.wording import NO_ACTION
 MIN_SCALE_TURN = np.radians(1.0)
 BIAS_LIMITS = (np.radians(0.1), np.radians(1.0))  # rad/s, for a note and for a warning
 
-# s, windows for the mean of the force, and for the change of its direction. Longer windows contain more of the car's
-# acceleration, and shorter windows contain more vibration. On seven recordings every correct sign is significant by 9.5
-# standard deviations or more.
-MEAN_WINDOW, LAG = 0.3, 0.5
+MEAN_WINDOW = 0.3  # s, over which the force is averaged
+# s, interval of a change of the force's direction. A longer interval contains more of the car's acceleration, and a
+# shorter interval more vibration. On seven recordings, every correct sign is significant by 9.5 standard deviations or
+# more.
+LAG = 0.5
 # Smallest significance of a sign, in standard deviations; high, since neighboring changes share samples
 MIN_SIGNIFICANCE = 7.0
 MIN_SIGNIFICANCE_RATIO = 2.0  # smallest ratio of the significance of a column to that of the other column
@@ -39,8 +40,8 @@ OUTLIER_SIGMAS = 3.0  # standard deviations; larger changes are outliers
 SCALE_LAGS = (1.0, 2.0)
 # Largest logarithm of an estimated scale; on flat roads, the lean of the body gives scales above 10
 MAX_LOG_SCALE = 0.8
-# Largest relative error of the estimate; smallest lead of one scale over another, in the logarithm
-MAX_SCALE_ERROR, MIN_SCALE_LEAD = 0.25, 0.1
+MAX_SCALE_ERROR = 0.25  # largest relative standard deviation of an estimated scale
+MIN_SCALE_LEAD = 0.1  # smallest lead of one scale over another, in the logarithm
 
 # Rate that changes the direction of the force: column (0: gx, 1: gy), sign, and significance in standard deviations
 RateMatch = tuple[int, float, float]

@@ -17,8 +17,8 @@ from sigmaswarm.drives.drive import Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 
 SERIOUS_OFFSET = 0.3  # s; larger clock offsets cause errors of meters
-# s: GPS time minus UTC; tolerance within which an offset consists of these seconds and the receiver's delay
-LEAP_SECONDS, MAX_LEAP_ERROR = 18.0, 0.3
+LEAP_SECONDS = 18.0  # s, GPS time minus UTC
+MAX_LEAP_ERROR = 0.3  # s; an offset that differs by less consists of these seconds and the receiver's delay
 MAX_TUNED_LATENCY = 0.5  # s, largest latency of the fixes that `tune` tries; the smallest is 0
 MIN_IMU_RATE = 8.0  # Hz; at lower rates, turns are lost between samples
 MAX_INTERVAL_RANGE = 0.5  # largest range of the middle 90% of the intervals, relative to their median
