@@ -38,7 +38,7 @@ class Counter:
 
 
 def time_of_ticks(text: str, rate: float) -> str:
-    """Write the time of a counter, s."""
+    """Return the expression of a counter's time, s."""
     return f"{text}/{rate:.10g}"
 
 
