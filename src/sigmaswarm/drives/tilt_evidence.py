@@ -4,9 +4,9 @@ The mean specific force, minus the acceleration that the fixes and the gyro show
 
     forward:  accelerometer bias - g pitch        left:  accelerometer bias + g roll - v (vertical gyro bias)
 
-Only these sums are observable at the start. The gyro shows the changes of roll and pitch in the seconds before the
-start. If e = roll + i pitch is the tilt at the start and psi the turn since an earlier time, the tilt at the earlier
-time is
+with the speed v. Only these sums are observable at the start. The gyro shows the changes of roll and pitch in the
+seconds before the start. If e = roll + i pitch is the tilt at the start and psi the turn since an earlier time, the
+tilt at the earlier time is
 
     exp(-i psi) (e - integral of (rates - biases) exp(i psi))
 """
