@@ -1,4 +1,4 @@
-"""Functions that `fleet.py` calls on workers. They are in a module, since those of a script are sent as code."""
+"""Functions that `fleet.py` calls on workers. They are in a module, since Dask sends functions of a script as code."""
 
 import time
 from collections.abc import Sequence

@@ -53,7 +53,7 @@ HELD_OUT = {
     "colorado-1, truth-rmse",
     "colorado-1, innovation-nll",
 }
-"""Cases of the tables of both scales."""
+"""Cases in the two tables of the held-out RMSE, one per scale of the variances."""
 
 
 def simulated() -> tuple[list[Drive], list[Drive]]:
@@ -79,7 +79,7 @@ def colorado(folder: Path) -> tuple[list[Drive], list[Drive]]:
 
 
 def cases(folder: Path) -> dict:
-    """Return, by case: function that returns the drives, objective, optimizers, and scales."""
+    """Return the settings of each case: function that returns the drives, objective, optimizers, and scales."""
     rmse, nll = "truth-rmse", "innovation-nll"
     real = folder.is_dir()
     return {
@@ -239,7 +239,7 @@ def cell(row: dict, measure: str) -> str:
 
 
 def raced(found: Found) -> str:
-    """Tabulate the effects of racing on time and RMSE, relative to the same optimizer without racing."""
+    """Tabulate the effects of racing on filter steps and RMSE, relative to the same optimizer without racing."""
     rows = []
     for case, model in ((case, model) for case, comparisons in found.items() for model in comparisons):
         by_name = {

@@ -11,8 +11,8 @@ from sigmaswarm import baseline, simulate
 from sigmaswarm.tuning.space import search_space
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))  # for the rivals
-os.environ["LOG_CFG"] = str(HERE / "pyswarms-logging.yml")  # PySwarms looks there when it is imported
+sys.path.insert(0, str(HERE))  # to import the modules `rival_*`
+os.environ["LOG_CFG"] = str(HERE / "pyswarms-logging.yml")  # PySwarms reads this variable when it is imported
 
 TURNS = 7
 
@@ -51,11 +51,11 @@ def parameter_sets(drive):
 
 @pytest.fixture
 def measure(benchmark):
-    """Time a function. ``work``: parameter sets times samples, or calls; ``times``: ratio of the whole job to it."""
+    """Time a function. ``work``: parameter sets times samples, or calls; ``times``: whole job / timed part."""
 
     def run(function, *, work, rounds, times=1):
         benchmark.pedantic(function, rounds=rounds, warmup_rounds=1)
-        if benchmark.stats:  # none with --benchmark-disable
+        if benchmark.stats:  # None with --benchmark-disable
             ns = round(benchmark.stats.stats.median / work * 1e9, 3)
             benchmark.extra_info.update(work=work, times=times, ns=ns)
 

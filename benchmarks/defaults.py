@@ -66,7 +66,7 @@ GRADES = {
 }
 COLUMNS = ("RMSE, m", "50%, m", "95%, m", "heading, deg", "5 s, m", "30 s, m", "NIS", "NEES")
 RATIOS = {"RMSE": 0, "heading": 3, "5 s drift": 4, "30 s drift": 5}
-"""Compared scores, for which less is better, and their columns."""
+"""Compared scores (lower is better), and their columns."""
 Parts = tuple[Sequence[Drive], Sequence[Drive]]
 
 
@@ -80,7 +80,7 @@ def main() -> None:
     parser.add_argument("--with-truth", nargs="*", default=[WITH_TRUTH], help="objectives")
     parser.add_argument("--without-truth", nargs="*", default=["auto"], help="objectives")
     parser.add_argument("--filters", nargs="+", default=list(FILTERS), choices=(*FILTERS, "default"))
-    parser.add_argument("--only", nargs="+", help="parts of cases' names")
+    parser.add_argument("--only", nargs="+", help="parts of the names of cases")
     parser.add_argument("--table", action="store_true", help="only print the results in the file")
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)

@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 
 TINY = "--particles 4 --generations 3 --workers 1 --trust-log"
-REAL = {"kitti-09-26-0101": "30", "colorado-1": "110"}  # drive: s on its clock at which it is cut
+REAL = {"kitti-09-26-0101": "30", "colorado-1": "110"}  # drive: time (s) at which it is cut
 OPTIMIZERS = ("pso", "ga", "ga-pso", "de", "cma-es", "bo", "nelder-mead", "random", "sobol")
 SIMULATED = ("drives/urban-clear-00", "drives/urban-clear-01")
 
@@ -47,7 +47,7 @@ ALLOWED = {
     r"(written|created|date|stamp_of_run)": "dates",
     r"(^|[./])pages?\.html|\.png|\.svg|\.pdf": "pictures and pages",
 }
-"""Keys of the file and key of a number that are not compared, and why."""
+"""Patterns of names of files and keys whose numbers may differ, and the contents of these files and keys."""
 
 WORLD_TOLERANCE = 1e-8
 """Tolerance (m) of positions from latitude and longitude, since the versions use different libraries for geodesy."""
@@ -60,7 +60,7 @@ class Step:
     name: str
     words: str
     tolerance: float = 0.0
-    logs: dict[str, str] = field(default_factory=dict[str, str])  # files written before it runs
+    logs: dict[str, str] = field(default_factory=dict[str, str])  # files to write before the command
 
 
 def tuned(name: str, drives: str, options: str = "", budget: str = TINY) -> Step:
@@ -197,7 +197,7 @@ def flattened(value: Any, key: str = "") -> Iterator[tuple[str, float | str]]:
             for i, inner in enumerate(value.astype(float).ravel()):
                 yield f"{key}[{i}]", float(inner)
         elif value.dtype.kind == "U" and value.size == 1 and str(value).startswith(("{", "[")):
-            with suppress(json.JSONDecodeError):  # else a text that is no JSON
+            with suppress(json.JSONDecodeError):  # otherwise, the text is not JSON
                 yield from flattened(json.loads(str(value)), key)
     elif isinstance(value, (int, float)):
         yield key, float(value)

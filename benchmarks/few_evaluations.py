@@ -74,7 +74,7 @@ def rows(train: list[Drive], test: list[Drive], seeds: int) -> Iterator[list[str
     asked = {"model": "planar8", "objective": "truth-rmse"}
     problem = car_problem(make_datasets(train, ())[0], validated_config(TuneConfig, asked))
     held_out = problem.with_data(make_datasets(test, ())[0])
-    search(problem, "sobol", 0, 16, 16, np.inf)  # loads machine code and imports
+    search(problem, "sobol", 0, 16, 16, np.inf)  # loads modules and compiled code
     search(problem, "bo", 0, 8, 9, np.inf)
 
     def kept(runs: list[Run]) -> str:

@@ -1,11 +1,11 @@
-"""Measure drives on a Dask cluster: a scheduler and workers in separate processes on 127.0.0.1.
+"""Measure tuning on a Dask cluster: a scheduler and workers in separate processes on 127.0.0.1.
 
     python benchmarks/fleet.py PART... --folder FOLDER
 
     form       size and reading time of a drive in CSV and in Parquet (--drive)
-    same       tune, evaluate, study and compare on four workers against threads: the bytes of all files
+    same       compare all files that tune, evaluate, study and compare write on four workers and on threads
     faults     five workers are killed at random times in a tuning and in a study, and replaced; the scheduler is killed
-    scaling    two workers of one thread against one, on 16 drives of 30 minutes
+    scaling    one worker compared with two, each with one thread, on 16 drives of 30 minutes
     overhead   time of a generation in addition to that of the filters, by number of drives
     memory     peak of the client with 16 and 160 drives; memory of a worker per hour of driving
     thousand   1000 drives of one minute on the command line, and all warnings in the logs
@@ -198,7 +198,7 @@ def scaling(folder: Path, repeats: int, minutes: float, generations: int) -> Non
             print(f"{n} worker(s): ready", flush=True)
         for _ in range(repeats):
             for n, dataset in datasets.items():
-                dataset.call(forget)  # prepared drives, since their preparation is measured, too
+                dataset.call(forget)  # removes prepared drives, since their preparation is measured, too
                 running, load = (one, two)[n - 1], os.getloadavg()[0]
                 before = [running.processor(name) for name in running.workers]
                 began, own = time.perf_counter(), time.process_time()
@@ -209,7 +209,7 @@ def scaling(folder: Path, repeats: int, minutes: float, generations: int) -> Non
                 own = time.process_time() - own
                 worked[n].append(busy + own)
                 print(
-                    f"{n} worker(s): {took[n][-1]:.1f} s (load before {load:.1f}); of a processor {busy:.1f} s in the "
+                    f"{n} worker(s): {took[n][-1]:.1f} s (load before {load:.1f}); processor time {busy:.1f} s in the "
                     f"busiest worker, {own:.1f} s in the client; cost {cost!r}",
                     flush=True,
                 )
@@ -222,7 +222,7 @@ def overhead(folder: Path, most: int) -> None:
     config = TuneConfig(model="planar8", objective="truth-rmse")
     points = np.random.default_rng(0).random((30, 20))
     print(
-        "drives  an empty call, ms: median, 90%;  a generation beside the filters (30 parameter sets, planar8)"
+        "drives  an empty call, ms: median, 90%;  a generation minus the filters (30 parameter sets, planar8)"
     )
     with Processes(folder / f"dask-{os.getpid()}", 2) as running, connected(running.address) as client:
         client.wait_for_workers(2)
@@ -279,7 +279,7 @@ def memory(folder: Path, drives: int | None) -> None:
         print(
             f"{drives} drives of 10 min: client's peak {peak:.0f} MB; workers {mb[0]} MB before, {mb[1]} MB after"
         )
-        print(f"  {each:.0f} MB an hour of drive", flush=True)
+        print(f"  {each:.0f} MB per hour of driving", flush=True)
         return
     for count in (16, 160):
         subprocess.run(
@@ -298,7 +298,7 @@ def thousand(folder: Path) -> None:
         suspicious = re.findall(
             r".*(?:WARNING|ERROR|CRITICAL|Traceback|garbage|large graph).*", running.log()
         )
-        print("lines of the cluster's logs that warn:", suspicious or "none")
+        print("warnings in the cluster's logs:", suspicious or "none")
 
 
 PARTS: dict[str, Callable[[argparse.Namespace], None]] = {

@@ -2,10 +2,11 @@
 
     python benchmarks/imu_noise.py accuracy    # one hour at 100 Hz of each grade of the simulator, 20 seeds
     python benchmarks/imu_noise.py mixtures    # white noise, flicker noise and walks of one hour, 60 seeds
-    python benchmarks/imu_noise.py speed       # 24 h at 100 Hz from a Parquet file, next to allantools
+    python benchmarks/imu_noise.py speed       # 24 h at 100 Hz from a Parquet file, compared with allantools
 
-Prints Markdown. An interval is right if it contains the planted value; the planted white noise includes that of the
-quantization. Simulated grades have no flicker noise: their instability is right if its interval begins at 0.
+Prints Markdown. An interval is right if it contains the simulated value; the simulated white noise includes that of the
+quantization. Grades of the simulator have no flicker noise, so the interval of their bias instability is right if it
+begins at 0.
 """
 
 import argparse
@@ -25,11 +26,11 @@ from sigmaswarm.noise import allan_deviation, imu_noise
 from static_logs import GRADES, planted, static_log
 
 DAY = 86_400.0
-"""s"""
+"""Duration of a day, s."""
 
 
 def accuracy(seeds: int) -> None:
-    """Print errors of the white noise and coverage for each grade."""
+    """Print, for each grade, the largest error of the white noise and the fractions of right intervals."""
     print(
         "| grade | white noise, largest error | covered: white, instability, walk | walk shown | drifts reported |"
     )
@@ -56,7 +57,7 @@ def accuracy(seeds: int) -> None:
 
 
 def mixtures(seeds: int) -> None:
-    """Print the coverage for mixtures of noises."""
+    """Print the fractions of right intervals for mixtures of noises."""
     print("| noises | covered: white, instability, walk |\n|---|---:|", flush=True)
     for name in MIXTURES:
         share = np.mean(covered(name, range(seeds)), axis=0)
@@ -64,7 +65,7 @@ def mixtures(seeds: int) -> None:
 
 
 def speed() -> None:
-    """Print time and memory of a day's log, and the time of the deviation next to allantools'."""
+    """Print time and memory for a log of a day, and the time of allantools relative to ours."""
     import allantools
 
     with tempfile.TemporaryDirectory() as folder:
@@ -83,7 +84,7 @@ def speed() -> None:
 
 
 def write_day(path: Path) -> None:
-    """Write a log of white noise; in single precision while it is made, to leave the peak to the measurement."""
+    """Write a log of white noise, in single precision, since the measurement must determine the peak memory."""
     rng, count = np.random.default_rng(0), round(DAY * 100)
     columns = {"t": pl.Series(np.arange(count) * 0.01)}
     for axis in ("ax", "ay", "az", "gx", "gy", "gz"):
@@ -92,7 +93,7 @@ def write_day(path: Path) -> None:
 
 
 def measured(path: Path) -> None:
-    """Print time and peak memory of the command in a process of its own."""
+    """Run the command in a separate process; print its time and peak memory."""
     import subprocess
 
     before = time.perf_counter()

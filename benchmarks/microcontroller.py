@@ -125,7 +125,7 @@ def _libraries(map_text: str) -> dict[str, int]:
 
 
 def state_bytes(machine: Machine, folder: Path, *flags: str) -> int:
-    """sizeof(InsGps)."""
+    """Return sizeof(InsGps), bytes."""
     source = folder / "size.c"
     source.write_text('#include "ins_gps.h"\nInsGps filter;\n')
     run([COMPILER, *machine.flags, *flags, "-std=c99", "-c", source, "-o", folder / "size.o"])

@@ -6,11 +6,11 @@
     python benchmarks/odometer.py speed
 
 grades: ten simulated town drives of 120 s for each grade of IMU, with the vibration of real cars, fixes with 1 m of
-white noise, and an odometer that counts pulses (scale error of 1%, drawn for each drive); filters are tuned on seven
-drives and tested on three, with another split for each seed. faults: the filters of one grade are tested on drives with
-a faulty odometer. real: a filter is tuned on the first part of a drive and tested on the rest. speed: time of a step if
-the odometer is used, present but not used, and absent. Prints Markdown tables of medians over the seeds. Drift is the
-RMS over the windows of `switches.py`.
+white noise, and an odometer that counts pulses (a random scale error per drive, standard deviation 1%); filters are
+tuned on seven drives and tested on three, with another split for each seed. faults: the filters of one grade are tested
+on drives with a faulty odometer. real: a filter is tuned on the first part of a drive and tested on the rest. speed:
+time of a step if the odometer is used, present but not used, and absent. Prints Markdown tables of medians over the
+seeds. Drift is the RMS over the windows of outages in `switches.py`.
 """
 
 import argparse

@@ -4,9 +4,9 @@
     python benchmarks/old_new.py OLD/.venv NEW/.venv --rounds 7 --only batch-planar5 tune-default --workers 1
 
 Each round starts one process of each environment, in alternating order. A process runs each job once to compile, then
-`REPEATS` times, and records the shortest time. The table shows times in s (minimum and median over the rounds) and two
-ratios new / old: that of the minima, and the median of the ratios of the rounds. OLD simulates two drives of ten
-minutes.
+`REPEATS` times (tuning jobs once), and records the shortest time. The table shows times in s (minimum and median over
+the rounds) and two ratios new / old: that of the minima, and the median of the ratios of the rounds. The code in OLD
+simulates two drives of ten minutes.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Compare the optimizers with other implementations on test functions; docs/optimizers.md summarizes the tables.
+"""Compare the optimizers with each other and with other implementations on test functions.
 
     python benchmarks/optimizers.py [--seeds 20] [--budget 3000] [--only "each other"|rivals]
 

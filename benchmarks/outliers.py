@@ -4,7 +4,7 @@
 
 colorado-1: planar8 with lateral and standstill is tuned on the first 70% of the time and tested on the rest, without
 outliers and with errors of 20 m in 6% of the fixes, in bursts of 0.2 to 1 s (seeded). Scale of Student's t: the mean
-NIS at which each objective has its minimum if all noise variances of a filter are multiplied by one factor, on
+NIS at which each objective has its minimum as a function of a common factor on all noise variances of a filter, on
 simulated drives with white fix errors. Prints Markdown: medians over the seeds, with lowest and highest value in
 brackets.
 """

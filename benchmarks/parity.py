@@ -105,7 +105,7 @@ def with_alpha(table: np.ndarray, alpha: float | None = None) -> Sets:
 
 
 def every_filter(drive: Drive, n_sets: int) -> Table:
-    """Compare every filter type and model, with all measurements, with the oracle: heading known to 1 rad, and lost."""
+    """Compare all filters with extended precision, separately for heading standard deviations below and above 1 rad."""
     timeline, initial = on_time_line(drive)
     out = _table("Compiled - extended, all measurements", "heading", "steps x sets", "over limit")
     for model, kind in product(("planar5", "planar8"), KINDS):
@@ -149,7 +149,7 @@ def step_by_step(
         errors = filterpy_against_extended(timeline, initial, with_alpha(slow, alpha))
         runs[f"FilterPy - extended, alpha {alpha:g}"] = errors, 1e-10
     out = _table(
-        "Step by step, planar5, fixes of the IMU's place, the paper's box", "steps x sets", "over limit"
+        "Single steps of planar5, no lever arm, within the paper's bounds", "steps x sets", "over limit"
     )
     for name, (errors, limit) in runs.items():
         _add(out, name, errors, limit)
@@ -157,7 +157,7 @@ def step_by_step(
 
 
 def filterpy_against_extended(timeline: Timeline, initial: InitialState, sets: Sets) -> Stepwise:
-    """Return FilterPy's errors; each step starts from the oracle's trajectory, rounded to double."""
+    """Return FilterPy's errors; each step starts from the state in extended precision, rounded to double."""
     oracle, errors = ExtendedCar(timeline, sets), []
     oracle.mean = np.tile(initial.mean, (len(sets), 1))
     oracle.covariance = np.tile(initial.covariance, (len(sets), 1, 1))
@@ -207,15 +207,15 @@ def _cells(values: np.ndarray) -> list[str]:
 
 
 def loss(name: str, errors: Stepwise, limit: float) -> str:
-    """Return a sentence on covariances whose error exceeds the limit, since precise fixes cost digits."""
+    """Return a sentence on covariances whose error exceeds the limit after a fix that reduces a variance strongly."""
     over = errors.covariance > limit
     if not over.any():
-        return f"{name}: no covariance beyond {limit:g}"
+        return f"{name}: no covariance error above {limit:g}"
     most = np.max(errors.covariance[over] / (EPS * errors.shrunk[over]))
     return (
-        f"{name}: {over.sum()} covariances beyond {limit:g}, in {over.any(axis=0).sum()} of {over.shape[1]} sets, "
-        f"where a fix shrank a variance {errors.shrunk[over].min():.0e} to {errors.shrunk[over].max():.0e} x; "
-        f"at most {most:.2g} eps x that"
+        f"{name}: {over.sum()} covariance errors above {limit:g}, in {over.any(axis=0).sum()} of {over.shape[1]} sets, "
+        f"after fixes that divide a variance by {errors.shrunk[over].min():.0e} to {errors.shrunk[over].max():.0e}; "
+        f"at most {most:.2g} eps x this divisor"
     )
 
 
@@ -224,7 +224,7 @@ def loss(name: str, errors: Stepwise, limit: float) -> str:
 
 def free_running(timeline: Timeline, initial: InitialState, sets: Sets) -> Table:
     """Return a table of the distances between means along whole runs."""
-    out = _table("Free running: distance of the mean from the compiled filter's", "samples", "sets")
+    out = _table("Whole runs: distance of the mean from that of the compiled filter", "samples", "sets")
     runs = [free_run(timeline, initial, p) for p in sets]
     sound = [run for run in runs if run.judged.all()]
     for name, parts in (
@@ -242,14 +242,16 @@ def free_running(timeline: Timeline, initial: InitialState, sets: Sets) -> Table
 
 def roots(timeline: Timeline, initial: InitialState, sets: Sets) -> Table:
     """Return a table of the effect of the square root of P from which sigma points are drawn."""
-    out = _table("Free running: FilterPy with its plain root, from the compiled filter", "samples", "sets")
+    out = _table(
+        "Whole runs: distance of FilterPy with its own root of P from the compiled filter", "samples", "sets"
+    )
     rows = {
         "defaults": np.array([0.1, 2, 0, *[1.0] * 7]),
         "paper": np.array([0.03, 2.5, 0.48, *[2.0] * 5, 0.1, 0.1]),
     }
     rows["careful"] = np.array([0.1, 2, 0, 1e-5, 1e-5, 1e-4, 1e-4, 1e-5, 1.0, 1.0])
     named = [(name, as_parameters(row[None])) for name, row in rows.items()]
-    for name, group in [*named, ("sets of the box, alpha >= 0.1", sets)]:
+    for name, group in [*named, ("random sets, alpha >= 0.1", sets)]:
         distances = [_root_distance(timeline, initial, p) for p in group]
         values = np.concatenate(distances)
         cells = _cells(values)

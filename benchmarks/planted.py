@@ -6,12 +6,13 @@
     python benchmarks/planted.py windows drives --count 3000 --simulated 100 --clocks sound
 
 faults: every fault of `tests/doctor/faults.py` is planted in each recording below a folder and in simulated drives. If
-the clock of a recording has an offset, it is repaired first. windows: 60 s of a drive whose fixes keep a clock with an
-offset, a drift, jitter, all of these or none; if the diagnosis offers a repair, it is applied like in
+the clock of a recording has an offset, it is repaired first. windows: 60 s of a drive; the clock of the fixes has an
+offset, a drift, jitter, all of these or none. If the diagnosis offers a repair, it is applied as in
 `sigmaswarm.repair`. Forecasts of the next fix and of fixes 3 to 5 s ahead are compared before and after the repair,
 with two filters without tuning: planar5 and tilted12. (The preset ``datasheet`` is not suitable: on these windows, its
 forecasts of the next fix have errors of 2 to 80 m before and after.) mounting: each log with six axes is imported with
-three wrong mountings, one of `WRONG` and two random ones; whole, and its windows of 60 s. Prints Markdown.
+three wrong mountings, one of `WRONG` and two random ones; each of its windows of 60 s, with one of these. Prints
+Markdown.
 """
 
 import argparse
@@ -233,8 +234,10 @@ def mountings(drives: Iterator[Drive]) -> None:
     for (what, confidence), each in sorted(errors.items(), reverse=True):
         quantiles = np.quantile(each, [0.5, 0.9, 0.95, 1.0])
         print(f"| {what} | {confidence} | {len(each)} | {' | '.join(f'{q:.1f}' for q in quantiles)} |")
-    print(f"\nestimates of a turned log against the turned estimate: {np.max(apart):.2g} deg apart at most")
-    print(f"the mounting reported for other mountings of the import: {np.max(mounts):.2g} deg apart at most")
+    print(f"\nestimate for the rotated log minus rotated estimate: at most {np.max(apart):.2g} deg")
+    print(
+        f"difference of the reported mountings of the original and the rotated log: at most {np.max(mounts):.2g} deg"
+    )
 
 
 def with_clock(drive: Drive, offset: float, drift: float, jitter: float, rng: np.random.Generator) -> Drive:

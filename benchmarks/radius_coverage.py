@@ -133,7 +133,7 @@ def summary(found: list[Pair]) -> None:
         lowest, outside = f"{100 * inside.min():.0f}% ({worst})", 1 - within.mean()
         print(f"| {what} | {len(shares)} | {100 * inside.mean():.1f}% | {lowest} | {100 * outside:.2f}% |")
     alone = [pair[2].sigma_ratio or 0.0 for pair in of_one]
-    print(f"\nSigma of the filter alone over the right one: {min(alone):.2f} to {max(alone):.2f}.")
+    print(f"\nThe filter's standard deviation / the correct one: {min(alone):.2f} to {max(alone):.2f}.")
 
 
 def one_receiver(name: str, test: str) -> bool:

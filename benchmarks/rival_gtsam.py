@@ -81,7 +81,8 @@ def _no_slide(pose: int, velocity: int, rate: Array, noise: Noise) -> gtsam.Cust
         if jacobians is not None:
             x, y, z = seen
             by_pose = np.zeros((2, 6))
-            by_pose[:, :3] = [[z, 0.0, -x], [-y, x, 0.0]]  # R exp(xi): the velocity seen changes by v x xi
+            # for R exp(xi), the velocity in the body's axes changes by v x xi
+            by_pose[:, :3] = [[z, 0.0, -x], [-y, x, 0.0]]
             jacobians[0], jacobians[1] = by_pose, rotation.T[1:]
         return seen[1:] + turning
 

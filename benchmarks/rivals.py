@@ -6,8 +6,8 @@
 Cases: KITTI, each drive held out once; colorado-1 and kingston-1, divided at 70% of the time; simulated drives on
 rolling roads, six for training and four held out; the filters of these six drives on drives with another grade of
 sensors, or another car. All filters are planar8 with lateral, standstill and robust, tuned with truth. Each row is a
-line of JSON; a repeated command continues. `sigmaswarm study --rivals` compares the methods in the paper's setting,
-with planar5 and planar8 without preprocessing and tuned for the position; the filters here have the recommended
+line of JSON; a repeated command adds the missing lines. `sigmaswarm study --rivals` compares the methods in the paper's
+setting, with planar5 and planar8 without options and tuned with `truth-rmse`; the filters here have the recommended
 options.
 """
 
@@ -118,7 +118,7 @@ def tuned(drives: Sequence[Drive], kind: FilterKind, seed: int) -> tuple[FilterP
     began = time.process_time()
     use = tuple(
         option for option in USE if not incompatibility(kind, (option,))
-    )  # robust goes with ukf and ekf
+    )  # robust can be combined only with ukf and ekf
     with ThreadPoolExecutor() as pool:
         found = tune(
             list(drives),
@@ -133,7 +133,7 @@ def tuned(drives: Sequence[Drive], kind: FilterKind, seed: int) -> tuple[FilterP
 
 
 def rows(case: Case, seed: int, search: int, done: set[tuple], networks: Sequence[str]) -> Iterator[list]:
-    """Yield case, test, method, seed, labeled s, training s, number of parameters, and means over the test drives."""
+    """Yield case, test, method, seed, drive s, training s, number of parameters, means over the test drives."""
     driven = sum(float(d.imu.time[-1] - d.imu.time[0]) for d in case.train)
     base: tuple[FilterParameters, float, int] | None = None
     for method in (*get_args(FilterKind), *networks):
@@ -153,13 +153,13 @@ def rows(case: Case, seed: int, search: int, done: set[tuple], networks: Sequenc
         for test, drives in case.tests.items():
             found = np.array([measured(drive, parameters, learned) for drive in drives])
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", RuntimeWarning)  # no outage of 60 s fits
+                warnings.simplefilter("ignore", RuntimeWarning)  # drives too short for an outage of 60 s
                 mean = np.nanmean(found, axis=0)
             yield [case.name, test, method, seed, driven, cost, numbers, *mean.tolist()]
 
 
 def table(lines: Sequence[list]) -> None:
-    heads = ("learned from", "tested on", "method", "seeds", "labelled s", "training s", "numbers", *MEASURES)
+    heads = ("training drives", "tested on", "method", "seeds", "drive s", "training s", "numbers", *MEASURES)
     print("| " + " | ".join(heads) + " |\n|" + "---|" * len(heads))
     for key in dict.fromkeys((line[0], line[1], line[2]) for line in lines):
         own = np.array([line[4:] for line in lines if tuple(line[:3]) == key], dtype=np.float64)

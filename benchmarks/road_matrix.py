@@ -72,7 +72,9 @@ def main() -> None:
         means = np.exp(np.nanmean(np.log(values[:, cells]), axis=1))
         print(f"| {where} | {cells.sum()} | " + " | ".join(f"{mean:.3g}" for mean in means) + " |")
     bad = (share > RAW_SHARE) | (heading > LOST)
-    print(f"{bad.sum()} of {bad.size} cells are worse than the fixes by over 10%, or have lost the heading.")
+    print(
+        f"In {bad.sum()} of {bad.size} cells the RMSE exceeds 1.1 times that of the fixes or the heading is wrong."
+    )
 
 
 def relation(training: Drive, test: Drive) -> str:

@@ -1,17 +1,17 @@
-"""Measure the effects of tire slip and of the alignment's evidence about tilts, alone and together.
+"""Measure the effects of tire slip and of the alignment's estimate of the tilts, alone and together.
 
     python benchmarks/slip_and_start.py ../shared/drives --out slip.jsonl
     python benchmarks/slip_and_start.py ../shared/drives --out slip.jsonl --table
 
-The cases are the 13 held-out cases of `defaults.py`. Every filter is tuned by default, with truth (T) and without (B),
-from the starts of the alignment: with `tire_slip` 0 ("no slip"), with `--use slip` ("slip"), and with a fixed
-`tire_slip` (its value). Each filter is tested from the start of the alignment with the evidence about tilts ("window")
-and without ("level"). With `--every S`, the test drives are the parts of up to 100 s that begin every S s and last at
-least 45 s, so that there are many starts. With `--fresh N`, drives with simulated white fix errors are also tested with
-N other realizations of these errors, since one realization hides effects below 5%. Each tuning and each row of scores
-is a line of the file, and is not repeated. Prints Markdown: medians over the seeds; then the geometric mean of the
-ratios to the default with the same seed and fixes, and the largest mean ratio of a case. Drifts are RMS over all
-placements of the outages.
+The cases are the 13 held-out cases of `defaults.py`. Every filter is tuned with the defaults, with truth (T) and
+without (B), from the initial states of the alignment: with `tire_slip` 0 ("no slip"), with `--use slip` ("slip"), and
+with a fixed `tire_slip` (its value). Each filter is tested from the initial state of the alignment with its estimate of
+the tilts ("window") and without it ("level"). With `--every S`, the test drives are the parts of up to 100 s that begin
+every S s and last at least 45 s, so that there are many starts. With `--fresh N`, drives with simulated white fix
+errors are also tested with N other realizations of these errors, since one realization hides effects below 5%. Each
+tuning and each row of scores is a line of the file, and is not repeated. Prints Markdown: medians over the seeds; then
+the geometric mean of the ratios to the default with the same seed and fixes, and the largest mean ratio of a case.
+Drifts are RMS over all placements of the outages.
 """
 
 import argparse

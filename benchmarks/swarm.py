@@ -17,8 +17,8 @@ brackets, and the mean of |ln(NIS / 2)|. Groups:
     switching  drives like "near"; in the middle, the receiver's errors increase from 1 to 4 m
 
 The constants of the bank were chosen on these drives (most constants on seed 5 of the simulated drives, KITTI and both
-other cars, with one seed and one placement of outages), but not on drives that were kept back. `--unseen` uses
-simulated drives of other grades and seeds, which were not used for this choice.
+other cars, with one seed and one placement of outages), so these drives are not held out. `--unseen` uses simulated
+drives of other grades and seeds, which were not used for this choice.
 """
 
 import argparse

@@ -4,8 +4,8 @@
 
 On each real drive, the filter is tuned on the first half and tested on the second. For simulated drives, the filter is
 tuned on one drive and tested on two others: without changes; with an IMU whose mounting is rotated by 12 degrees in
-roll and in pitch; and from starts whose heading is wrong by 20 to 90 degrees and has this standard deviation. Three
-seeds, searches of 30 x 50 evaluations, no divergence monitor.
+roll and in pitch; and from initial states whose heading has an error of 20 to 90 degrees and a standard deviation of
+the same size. Three seeds, searches of 30 x 50 evaluations, no divergence monitor.
 """
 
 import sys
@@ -55,7 +55,7 @@ def mounted_off(drive: Drive) -> Drive:
 
 
 def starts(drive: Drive, off: float, seed: int) -> InitialState:
-    """Return a start whose heading is wrong by an angle, which is also its standard deviation."""
+    """Return an initial state whose heading has the error and the standard deviation ``off``."""
     start = initial_state(drive)
     mean, covariance = start.mean.copy(), start.covariance.copy()
     mean[THETA] += off * (1 if seed % 2 else -1)

@@ -1,4 +1,4 @@
-"""Record one drive: IMU, fixes and truth of each frame."""
+"""Record one drive: IMU and truth of each frame, and a fix every `GPS_EVERY` frames."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def drive(
     rng: random.Random,
     show: Callable[[float], None],
 ) -> Sensors:
-    """Drive a plan and append the data to `recording`; after a failure, it contains the data up to the failure."""
+    """Drive a plan and append the data to `recording`, which after a failure contains the data up to the failure."""
     name, rows = recording.name, recording.rows
     sensors = Sensors(session, car, name, rng)
     driver = Driver(plan, physics.wheelbase, rng)

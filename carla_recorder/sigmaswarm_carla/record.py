@@ -187,7 +187,7 @@ def sweep_brakes(session: Session, say: Callable[[str], None]) -> list[list[floa
 
 
 def _brake(session: Session, plan: Plan, tire_friction: float, rng: random.Random) -> float:
-    """Measure the friction: mean deceleration with full brakes from 90% to 30% of the speed, divided by gravity."""
+    """Brake fully; return the friction: mean deceleration from 90% to 30% of the initial speed, divided by gravity."""
     car = place_car(session, plan.path)
     settle(session, car)
     physics = edit_physics(session, car, tire_friction)

@@ -33,7 +33,7 @@ class Path2D:
     y: list[float]
     heading: list[float]
     curvature: list[float]
-    climb: float
+    climb: float  # largest slope (rise / distance)
     start: Any  # CARLA's waypoint at the beginning
 
     @property
@@ -63,7 +63,7 @@ class Path2D:
 
 
 class Need(NamedTuple):
-    """Requirements for the path of a maneuver: description, length (m), straight or not, and a test."""
+    """Requirements for the path of a maneuver: description, length (m), whether it must be straight, and a test."""
 
     what: str
     length: float

@@ -1,4 +1,4 @@
-"""The public functions that join several parts of the package."""
+"""Public functions that combine several parts of the package."""
 
 import warnings
 from collections.abc import Callable, Sequence

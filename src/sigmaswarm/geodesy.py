@@ -25,7 +25,7 @@ def wrap_angle(angle: ArrayLike) -> float | Array:
 
 @np.errstate(all="ignore")  # invalid coordinates become NaN
 def geodetic_to_enu(latitude: ArrayLike, longitude: ArrayLike, altitude: ArrayLike, origin: Origin) -> Array:
-    """Convert latitudes (deg), longitudes (deg) and altitudes (m) to m east, north and up, shape (..., 3)."""
+    """Convert latitudes (deg), longitudes (deg) and altitudes (m) to east, north and up (m), shape (..., 3)."""
     import pymap3d  # imported late, since drives in m do not need it
 
     lat, lon, alt = (np.asarray(values, np.float64) for values in (latitude, longitude, altitude))
@@ -34,7 +34,7 @@ def geodetic_to_enu(latitude: ArrayLike, longitude: ArrayLike, altitude: ArrayLi
 
 @np.errstate(all="ignore")
 def enu_to_geodetic(enu: ArrayLike, origin: Origin) -> Array:
-    """Convert m east, north and up, shape (..., 3), to latitudes (deg), longitudes (deg) and altitudes (m)."""
+    """Convert east, north and up (m), shape (..., 3), to latitudes (deg), longitudes (deg) and altitudes (m)."""
     import pymap3d
 
     east, north, up = np.moveaxis(np.asarray(enu, np.float64), -1, 0)

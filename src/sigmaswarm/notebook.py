@@ -55,8 +55,8 @@ def html_list(title: str, sentences: Sequence[str]) -> str:
 def track(title: str, paths: Mapping[str, tuple[ArrayLike, ArrayLike]]) -> str:
     """Draw paths as on a map (north up, to scale), with a sentence that describes the picture.
 
-    ``paths``: arrays of m east and north, shape (n,) each; NaN where a path is unknown. The path ``fixes`` is drawn as
-    dots.
+    ``paths``: arrays of positions east and north (m), shape (n,) each; NaN where a position is unknown. The path
+    ``fixes`` is drawn as dots.
     """
     drawn = {name: _thinned(*path) for name, path in paths.items()}
     drawn = {name: path for name, path in drawn.items() if len(path)}

@@ -38,7 +38,8 @@ MAX_STD = 0.1  # m per axis, largest standard deviation of the truth
 HIDDEN_DURATIONS = (2.0, 20.0)  # s, range of the windows' lengths; in 2 s, a car's IMU drifts by a decimeter
 HIDDEN_FIRST = 10.0  # s from the start of the filter to the first window, and between two windows
 PLACEMENTS = 3  # number of random sets of hidden windows
-COVERAGE = 0.95, 1.96  # fraction of hidden fixes within an interval, per axis, and half its width in sigmas
+# fraction of hidden fixes in an interval, per axis; half the interval's width in standard deviations
+COVERAGE = 0.95, 1.96
 OBJECTIVE = "innovation-t"
 SLIP_STD = math.radians(0.1)  # rad, standard deviation of the slip angle, which fixes do not show
 

@@ -503,7 +503,7 @@ def test_an_option_in_a_message_is_in_a_help(sigmaswarm: Command, here: Path):
     assert "with --mag-topic (`sigmaswarm import --help-all` describes --mag-topic)" in ended.err
     assert sigmaswarm("import", "log.csv", "--out", "x").code == 0
     ended = sigmaswarm("import", "log.csv", "--out", "x")
-    assert "add --overwrite, or choose another folder\n" in ended.err
+    assert "add --overwrite, or choose another folder, for example --out x-2\n" in ended.err
     assert "--overwrite" in sigmaswarm("import", "--help").out
 
 

@@ -65,6 +65,17 @@ def test_a_truth_with_the_delay_of_a_receiver_has_no_finding(name: str, seconds:
     assert "truth-clock" not in diagnose(shifted(DRIVES[name], seconds)).codes
 
 
+@pytest.mark.parametrize("bad", [14.0, 22.0])
+def test_a_part_with_bad_fixes_is_not_a_wrong_clock_of_the_truth(bad: float):
+    """A delay that leaves out the bad part makes the rest agree, but so do the same fixes without a delay."""
+    time, noise = np.arange(0.0, 60.0), 0.1 * np.random.default_rng(0).standard_normal(60)
+    errors = noise + np.where((time < bad) & (time % 4 > 1), 40.0, 0.0)
+    straight = (12.0 + 0.2j) * time
+    assert truth_delay(time, straight + errors, time, straight) is None
+    winding = np.cumsum(8.0 + 5.0 * np.sin(time / 7.0) + 3.0 * np.cos(time / 2.6)) + 60j * np.sin(time / 9.0)
+    assert truth_delay(time, winding + noise, time + 9.0, winding) == pytest.approx(9.0, abs=0.3)
+
+
 def test_a_wrong_clock_of_the_fixes_is_not_a_fault_of_the_truth():
     """IMU and truth agree, so only the fixes are shifted."""
     drive = DRIVES["urban"]

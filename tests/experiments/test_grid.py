@@ -83,7 +83,7 @@ def test_the_error_of_a_task_is_raised_with_its_traceback():
         grid(refuse)
     with pytest.raises(KeyError) as stumbled:
         grid(fail)
-    assert "in stumble" in str(stumbled.value.__cause__)
+    assert "in fail" in str(stumbled.value.__cause__)
 
 
 def test_an_error_ends_long_tasks_at_once():

@@ -434,12 +434,12 @@ def test_a_map_without_a_table_is_told_which_table_has_its_columns(tmp_path: Pat
     )
     pl.DataFrame({"t": gps.time, "x": gps.x, "y": gps.y}).write_csv(tmp_path / "gps.csv")
     with pytest.raises(
-        InputError, match=r"gps.csv, my imu.csv\); choose one for gz with --imu-topic 'my imu.csv',"
+        InputError, match=r"gps.csv, my imu.csv\); choose one for gz with --imu-table 'my imu.csv',"
     ):
         imported(tmp_path, maps=["gz=odd"])
     got = imported(tmp_path, maps=["gz=odd"], choice=TableChoice({"imu": "my imu.csv"})).drive
     assert_close(got.imu, imu, "time ax ay gz")
-    with pytest.raises(InputError, match=r"choose one for gz with --imu-topic TABLE,"):
+    with pytest.raises(InputError, match=r"choose one for gz with --imu-table TABLE,"):
         imported(tmp_path, maps=["gz=none"])
 
 

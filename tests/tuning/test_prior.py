@@ -102,7 +102,7 @@ def test_with_the_prior_a_filter_does_not_copy_a_receiver_that_smooths():
     assert min(held.parameters.measurement_noise) > 0.5**2
     std = max(held.parameters.measurement_noise) ** 0.5
     said = f"{std:.2g} m per axis, a compromise between the innovations and this value"
-    assert [r for r in held.remarks if said in r and "Tune assumed 2.1 m per axis, as for a typical" in r]
+    assert [r for r in held.remarks if said in r and "`tune` assumed 2.1 m per axis, as for a typical" in r]
     assert not [r for r in copied.remarks if "a compromise" in r]
     other = simulate("urban", duration=60.0, gps="white-1m", seed=3, imu_rate=50.0)
     follows, knows = run_batch([other], [copied.parameters, held.parameters]).costs

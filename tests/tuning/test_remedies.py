@@ -66,8 +66,8 @@ def test_using_the_scatter_of_accurate_fixes_reduces_the_drift_on_another_part()
     options = {"model": "planar8", "use": ["lateral", "robust"], **FEW}
     shown, assumed = (tune(drive, **options) for drive in (train, with_assumed_std(train)))
     assert shown.record.shown_std == pytest.approx(0.1, rel=0.2)
-    (said,) = [remark for remark in shown.remarks if "Tune used the scatter" in remark]
-    assert "m per axis, since with it the baseline drifts" in said and not said.startswith(TO_DO)
+    (said,) = [remark for remark in shown.remarks if "`tune` used the scatter" in remark]
+    assert "m per axis: with this value the baseline drifts" in said and not said.startswith(TO_DO)
     assert drift_of(test, shown) < 0.8 * drift_of(test, assumed)
     radius = [evaluate(test, t).record.radius[test.name]["tracking"].radius_95_m for t in (shown, assumed)]
     assert radius[0] > 0.8 * radius[1]  # slow errors of the fixes can still be as large as assumed

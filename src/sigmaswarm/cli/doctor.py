@@ -30,7 +30,7 @@ class DoctorOptions:
     fix
         Folder for a repaired copy of each drive. The drives themselves are not changed.
     lever_arm_within
-        Estimate one lever arm from all drives. --fix writes components whose 95% error is at most this value, m.
+        Estimate one lever arm from all drives. --fix writes its components whose 95% error is at most this value, m.
     """
 
     fix: Path | None = None

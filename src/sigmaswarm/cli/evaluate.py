@@ -197,7 +197,7 @@ def _next_steps(out: Path | None, remedies: Sequence[Remedy], export: Iterable[s
 
 
 def _better_filter(result: "Evaluation", options: EvaluateOptions) -> tuple[str, ...]:
-    """Return a step in place of the export if another method is more accurate, otherwise ()."""
+    """Return the step that replaces the export if another method is more accurate, otherwise ()."""
     from sigmaswarm.scoring.methods import AGAINST
     from sigmaswarm.scoring.remarks import worse_than_raw
 
@@ -209,7 +209,7 @@ def _better_filter(result: "Evaluation", options: EvaluateOptions) -> tuple[str,
 
 
 def _export(tuning: Path, tuned: "TunedFilter", drives: Sequence[str]) -> Iterator[str]:
-    """Suggest the export of a filter to the first target that supports it, with a check on the first local drive."""
+    """Suggest an export to the first target that supports the filter, with a check on the first local drive."""
     from sigmaswarm.drives.urls import is_url
     from sigmaswarm.exports.check import find_compiler
     from sigmaswarm.exports.targets import export_texts

@@ -1,12 +1,12 @@
 """Regression of the path on the accelerations: mounting angle, scale, tilt, and delay of the fixes.
 
-In windows of several seconds, the IMU determines the path, integrated from an unknown start:
+In windows of several seconds, the IMU determines the path, integrated from an unknown position and velocity:
 
     p(t) = p0 + v0 t + double integral of e^(i theta) (M u + b),   u = (ax, ay) as recorded
 
-The fixes show this path with a delay of ``delay`` s. Course and gyro give the heading theta. M (2, 2) and ``delay`` are
-common to all windows; p0, v0 and b (tilt, slope, bias) differ between windows. The mean of b is also fitted. For a log
-without faults, M is the identity.
+Vectors (2,) are also read as complex numbers, x + i y. The fixes show this path with a delay of ``delay`` s. Course and
+gyro give the heading theta. M (2, 2) and ``delay`` are common to all windows; p0, v0 and b (tilt, slope, bias) differ
+between windows. The mean of b is also fitted. For a log without faults, M is the identity.
 """
 
 from dataclasses import dataclass
@@ -28,8 +28,8 @@ SMALL_SAMPLE = 8.0
 MIN_NOISE = 0.03  # m, smallest assumed noise of the IMU's path over several seconds
 
 DELAYS = np.arange(-0.8, 0.81, 0.1)  # s, delays of the fixes to try
-# s: standard deviation of the Gaussian that aligns gyro and course; length of the bins to which it is applied
-DRIFT_SPAN, BIN = 6.0, 3.0
+DRIFT_SPAN = 6.0  # s, standard deviation of the Gaussian window in which the gyro's integral is aligned with the course
+BIN = 3.0  # s, length of the bins to which this window is applied
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +146,7 @@ class _Fit:
         """Solve for the rows of M, and for corrections of ``delay`` and of the mean bias."""
         position, columns, own = self._terms(delay)
         one = np.ones((len(self._rows), 1), dtype=np.complex128)
-        # One more row per window is a prior on its bias: the mean bias of all windows.
+        # One more row per window is a prior of the window's bias, whose mean is the mean bias of all windows.
         own = [np.hstack([c, f * one]) for c, f in zip(own, (0, 0, self._noise / self._spread), strict=True)]
         position, *columns = (np.hstack([c, 0 * one]) for c in (position, *columns))
         return regress(position, columns, own, np.ones(own[0].shape), rounds)

@@ -18,7 +18,7 @@ AVERAGING_TIME = 2.0  # s; the specific force is averaged, since vibration would
 RATE = 10.0  # Hz, rate of the averaged specific force
 # rad/s, largest bias that is removed; the plot shows a larger one as a fault of gz
 MAX_BIAS = np.radians(5.0)
-# Beginnings of the codes of findings that the plot of each agreement shows
+# Findings that the plot of each agreement shows, by the beginnings of their codes
 FINDINGS = {
     "timing": (
         *("imu-gap", "imu-rate", "imu-repeats", "imu-outside", "gps-gap", "gps-rate", "gps-outside"),
@@ -98,7 +98,8 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
     course = course_of(time[good], position[good])
     at, speed = course.time, np.abs(course.velocity)
     moving = speed > max(MIN_SPEED, 6 * course.std)
-    moving &= (at > at[0] + course.span / 2) & (at < at[-1] - course.span / 2)  # the ends have no velocity
+    # the velocity is unknown at the ends
+    moving &= (at > at[0] + course.span / 2) & (at < at[-1] - course.span / 2)
     if np.count_nonzero(moving) < MIN_FIXES:
         return
     yield _turning(drive, course, moving)

@@ -10,12 +10,15 @@ from sigmaswarm.doctor.verdicts import MIN_GAIN_TURN
 from sigmaswarm.doctor.windows import integral, smoothed, without_lines
 from sigmaswarm.doctor.yaw_fit import yaw_windows
 
-ROUNDS, MAX_CHANGE = 8, 0.7  # iterations; s, largest change of a delay in one iteration
-OUTLIER_SIGMAS = 1.5  # larger residuals have less weight
+ROUNDS = 8  # number of iterations
+MAX_CHANGE = 0.7  # s, largest change of a delay in one iteration
+OUTLIER_SIGMAS = 1.5  # standard deviations; larger residuals have less weight
 OVERLAP = 2.0  # each fix lies in two windows, so the variance is that of half as many windows
-# Smallest drift: in standard deviations, as a rate, and as a change of the delay over the drive, s; smallest ratio of
-# this change to the time in which the car travels as far as the standard deviation of a fix
-MIN_SIGMAS, MIN_DRIFT, MIN_CHANGE, MIN_NOISE_RATIO = 5.0, 2e-4, 0.4, 2.0
+MIN_SIGMAS = 5.5  # smallest ratio of the drift to its standard deviation
+MIN_DRIFT = 2e-4  # smallest drift, s per s
+MIN_CHANGE = 0.4  # s, smallest change of the delay over the drive
+# smallest ratio of this change to the time in which the car travels as far as the standard deviation of a fix
+MIN_NOISE_RATIO = 2.0
 MAX_DRIFT = 0.01  # the linear model of the delay does not determine a larger drift
 MIN_WINDOWS = 4.0  # smallest effective number of windows with turns
 MIN_SPEED = 1.0  # m/s, smallest assumed speed v in c / v

@@ -13,12 +13,12 @@ MAX_OFFSET = 40.0  # s; GPS time minus UTC (18 s) and the start-up of most recei
 STEP = 0.1  # s, step of the tried offsets
 PEAK_WIDTH = 4.0  # s, distance from the best offset within which other offsets belong to the same peak
 TURN_INTERVAL = 5.0  # s, interval over which turns are compared
-# Fraction of the variance of the turns that an offset must explain; its smallest lead over any other offset
-MIN_EXPLAINED, MIN_LEAD = 0.8, 0.15
+MIN_EXPLAINED = 0.8  # smallest fraction of the variance of the turns that the best offset explains
+MIN_LEAD = 0.15  # smallest lead in this fraction over offsets outside of the peak
 # Alternative to the lead: smallest ratio of the unexplained fraction of any other offset to that of the best offset. If
 # turns repeat, other offsets may also explain a large fraction.
 MIN_UNEXPLAINED_RATIO = 4.0
-MIN_PAIRS = 20
+MIN_PAIRS = 20  # smallest number of pairs of fixes: see `_pairs`
 MIN_SEARCH_TURN = 0.15  # rad, smallest RMS change of the course within `TURN_INTERVAL`
 
 

@@ -28,7 +28,7 @@ from sigmaswarm.drives.split import name_of_whole
 from sigmaswarm.errors import DriveError
 from sigmaswarm.wording import printable
 
-# The order of findings of equal severity
+# Findings of equal severity have the order of these checks
 CHECKS = (
     check_mirrored,
     check_reverse,
@@ -87,7 +87,7 @@ def _diagnosed(drive: Drive) -> Diagnosis:
     evidence = gather(drive)
     found = [finding for check in CHECKS for finding in check(evidence)]
     codes = {finding.code for finding in found}
-    if codes & {"mounting-changed", "reverse-start"}:  # the parts have different axes, or seem to have
+    if codes & {"mounting-changed", "reverse-start"}:  # the parts have, or seem to have, different axes
         found = [f for f in found if f.repair is None or f.repair.action not in AXIS_ACTIONS]
     if "reverse-start" in codes:  # it explains this change of the axes
         found = [f for f in found if f.code != "mounting-changed" or OR_BACKWARD not in f.what]
@@ -112,7 +112,7 @@ def _contradicted(finding: Finding) -> Finding:
 
 
 def _of_one_sensor(finding: Finding) -> Finding:
-    """Withhold the repair of a finding, since all repairs together give accelerometers and gyro different axes."""
+    """Withhold the repair of a finding, since all repairs would give accelerometers and gyro different axes."""
     remedy = (
         "check the IMU's axes, or split the drive if it begins in reverse. With the repairs of all findings, "
         f"accelerometers and gyro would have different axes. If only this fault exists, {finding.remedy}"

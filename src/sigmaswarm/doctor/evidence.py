@@ -27,6 +27,7 @@ from sigmaswarm.doctor.verdicts import (
     MIN_GAIN_TURN,
     MIN_OFFSET,
     MIN_VARIED,
+    OFFSET_SIGMAS,
     ClockOffset,
     PlanarMounting,
     Yaw,
@@ -147,7 +148,7 @@ def gather(drive: Drive) -> Evidence:
 
 
 def _clock_of_truth(evidence: Evidence) -> ClockOffset | None:
-    """Estimate the delay of the fixes from the truth on their clock; None if the fixes alone determine the delay.
+    """Estimate the delay of the fixes from the truth, on the clock of the fixes; None if impossible or not needed.
 
     The truth determines the delay better, since its errors are far smaller than those of the fixes.
     """
@@ -187,7 +188,10 @@ def _read(drive: Drive) -> Evidence:
         # At walking speed, an antenna ahead of the rear axle looks like seconds of delay.
         rest = evidence.clock.delay if evidence.clock.std < MIN_SEARCH_OFFSET else 0.0
         delay += rest
-    if abs(delay) < MIN_SEARCH_OFFSET:
+    if not evidence.yaw.known:  # the turns agree only with an arbitrary factor
+        return replace(as_recorded, yaw=Yaw(), mount=None, clock=ClockOffset())
+    uncertain = OFFSET_SIGMAS[2] * evidence.clock.std if math.isfinite(evidence.clock.std) else 0.0
+    if abs(delay) < max(MIN_SEARCH_OFFSET, uncertain):
         return as_recorded
     return replace(
         evidence, clock=ClockOffset(delay, max(evidence.clock.std, 0.05), MAX_OFFSET), moved=delay - rest

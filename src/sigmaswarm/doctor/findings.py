@@ -92,7 +92,7 @@ class Finding:
     span : (float, float)
         Start and end on the drive's clock, s.
     confidence : float
-        0 to 1.
+        Confidence in the fault, 0 to 1.
     remedy : str
         The first sentence is the remedy; further sentences are alternatives and details.
     repair : Repair or None

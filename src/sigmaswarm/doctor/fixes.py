@@ -18,6 +18,7 @@ MAX_ACCELERATION = 8.0  # m/s2, largest acceleration of a car; a larger one is a
 SPAN_LIMITS = (3.0, 6.0)  # s, shortest and longest time over which one velocity is computed
 SPEED_STD = 0.5  # m/s, intended standard deviation of the velocity
 MIN_SPEED = 3.0  # m/s; at lower speeds the course is noise
+STANDS = 0.1  # m/s; a vehicle with a lower usual speed stands, even if its receiver is quiet
 USUAL_SHARE = 0.5  # fraction of a slow vehicle's usual speed above which accurate fixes determine a course
 
 
@@ -99,7 +100,7 @@ def course_of(time: Array, position: Complex) -> Course:
     whole &= (time - span / 2 >= time[0] - interval) & (time + span / 2 <= time[-1] + interval)
     std = float(noise * np.sqrt(12 * interval / span) / span)
     usual = float(np.quantile(np.abs(velocity[whole]), 0.9)) if whole.any() else 0.0
-    slowest = max(min(MIN_SPEED, USUAL_SHARE * usual), 6 * std)
+    slowest = max(min(MIN_SPEED, USUAL_SHARE * usual), STANDS, 6 * std)
     moving = whole & (np.abs(velocity) > slowest)
     angle = np.zeros(len(time))
     angle[moving] = np.unwrap(np.angle(velocity[moving]))

@@ -19,9 +19,11 @@ WINDOW = 20.0  # s, length of a window
 # Smallest number of windows. With the four windows of a minute, the residuals hardly show the standard deviation: in
 # two of 2,400 minutes without an offset, the result exceeded 4.5 standard deviations.
 MIN_WINDOWS = 7
-# Means and standard deviations of unknowns: scale k, yaw of the IMU (rad), and coordinates of l (m)
+# Prior means and standard deviations, by index of the unknown: scale k, yaw of the IMU (rad), and coordinates of l (m)
 PRIORS = {1: (1.0, DIAGONAL_TOLERANCE), 2: (0.0, 0.1), 7: (0.0, 0.5), 8: (0.0, 0.5)}
-MAX_ROUNDS, MAX_STEP, CONVERGED = 10, 0.3, 2e-3  # the last two in s
+MAX_ROUNDS = 10  # largest number of iterations
+MAX_STEP = 0.3  # s, largest change of the delay in one iteration
+CONVERGED = 2e-3  # s; a smaller change ends the iterations
 
 
 def leveled_delay(drive: Drive, course: Course, delay: float) -> tuple[float, float] | None:

@@ -33,24 +33,25 @@ MIN_EXPLAINED = 0.5
 MIN_RIVAL_LEAD = 25.0  # smallest lead in chi-square over any mounting that is rotated by 90 degrees or more
 # rad, smallest standard deviations of the axis of turning (springs) and of gravity (roads, biases)
 TILT_FLOOR = math.radians(1.0), math.radians(1.0)
-YAW_FLOOR = math.radians(0.8)
+YAW_FLOOR = math.radians(0.8)  # rad, smallest standard deviation of the yaw in one round
 TRAVEL_FLOOR = math.radians(0.8)  # rad, noise of the direction of travel, due to slip and suspension
-TOLERANCE = 0.025  # tolerance of an entry of M, due to slip and to tilt in maneuvers
+TOLERANCE = 0.025  # tolerance of an entry of `AccelerationFit.matrix`, due to slip and to tilt in maneuvers
 ANGLES = np.radians(np.arange(-180.0, 180.0, 1.0))
 GYRO_WINDOW = 10.0  # s, window over which the axis of turning is fitted
 # Accelerometers are reversed if `_leaning` of their negative values exceeds MIN_LEANING. A mounting rotated by more
 # than 90 degrees is refused if its `_leaning` is below -MIN_LEANING, since an axis is reversed.
 MIN_LEANING = 0.5
-# rad per m/s2, smallest lean of a body on springs. Cars: 0.003 or more; vehicles without springs, of which the gyro's
-# noise and the error of the mounting remain: below 0.0003.
+# rad per m/s2, smallest lean of a body on springs. Cars have 0.003 or more. Vehicles without springs have less than
+# 0.0003, due to noise of the gyro and errors of the mounting.
 MIN_LEAN = 0.001
 # rad, largest angle between the median specific force and the estimated vertical axis
 MAX_TILT = math.radians(15.0)
 # rad; a larger change of gravity between windows shows that the mounting is not constant
 MAX_GRAVITY_CHANGE = math.radians(8.0)
-# rad, smallest corrected tilt and rotation about z; their smallest ratio to the standard deviation
-MIN_TILT, MIN_YAW, MIN_SIGMAS = math.radians(4.0), math.radians(5.0), 3.5
-SERIOUS = math.radians(7.0)
+MIN_TILT = math.radians(4.0)  # rad, smallest tilt that is corrected
+MIN_YAW = math.radians(5.0)  # rad, smallest rotation about z that is corrected
+MIN_SIGMAS = 3.5  # smallest ratio of a corrected angle to its standard deviation
+SERIOUS = math.radians(7.0)  # rad, smallest rotation of a serious finding
 # The 24 rotations by multiples of 90 degrees about the axes: signed permutations
 AXIS_PERMUTATIONS = [
     m
@@ -90,7 +91,7 @@ class Mounting:
 
     @property
     def repair(self) -> Array:
-        """The rotation (3, 3) that corrects the drive's samples to `mount`; the identity if none is needed."""
+        """The rotation (3, 3) that the drive's samples need in addition to `before`; the identity if none is needed."""
         return self.mount @ self.before.T if self.needed else np.eye(3)
 
     def _agrees(self, rest: Array, least_tilt: float = 0.0, least_yaw: float = 0.0) -> bool:
@@ -104,7 +105,7 @@ class Mounting:
 
 @dataclass(frozen=True, eq=False)
 class _Round:
-    """Result of one round; angles in rad."""
+    """Result of `_round`; angles in rad."""
 
     yaw_fit: YawFit
     delay: float

@@ -8,17 +8,19 @@ from sigmaswarm.arrays import Array
 
 Positions = NDArray[np.complexfloating]
 STEP, FINE_STEP = 0.5, 0.01  # s, steps of the tried delays, and of those near the best delay
-# Time over which velocities are computed, and longest interval between positions within it: in s, and in usual
-# intervals; the larger value applies
+# Time over which a velocity is computed: in s, and in usual intervals between positions; the larger value applies
 BASE, BASE_INTERVALS = 2.0, 2.0
+# Longest interval between positions within this time: in s, and in usual intervals; the larger value applies
 MAX_GAP, GAP_INTERVALS = 3.0, 1.5
 MAX_SPEED = 150.0  # m/s, largest velocity that is compared
 MIN_TIME = 20.0  # s, shortest time with both velocities
+MIN_OVERLAP = 0.65  # smallest fraction of the shorter of the two tracks with both velocities
 MIN_SPEED = 1.0  # m/s, lowest RMS speed
 MIN_DELAY = 2.5  # s, smallest delay of a wrong clock; larger than the delay of a receiver
-# Largest difference of the velocities at the best delay, relative to their size; smallest ratio of the difference at
-# other delays, and without a delay, to the difference at the best delay; width of the peak at the best delay, s
-MAX_DIFFERENCE, MIN_RATIO, PEAK_WIDTH = 0.1, 3.0, 10.0
+MAX_DIFFERENCE = 0.1  # largest relative difference of the velocities at the best delay: see `truth_delay`
+# smallest ratio of the difference at other delays, and without a delay, to the difference at the best delay
+MIN_RATIO = 3.0
+PEAK_WIDTH = 10.0  # s; delays closer to the best delay do not count as other delays
 
 
 def truth_delay(time: Array, fixes: Positions, truth_time: Array, truth: Positions) -> float | None:
@@ -38,7 +40,7 @@ def truth_delay(time: Array, fixes: Positions, truth_time: Array, truth: Positio
         return None
     count = correlate(seen, known, method="fft")
     power = correlate(seen, np.abs(v) ** 2, method="fft") + correlate(np.abs(w) ** 2, known, method="fft")
-    enough = count >= max(MIN_TIME / STEP, 0.5 * min(known.sum(), seen.sum()))
+    enough = count >= max(MIN_TIME / STEP, MIN_OVERLAP * min(known.sum(), seen.sum()))
     valid = enough & (power > 2 * MIN_SPEED**2 * count)
     products = correlate(w, v, method="fft").real
     apart = np.where(valid, 1 - 2 * products / np.where(valid, power, 1.0), np.inf)
@@ -47,7 +49,16 @@ def truth_delay(time: Array, fixes: Positions, truth_time: Array, truth: Positio
     least = MIN_RATIO * max(float(apart[best]), 1e-6)
     others = apart[np.abs(delays - delays[best]) > PEAK_WIDTH]
     wrong = abs(delays[best]) >= MIN_DELAY
-    without = float(apart[none]) if wrong and abs(delays[none]) < STEP else np.inf
+    without = np.inf
+    if wrong and abs(delays[none]) < STEP:
+        # The difference without a delay over the same fixes: a delay may only exclude a part with bad fixes.
+        i = np.arange(len(v))
+        at, there = i + none - (len(v) - 1), i + best - (len(v) - 1)
+        both = (known > 0) & _inside(there, seen) & _inside(at, seen)
+        one, other = v[both], w[at[both]]
+        size = float(np.sum(np.abs(one) ** 2 + np.abs(other) ** 2))
+        same = float(np.sum(np.abs(one - other) ** 2)) / max(size, 1e-12)
+        without = min(float(apart[none]), same)
     if apart[best] >= MAX_DIFFERENCE or min(without, others.min(initial=np.inf)) <= least:
         return None
     near = delays[best] + np.arange(-STEP, STEP + FINE_STEP / 2, FINE_STEP)
@@ -58,6 +69,12 @@ def truth_delay(time: Array, fixes: Positions, truth_time: Array, truth: Positio
         return float(np.mean(np.abs(apart - np.mean(apart)) ** 2))
 
     return round(float(min(near, key=distance)), 2)
+
+
+def _inside(index: NDArray[np.intp], known: Array) -> NDArray[np.bool_]:
+    """Return True where an index is inside an array and its element is not 0."""
+    inside = (index >= 0) & (index < len(known))
+    return inside & (known[index.clip(0, len(known) - 1)] > 0)
 
 
 def _velocities(time: Array, position: Positions, usual: float) -> tuple[float, Positions, Array]:

@@ -15,10 +15,12 @@ from sigmaswarm.drives.sensors import antenna_track
 
 WINDOW = 20.0  # s; within this time, lasting errors of the fixes are about constant
 MIN_WINDOWS = 3
-# Longest interval of the truth that is interpolated: in s, and in usual intervals
+# Longest interval of the truth that is interpolated: in s, and in usual intervals; the larger value applies
 MAX_GAP, GAP_INTERVALS = 0.5, 1.5
 BASE = 0.5  # s, over which velocities are computed
-MAX_ROUNDS, MAX_STEP, CONVERGED = 10, 0.3, 1e-3  # the last two in s
+MAX_ROUNDS = 10  # largest number of iterations
+MAX_STEP = 0.3  # s, largest change of the delay in one iteration
+CONVERGED = 1e-3  # s; a smaller change ends the iterations
 STEP = 0.1  # s, smallest interval of the truth that replaces the fixes
 MAX_REST = 0.2  # largest difference of fixes and truth in a window, relative to the path in it
 MAX_TRUTH_SHARE = 0.5  # largest standard deviation of the truth, relative to the errors of the fixes
@@ -79,7 +81,7 @@ def fit_truth(drive: Drive, course: Course) -> TruthFit | None:
 
 
 def truth_as_fixes(drive: Drive, fit: TruthFit) -> Drive:
-    """Replace the fixes by the truth on the clock of the fixes, which has far smaller errors."""
+    """Replace the fixes by the truth, which has far smaller errors, on the clock of the fixes."""
     truth = drive.truth
     assert truth is not None
     time, antenna = antenna_track(drive, truth)

@@ -155,7 +155,7 @@ def _covariance(a: Array, left: Array, own: int) -> Array:
     """Return the covariance of the solution, from the columns (w, k, n) and the residuals (w, n).
 
     The result is the larger of the covariance for white residuals and the sandwich estimate of White (1980) with
-    windows as clusters. This covariance is doubled, since each fix is in two windows.
+    windows as clusters. The result is doubled, since each fix is in two windows.
     """
     inverse = pinv(np.sum(a @ a.transpose(0, 2, 1), axis=0))
     white = inverse * float(np.sum(left**2)) / max(left.size - 2 * own * len(left), 1)

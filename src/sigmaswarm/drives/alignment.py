@@ -1,4 +1,4 @@
-"""Find the start of a filter: its initial state, computed from earlier samples, without truth.
+"""Find the start of a filter: its time and initial state, from samples up to this time, without truth.
 
 The heading of a car is not observable at standstill; after several meters of driving, the course over ground shows the
 heading. The fit to the fixes of the last few seconds (`alignment_fit`) uses the gyro to correct the course for turns,
@@ -26,7 +26,7 @@ MIN_DURATION = 4.0  # s, shortest duration of an alignment
 MAX_DURATION = 6.0  # s, longest duration of an alignment; the error due to the gyro's bias grows with time
 MIN_TRAVEL = 20.0  # m, smallest travel within `MAX_DURATION` for an accurate heading; requires 12 km/h
 ALIGNMENT_FIXES = 4  # smallest number of fixes within `MAX_DURATION`; one fix every 3 s is not enough
-# m, smallest distance from the first to the last fix, a cheap test before the fit
+# m, smallest chord (distance from the first to the last fix), a cheap test before the fit
 MIN_CHORD = 0.5 * MIN_TRAVEL
 # largest residual of an alignment, relative to the travel; fixes that jump have larger residuals
 MAX_MISFIT = 0.3
@@ -38,9 +38,8 @@ SLOW_TRAVEL = 10.0  # m, smallest travel in a window for slow vehicles
 SLOW_SPEED = 0.15  # m/s, smallest mean speed of slow vehicles; fixes of a parked receiver drift more slowly
 SLOW_CHORD = 1.5 * MIN_TRAVEL  # m; on a slow drive, fixes within `MAX_DURATION` are never farther apart
 SLOW_HEADING_STD = np.radians(12.0)  # rad, as `MAX_HEADING_STD`, including the effect of the gyro's bias
-# For slow vehicles that drive to and fro in a small area: smallest distance, m, largest standard deviation of the
-# heading, rad, and largest residual relative to the travel. The last two exclude parked receivers, whose positions
-# wander.
+# For slow vehicles that drive to and fro in a small area: smallest chord, m, largest standard deviation of the heading,
+# rad, and largest residual relative to the travel. The last two exclude parked receivers, whose positions wander.
 NEAR_CHORD, NEAR_HEADING_STD, NEAR_MISFIT = 2.0, np.radians(3.0), 0.04
 SLOW_FIXES = 8  # smallest number of fixes in a window for slow vehicles
 SLOW_INTERVAL = 1.0  # s, smallest interval between used fixes; errors of closer fixes are correlated
@@ -187,9 +186,8 @@ class Alignments:
         shortest, fewest = (longest / 2, SLOW_FIXES) if self._slowly else (MIN_DURATION, ALIGNMENT_FIXES)
         self._many = (self.time - self.time[self._first] >= shortest) & (count >= fewest)
         self._worth = self._many & (self._chord >= (NEAR_CHORD if near else MIN_CHORD))
-        self._slow_limits = (
-            (NEAR_HEADING_STD, NEAR_MISFIT) if near else (SLOW_HEADING_STD, MAX_MISFIT)
-        )  # of the heading's standard deviation, and of the misfit
+        # largest standard deviation of the heading, and largest misfit
+        self._slow_limits = (NEAR_HEADING_STD, NEAR_MISFIT) if near else (SLOW_HEADING_STD, MAX_MISFIT)
         self._found: dict[int, InitialState | None] = {}
 
     def at(self, k: int) -> InitialState | None:
@@ -243,9 +241,9 @@ class Alignments:
         return fit.state() if usable else None
 
     def _fitted_slow(self, k: int) -> InitialState | None:
-        """Also fit the gyro's bias, without the accelerometer, since the error due to its bias grows with time.
+        """Fit the gyro's bias too, and do not use the accelerometer, since the effect of its bias grows with time.
 
-        The stated variance of the fixes that is not white noise is that of lasting errors.
+        The part of the fixes' stated variance that is not white noise is attributed to lasting errors.
         """
         first = int(self._first[k])
         interval = float(self.time[k] - self.time[first]) / (k - first)

@@ -1,11 +1,11 @@
 """The least-squares fit of an alignment.
 
-    p(t) = p_i - exp(i theta_i) * integral_t^t_i  v(s) exp(i (psi(s) - psi_i)) ds
-    v(s) = v_i + integral_t_i^s a_x + b (s - t_i)
+    p(t) = p_n - exp(i theta_n) * integral from t to t_n of v(s) exp(i (psi(s) - psi_n)) ds
+    v(s) = v_n + b (s - t_n) + integral from t_n to s of a_x
 
-Positions are complex numbers east + i north. t_i is the time of the last fix, psi the integrated yaw rate, a_x the
-forward specific force, and b a correction of this force for tilt and bias. The unknowns are position p_i, heading
-theta_i and speed v_i at t_i, and b. The compiled functions have no complex numbers, since `exports.c_alignment`
+Positions are complex numbers east + i north. t_n is the time of the last fix, psi the integrated yaw rate, a_x the
+forward specific force, and b a correction of this force for tilt and bias. The unknowns are position p_n, heading
+theta_n and speed v_n at t_n, and b. The compiled functions have no complex numbers, since `exports.c_alignment`
 translates them to C.
 """
 
@@ -50,7 +50,7 @@ the measured acceleration (m). The next quantity is the position of the antenna 
 the derivative of the path with respect to the gyro's bias (m s) to the last two columns.
 """
 EAST, NORTH, YAW, SPEED, SLOPE, TRAVEL, MISFIT, YAW_BIAS, YAW_VARIANCE, RESULTS = range(10)
-"""Indices of a fit.
+"""Indices of the results of a fit.
 
 The first values are the unknowns: position (m), heading (rad) and speed (m/s) at the last fix, and b (m/s2). The others
 are travel (m; 0 if backward), largest residual (m), remaining gyro bias (rad/s) and its variance.
@@ -121,7 +121,7 @@ class AlignmentFit:
         self._path = np.ascontiguousarray(columns.T).view(np.float64)
         axes = [_integral_at(imu, axis, integrals, time) for axis in ("gz", "ax", "gx", "gy", "ay")]
         self._fixes = np.column_stack([time, position.real, position.imag, *axes])
-        self._coasting = float(np.trapezoid(gained - gained[-1], grid))  # m, due to changes of speed
+        self._coasting = float(np.trapezoid(gained - gained[-1], grid))  # m, by changes of speed
         self._psi, self._leans = psi, imu.gx is not None and imu.gy is not None
         self.span, self.taken = float(end - time[0]), 0.0
         self._solve()
@@ -274,7 +274,7 @@ def fit_path(
     """Fit the unknowns to n fixes by the Gauss-Newton method, and then the gyro bias.
 
     ``coasting``: part of the travel that is due to changes of speed, m. Results: ``fit``; ``covariance`` of the
-    unknowns; ``turns``, their derivatives with respect to the gyro bias.
+    unknowns; ``turns``, the derivatives of the unknowns with respect to the gyro bias.
     """
     east, north = fixes[n - 1, X] - fixes[0, X], fixes[n - 1, Y] - fixes[0, Y]
     forward, left = path[0, BY_SPEED], path[0, BY_SPEED + 1]

@@ -1,4 +1,4 @@
-"""The Drive: one recorded or simulated journey, as frozen arrays."""
+"""The Drive: one recorded or simulated journey, as read-only arrays."""
 
 import warnings
 from collections.abc import Iterable, Mapping

@@ -31,8 +31,8 @@ HEADING = 256  # the fix has a heading
 CORNERING = 4.0  # m/s2, lateral acceleration above which tires slip too much for the lateral constraint
 
 LATERAL_SLOT, STANDSTILL_SLOT, ODOMETER_SLOT, ODOMETER_TIME = range(4)
-"""Indices into ``done`` of `sample_events`: slots (see `slot_of`) of the last lateral, standstill and odometer updates,
-and time of the last odometer update, s.
+"""Indices into ``done`` of `sample_events`: slots (intervals of 0.1 s, numbered from the start) of the last lateral,
+standstill and odometer updates, and time of the last odometer update, s.
 """
 NO_READINGS = np.empty((0, 2))
 

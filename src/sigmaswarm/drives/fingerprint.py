@@ -29,8 +29,8 @@ class DriveRecord(BaseModel):
     imu_axes: dict[str, str] = Field(default_factory=dict)
     slow: bool = False  # True if the vehicle rarely travels far enough for the usual alignment
     sha256: str = ""
-    receiver_std_m: float | None = None  # standard deviation of the fixes per axis, stated or from noise
-    shown_std_m: float | None = None  # this standard deviation as the training shows it (truth or scatter)
+    receiver_std_m: float | None = None  # standard deviation of the fixes per axis, see `receiver_std`
+    shown_std_m: float | None = None  # the same, from the truth or from the scatter of the fixes
     # Of an evaluated drive: fraction of the scored time with known truth; start of filters and scores, s after the
     # first sample; duration of the part that training drives contain, s
     truth_share: float | None = None

@@ -13,7 +13,7 @@ from sigmaswarm.drives.tables import Mask, Truth
 MANY = 5.0  # a gap is longer than this number of usual intervals
 SHORTEST = 0.05  # s; a gap is also longer than this time
 OVER = 32.0  # approximate number of averaged intervals
-# usual intervals, limit of an interval in the average, so that gaps hardly change the usual interval
+# usual intervals; a longer interval counts in the average as this number, so gaps hardly change the usual interval
 MOST = 3.0
 
 
@@ -58,7 +58,7 @@ def is_known(truth: Truth, time: Array) -> Mask:
 
 
 def share_known(truth: Truth | None, start: float, end: float) -> float:
-    """Return the fraction of the time from ``start`` to ``end`` (s) that the truth covers; its gaps do not count."""
+    """Return the fraction of the time from ``start`` to ``end`` (s) that the truth covers, without its gaps."""
     if truth is None or len(truth) < 2 or end <= start:
         return 0.0
     edges = np.clip(truth.time, start, end)
@@ -66,6 +66,6 @@ def share_known(truth: Truth | None, start: float, end: float) -> float:
 
 
 def _truth_gaps(truth: Truth) -> Mask:
-    """Return True for intervals between rows, shape (m - 1,), that are much longer than the median."""
+    """Mark intervals between rows of the truth, shape (m - 1,), that are much longer than the median."""
     intervals = np.diff(truth.time)
     return intervals > max(MANY * float(np.median(intervals)), SHORTEST)

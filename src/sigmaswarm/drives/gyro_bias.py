@@ -1,8 +1,8 @@
 """Estimate of the gyro bias from the last few seconds before a start, and its use by filters.
 
 A cheap gyro may start with a bias of 20 deg/s. With this bias, the path computed from the gyro is curved differently
-from that of the fixes, and the integrated roll and pitch drift. These effects determine the bias with an accuracy of
-about 1 deg/s, which is far better than the prior of a cheap gyro. The prior of a good gyro is narrower (``bias_std``
+from the path of the fixes, and the integrated roll and pitch drift. These effects determine the bias with an accuracy
+of about 1 deg/s, which is far better than the prior of a cheap gyro. The prior of a good gyro is narrower (``bias_std``
 below 1 deg/s), so the evidence hardly changes the estimate.
 """
 
@@ -45,7 +45,7 @@ class GyroBiasEvidence:
     turns: Array
 
     def with_bias(self, known: float) -> "GyroBiasEvidence":
-        """Return the evidence about the raw gyro, if ``known`` (rad/s) was subtracted from its yaw rate before."""
+        """Return the evidence about the raw gyro; before the alignment, ``known`` (rad/s) was subtracted from it."""
         bias = self.bias.copy()
         bias[UP] += known
         return replace(self, bias=bias, taken=self.taken + known)

@@ -9,7 +9,7 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.geodesy import roll_pitch_yaw, rotation_of
 
 KEY = "imu_mounting_deg"
-# table: each axis of the IMU, before the rotation, as an expression over a log's columns
+# key of a table: for each axis of the IMU before the rotation, an expression over a log's columns
 AXES_KEY = "imu_axes"
 Angles = tuple[float, float, float]  # roll, pitch and yaw of the IMU, deg, as in ``import --mount``
 MAX_SPREAD = 3.0  # deg, largest angle from the mean mounting to that of a drive with the same mounting

@@ -17,7 +17,7 @@ def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> Mask:
     """
     t = np.asarray(time, dtype=np.float64)
     starts, ends = np.sort(np.reshape(windows, (-1, 2)), axis=0).T
-    # True if more windows have begun than ended; a comparison of each fix with each window would need a gigabyte
+    # True if more windows have begun than ended. A comparison of each fix with each window could need a gigabyte.
     return np.searchsorted(starts, t, side="right") > np.searchsorted(ends, t, side="left")
 
 
@@ -46,7 +46,7 @@ def random_windows(
     available = end - start - first_after
     wanted = max(round(available / SECONDS_PER_OUTAGE), 1) if count is None else count
     lengths = rng.uniform(shortest, longest, max(wanted, 0))
-    # ends of the windows, s after the earliest start of the first one, if they are as close together as allowed
+    # ends of the windows, s after the earliest start of the first window, if the windows are as close as allowed
     ends = np.cumsum(lengths) + apart * np.arange(len(lengths))
     fitting = int(np.count_nonzero(ends <= available))
     ends, lengths = ends[:fitting], lengths[:fitting]

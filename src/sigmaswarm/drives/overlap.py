@@ -34,9 +34,10 @@ POSITION_TOLERANCE = 3.0  # cm or 1e-7 deg (1.1 cm to the north), largest differ
 RATE_TOLERANCE = 2e-4  # largest difference of ln|gz| of equal yaw rates with 8 decimals, in rad/s or deg/s
 MIN_SPEED = 1.5  # m/s, smallest speed between a landmark and a neighboring fix
 LOG_RATIO = math.log(180 / math.pi)  # ln of the ratio of rad/s to deg/s; landmarks are ln|gz| modulo this
-# part of `LOG_RATIO` with landmarks: a tenth of all samples, such as those of 1 to 1.5 deg/s
+# A yaw rate is a landmark if ln|gz| modulo `LOG_RATIO` is below this width. This is true of a tenth of all samples, for
+# example of those of 1 to 1.5 deg/s.
 LANDMARK_WIDTH = 0.4
-MAX_LANDMARKS = 20_000  # largest number of yaw-rate landmarks; long drives use a smaller part of `LOG_RATIO`
+MAX_LANDMARKS = 20_000  # largest number of yaw-rate landmarks; the width of long drives is smaller
 MAX_OCCURRENCES = 100  # in a drive; more frequent yaw rates, for example of a coarse gyro, are ignored
 MIN_MATCHES = 8  # smallest number of different values of landmarks that must agree
 MIN_MATCH_SHARE = 0.5  # smallest fraction of the landmarks in the common time that must agree

@@ -22,8 +22,8 @@ GRAVITY_TOLERANCE = 0.3  # largest deviation of the median of az from gravity, r
 MIN_WHITE_SHARE = 0.4
 """Smallest ratio of white noise to the stated or assumed standard deviation at which fix errors count as white.
 
-The ratio is 1 in KITTI and colorado, 0.25 with a u-blox M8, and at most 0.02 with car receivers, which smooth their
-fixes (kingston-1, comma2k19, dresden).
+The ratio is 1 in the data sets KITTI and colorado, 0.25 with a u-blox M8, and at most 0.02 with car receivers, which
+smooth their fixes (data sets kingston-1, comma2k19, dresden).
 """
 UNSTATED_GPS_STD = 2.1  # m per axis, assumed if a receiver states no accuracy: u-blox M8, 2.5 m CEP
 MIN_WHITE_NOISE = 0.25 * UNSTATED_GPS_STD
@@ -34,8 +34,9 @@ If fixes have less white noise, their error is unknown, since the receiver may s
 FIXES_FOR_FIX_ERROR = 250
 """Smallest number of fixes, over all drives, at which `tune` uses fix-error by default.
 
-On eight simulated M8 drives of 142 s at 1 Hz, fix-error increased the 30 s drift on six drives, on one of them to 1319
-m. With 300 and 600 fixes, fix-error did not change the mean drift, and reduced the position error by 3 to 6%.
+On eight simulated drives of 142 s with a u-blox M8 at 1 Hz, fix-error increased the drift in outages of 30 s on six
+drives, on one of them to 1319 m. With 300 and 600 fixes, fix-error did not change the mean drift, and reduced the
+position error by 3 to 6%.
 """
 
 MAX_RATE_RATIO = 1.5  # largest ratio of the sampling rates of two drives with the same sensors

@@ -34,12 +34,12 @@ RISES = 0.1
 Without this growth, the estimate would be the noise of the calmest second, which is too low.
 """
 DEPARTS = 0.12  # m/s2, change of the forward or left acceleration of a departing car
-FOLLOWS = 1.0  # s, time constant with which the acceleration of the stop follows sensors that warm up
+FOLLOWS = 1.0  # s, time constant with which a stop's acceleration follows slow changes (sensor warms up)
 FORGETS = 3.0  # s without a calm IMU and constant fixes after which a new stop begins
 MAX_AT_REST = 1.0  # m/s2, largest acceleration at rest of a level IMU, on a slope of 10%
 CONFIRMED = 1.0  # s, duration after which a stop with a larger acceleration counts
 FIX_WINDOW = 3.0  # s, window in which the fixes must be constant
-FILLED = 1.5  # mean fix intervals, longest time from the start of the window to the first fix
+FILLED = 1.5  # mean fix intervals; longest time from the start of the window to the first fix
 FIX_SPEED = 0.8  # m/s, largest speed of the line through constant fixes
 CLOSE = 1e-5  # s; the line is fitted again this time before a fix leaves the window
 TURNING = math.radians(1.5)  # rad/s, largest yaw rate at a standstill, due to the gyro's bias

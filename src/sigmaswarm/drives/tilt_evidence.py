@@ -4,9 +4,9 @@ The mean specific force, minus the acceleration that the fixes and the gyro show
 
     forward:  accelerometer bias - g pitch        left:  accelerometer bias + g roll - v (vertical gyro bias)
 
-Only these sums are observable at the start. The gyro shows the changes of roll and pitch in the seconds before the
-start. If e = roll + i pitch is the tilt at the start and psi the turn since an earlier time, the tilt at the earlier
-time is
+with the speed v. Only these sums are observable at the start. The gyro shows the changes of roll and pitch in the
+seconds before the start. If e = roll + i pitch is the tilt at the start and psi the turn since an earlier time, the
+tilt at the earlier time is
 
     exp(-i psi) (e - integral of (rates - biases) exp(i psi))
 """
@@ -48,7 +48,7 @@ class TiltEvidence:
     numbers: Array
 
     def with_bias(self, known: float) -> "TiltEvidence":
-        """Return the evidence with respect to the raw yaw rate, if ``known`` (rad/s) was subtracted from it before."""
+        """Return the evidence for the raw yaw rate; ``known`` (rad/s) was subtracted from it before the alignment."""
         numbers = self.numbers.copy()
         numbers[FORCE + 1] -= numbers[MEAN_SPEED] * known
         return TiltEvidence(numbers)
@@ -73,7 +73,8 @@ def mean_forces(
     """
     last, end = n - 1, fixes[n - 1, TIME]
     span = end - fixes[0, TIME]
-    # rotation and time from a fix to the last one, in the axes of the car at the last fix
+    # From a fix to the last fix, in the axes of the car at the last fix: rotation about x and y (rad), and the time
+    # integral of the car's forward direction (s)
     x, y, forward, left = 0.0, 0.0, 0.0, 0.0
     lean_x, lean_y, rate, turned_speed = 0.0, 0.0, 0.0, 0.0
     for k in range(n - 2, -1, -1):

@@ -23,7 +23,7 @@ T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
 # Function that receives the number of finished rounds, and raises `InterruptedError` after an interrupt.
 Report = Callable[[int], None]
-POLL_INTERVAL = 0.05  # s between readings of the progress, and between checks of a fork that its parent lives
+POLL_INTERVAL = 0.05  # s between readings of the progress, and between checks that the parent still runs
 KILLED_MESSAGE = "a process of this experiment was killed, perhaps for lack of memory; continue with --resume"
 _run: Callable[[int], Any] | None = None  # runs a task by its index in a forked process
 
@@ -99,7 +99,7 @@ def _submitted(pool: Executor, run: Callable[[int], R], order: Sequence[int]) ->
 
 
 def _begin(run: Callable[[int], Any], stop: Any, parent: int) -> None:
-    """Prepare a forked process, which ends at once if its parent dies or the experiment is interrupted."""
+    """Prepare a forked process, which ends soon after its parent ends or the experiment is interrupted."""
     global _run
     _run = run
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C

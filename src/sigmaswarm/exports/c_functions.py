@@ -54,7 +54,7 @@ class Function(Expressions):
         return (f"real {self.local(name)}",) if renamed is None else renamed
 
     def chosen(self, statements: list[ast.stmt]) -> list[ast.stmt]:
-        """Return the statements without branches that never run."""
+        """Return the statements; omit branches that never run."""
         chosen: list[ast.stmt] = []
         for statement in statements:
             known = self.value(statement.test) if isinstance(statement, ast.If) else None

@@ -1,4 +1,4 @@
-"""Targets of an export."""
+"""Export of a filter to a target: check of the filter, texts of the files, and their folder."""
 
 from collections.abc import Mapping
 from pathlib import Path

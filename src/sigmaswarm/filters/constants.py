@@ -56,7 +56,7 @@ def process_noise_per_step(p: FilterParameters, nominal_interval: float) -> Arra
 # covariance is divided by a random weight. The weight has a gamma distribution with mean 1; for an outlier it is small.
 ITERATIONS = 3  # number of alternating estimates of the state and the weight of a fix
 OUTLYING = 0.25  # a fix with a smaller weight is an outlier
-OUTLIERS = 3  # number of consecutive outliers, over at least OUTLIERS_SPAN, that show a wrong filter
+OUTLIERS = 3  # number of consecutive outliers, over at least OUTLIERS_SPAN, after which P is inflated
 OUTLIERS_SPAN = 5.0  # s
 
 # The scale of an objective is c = 2 x, where x e^x E1(x) = v / (v + 2) and E1 is the exponential integral. With this c,

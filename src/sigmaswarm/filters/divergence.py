@@ -28,11 +28,11 @@ from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA, planar5
 from sigmaswarm.filters.starts import starts_of
 from sigmaswarm.geodesy import wrap_angle
 
-DIVERGED_AFTER = 10.0  # s; contradictions by bad fixes in a city or by a recovering robust filter are shorter
+DIVERGED_AFTER = 10.0  # s, contradiction before a reset; bad fixes and recovering filters cause shorter ones
 MIN_CHECKS = 5  # smallest number of consecutive checks with a contradiction before a reset
-MANY_SIGMAS = 5.0  # smallest contradiction, in standard deviations of the difference
-HEADING_OFF = np.radians(20.0)  # rad, smallest contradiction between the headings of filter and alignment
-POSITION_OFF = 20.0  # m, smallest contradiction between a fix and its prediction
+MANY_SIGMAS = 5.0  # a contradiction exceeds this number of standard deviations of the difference
+HEADING_OFF = np.radians(20.0)  # rad; contradicting headings of filter and alignment differ by more
+POSITION_OFF = 20.0  # m; a contradicting fix differs from its prediction by more
 SUSPECT_HEADING = np.radians(10.0)  # rad, difference from the rough heading that triggers an alignment
 SPEED_STD = 10.0  # m/s per axis, standard deviation of the velocity after a reset to the last fix
 CHECKS, SINCE, LAST = range(3)
@@ -204,7 +204,7 @@ def describe_restarts(drive: str, times: Sequence[float]) -> str:
 
 
 class _Contradiction:
-    """How long the measurements have contradicted the estimate without interruption."""
+    """Duration for which the measurements have contradicted the estimate without interruption."""
 
     def __init__(self) -> None:
         self._record = np.zeros(3)

@@ -1,4 +1,4 @@
-"""Many parameter sets as columns: of a table of numbers, and of the array of the kernel (constants, starts, sums).
+"""Parameter sets as columns of a table, and as columns of the kernel's array (constants, starts, sums).
 
 Building one object per set takes as long as running the filters. A kernel call takes 0.2 ms. Python code for each drive
 and block of columns would take longer and keep other threads waiting, so all sets and drives are processed together.
@@ -104,8 +104,8 @@ Starts = dict[InitialState, tuple[Array, Array]]
 """Initial state rows (N_STATE, columns) and headings (columns,), rad; a single column if all sets have the same start.
 """
 
-MAX_STARTS = 20_000  # largest number of columns of starts that are computed in advance; each has 3 kB
-MAX_CACHED_STARTS = 1_000  # largest number of cached starts with one column
+MAX_STARTS = 20_000  # largest number of columns of starts computed in advance; each takes about 3 kB
+MAX_CACHED_STARTS = 1_000  # largest number of starts per call that are cached; they have one column each
 
 
 @dataclass(frozen=True, eq=False)

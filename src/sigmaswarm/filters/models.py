@@ -1,7 +1,7 @@
 """Vehicle models: states, process f(state, dt, imu) and measurements h(state) in textbook form.
 
-planar8 begins with the states of planar5, and tilted12 with those of planar8. Arrays: state (n,); imu (3,) = ax, ay
-(m/s2), yaw rate (rad/s), body frame. `tilted` defines the model with roll and pitch.
+planar8 begins with the states of planar5, and tilted12 with those of planar8. Arrays: state (n,); imu (3,), which
+contains ax, ay (m/s2) and the yaw rate (rad/s) in the body frame. `tilted` defines the model with roll and pitch.
 """
 
 import re
@@ -122,7 +122,7 @@ def wheel_speed(ax: float, delay: float) -> Callable[[Array], Array]:
     """
 
     def h(state: Array) -> Array:
-        bias = state[ACCEL_BIAS] if len(state) > GYRO_BIAS else 0.0  # planar5 has the fix error in this place
+        bias = state[ACCEL_BIAS] if len(state) > GYRO_BIAS else 0.0  # planar5 has the fix error at this index
         forward = np.cos(state[THETA]) * state[2] + np.sin(state[THETA]) * state[3]
         return np.array([forward - delay * (ax - bias)])
 
@@ -144,8 +144,8 @@ def gyro_bias(state: Array) -> Array:
 class Tilts:
     """Functions that textbook filters of a model with roll and pitch use: see `textbook.manifold`.
 
-    - ``plus(state, error)``: state.
-    - ``minus(state, other)``: error such that plus(other, error) is the state.
+    - ``plus(state, error)``: the state with the error injected.
+    - ``minus(state, other)``: the error such that plus(other, error) is the state.
     - ``nearest(error, near)``: of all errors equivalent to ``error``, the nearest to ``near``.
     - ``transition(state, dt, imu)``: F of the error, (n, n).
     - ``as_angles(state, covariance)``: covariance of the states, (..., n, n), from that of the error.
@@ -161,10 +161,10 @@ class Tilts:
 VARIANCE = (1e-5, 10.0)  # bounds of all variances in the paper; Q is per nominal IMU step
 SMALL_VARIANCE = (1e-12, 10.0)  # bounds of Q for position and velocity
 HEADING_VARIANCE = (1e-10, 1e-1)
-"""Bounds of Q per second for the heading; no gyro drifts by a third of a radian in one second.
+"""Bounds of Q per second for the heading; the upper bound is a drift of 0.3 rad in 1 s, more than that of any gyro.
 
 With a larger Q, a filter would determine the heading from the fixes alone. If the receiver smooths its fixes, such a
-filter may have the highest likelihood.
+filter may nevertheless have the highest likelihood.
 """
 CITY_VARIANCE = (1e-5, 1e3)  # bounds of R: between tall buildings, fixes have errors of tens of meters
 BIAS_WALK = (1e-16, 1e-4)  # bounds of Q for the random walks of the biases
@@ -279,7 +279,7 @@ _X, _Y, _VX, _VY, _THETA = _plane(SMALL_VARIANCE)
 _FORWARD, _LEFT, _YAW = _BIASES
 _HEADING = _per_second(_THETA, HEADING_VARIANCE)
 _TILT = (1e-10, 1e-2)
-_TILT_START = np.radians(3.0)  # slopes of roads; not tuned, since a tuning has only a few starts
+_TILT_START = np.radians(3.0)  # due to slopes of roads; not tuned, since few drives mean few starts
 _WALKS = {"accel": (1e-10, 1e-1), "gyro": (1e-14, 1e-4)}
 _TILTED = (
     _X,

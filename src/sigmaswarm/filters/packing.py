@@ -48,8 +48,8 @@ def unpack_states(state: Array, model: str) -> tuple[Array, Array]:
 def state_estimate(state: Array, model: str) -> tuple[Array, Array]:
     """Return means and covariances like `unpack_states`, without the correlated fix error.
 
-    For a tilted model, the covariance describes the angles. For a model that measures the IMU, the result has
-    planar5's five states, with the velocity east and north, m/s.
+    For a model with roll and pitch, the covariance is that of the angles. For a model with ``measures_imu``, the result
+    has planar5's five states, with the velocity east and north, m/s.
     """
     mean, covariance = unpack_states(state, model)
     if FILTERS[model].fix_error:

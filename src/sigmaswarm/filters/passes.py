@@ -1,4 +1,4 @@
-"""Run any number of filters over drives, and compute the sums from which scores and costs are computed."""
+"""Run any number of filters over drives, and return the sums from which scores and costs are computed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -65,7 +65,7 @@ The square of this density is added to the squared density of the sensor. IMUs a
 0.04 m/s2/sqrt(Hz) and 4e-5 to 2e-4 rad/s/sqrt(Hz). On six drives, a filter with the densities of data sheets alone
 drifted 1.3 to 60 times as far in 5 s as the tuned filter.
 """
-MIN_SHOWN_STD = 0.01  # m, lower limit of a standard deviation computed from the truth: that of RTK
+MIN_SHOWN_STD = 0.01  # m, lower limit of a standard deviation computed from the truth; typical of RTK
 ADDED_VARIANCE = 0.1**2  # m2, added to the stated variance of each fix
 
 

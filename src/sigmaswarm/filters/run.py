@@ -97,7 +97,7 @@ class Estimate:
         return (
             notebook.table(
                 f"Estimates at {len(self.time)} times; last finite state{at}",
-                ("", "m, m/s, rad", "sigma"),
+                ("", "SI units, rad", "sigma"),
                 rows,
             )
             + notebook.html_list("Notes:", [*([self.failure] if self.failure else []), *restarts])
@@ -131,7 +131,7 @@ def run_filter(
     Returns
     -------
     Estimate
-        ``failure`` is set if the covariance was not positive definite or a state became NaN.
+        ``failure`` is set if the covariance was not positive definite or a state was not finite.
 
     Raises
     ------

@@ -36,8 +36,8 @@ from sigmaswarm.importing.timeline import DECIMAL_PERIODS, MINUTE, STEPS, wraps_
 from sigmaswarm.importing.velocities import without_wrong_velocity
 from sigmaswarm.wording import printable, rows_left_out
 
-# For fixes made from the truth: seed of the noise, and largest number of fixes
-SEED, MAX_FIXES = 0, 10_000_000
+SEED = 0  # seed of the noise of fixes made from the truth
+MAX_FIXES = 10_000_000  # largest number of such fixes
 REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
 WITHOUT_POSITION = "gps: no column contains a position; map lat and lon (deg), or x and y (m east, north)"
 
@@ -52,7 +52,7 @@ def assemble(
 ) -> Drive:
     """Make a drive from gathered columns; ``say`` receives sentences on assumptions and omissions.
 
-    ``recording``: number of the recording to use, from 1, if a clock restarts within a table.
+    ``recording``: number of the recording to use, counted from 1, if a clock restarts within a table.
     """
     times: dict[Role, Nanoseconds] = {}
     values: dict[Role, Values] = {}
@@ -174,7 +174,7 @@ def _in_same_period(
         shared = clocks[role][0] == clocks["imu"][0] or period in DECIMAL_PERIODS
         if (
             role != "imu" and shared and 0 < period < MINUTE and gathered[role][0].unordered
-        ):  # by wraps between rows
+        ):  # several wraps between rows
             raise wraps_too_fast(period / SECOND, f"{role}: {printable(gathered[role][0].part.table)}")
         own = clocks[role][0] != clocks["imu"][0] or (not clocks[role][1] and int(np.ptp(time)) > period)
         if clocks["imu"][1] in DECIMAL_PERIODS and period < MINUTE and own:
@@ -203,7 +203,7 @@ def _in_same_period(
 
 
 def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, str]]:
-    """Yield each offset, s, that makes the fixes overlap the IMU in time, and its reason."""
+    """Yield each offset (s) with which the fixes overlap the IMU samples in time, and the reason for it."""
     imu, gps = seconds["imu"] + zero, seconds["gps"] + zero
     leap = float(max(imu[0], gps[0]) - gps_to_unix(np.array([max(imu[0], gps[0])]))[0])
     short, dated = min(imu[0], gps[0]), max(imu[0], gps[0]) * SECOND > MIN_DATE
@@ -226,7 +226,7 @@ def _moves(seconds: Mapping[Role, Array], zero: int) -> Iterator[tuple[float, st
 def _one_clock(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[PartColumns]]) -> str:
     """Return a remedy if times of IMU and fixes have the same unit but were read in different units; otherwise "".
 
-    For example, an IMU at 100 Hz with times in hundredths of a second has steps of 1, which are read as ms.
+    For example, an IMU at 100 Hz with times in hundredths of a second has steps of 1, which the import reads as 1 ms.
     """
     both: tuple[Role, ...] = ("imu", "gps")
     texts = {role: gathered[role][0].part.columns["t"] for role in both if gathered.get(role)}
@@ -311,8 +311,8 @@ def _seconds(times: Mapping[Role, Nanoseconds], recipe: Recipe) -> tuple[dict[Ro
             )
         if role in times:
             moved[role] = times[role] + round(offset * SECOND)
-    # A wrong stamp years before the others is not the origin, since rounding would remove the last digits of the
-    # others.
+    # A wrong time stamp years before the others must not become the origin: relative to it, the other times would be so
+    # large that rounding removes their last digits.
     begins = {role: int(t[np.searchsorted(t, t[len(t) // 2] - MIN_DATE)]) for role, t in moved.items()}
     begin = min(t for role, t in begins.items() if role in ("imu", "gps") or "gps" not in moved)
     zero = begin // SECOND if begin >= MIN_DATE else 0
@@ -349,7 +349,7 @@ def placed_fixes(
 
 
 def _require_meters(time: Array, gps: Values, parts: Sequence[PartColumns]) -> None:
-    """Refuse x and y with which the vehicle would move impossibly fast, since they are not in meters."""
+    """Reject x and y that imply an impossible speed, since they are not in meters."""
     apart = int(np.searchsorted(time, time[0] + 2.0)) if len(time) else 0
     if "lat" in gps or len(time) < 10 or not 0 < apart < len(time):
         return
@@ -373,8 +373,8 @@ def _placed_truth(
 ) -> tuple[Values, Origin | None]:
     """Return the truth with x and y, m, and the origin; the default origin is the truth's first position.
 
-    If the fixes have no altitude, the truth also gets the origin's altitude, since a difference of 1000 m would stretch
-    its track by 16 cm per kilometer.
+    If the fixes have no altitude, the truth also gets the origin's altitude, since an altitude difference of 1000 m
+    would stretch its track by 16 cm per kilometer.
     """
     if "lat" in values and "lon" in values:
         if origin is None and gps:
@@ -440,7 +440,7 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
 
 
 def _held_course(vx: Array, vy: Array) -> Array:
-    """Return the course (n,), rad; rows at low speed repeat the last course in motion or, at the start, the first."""
+    """Return the course (n,), rad; slow rows repeat the last course at speed or, before it, the first one."""
     moving = np.hypot(vx, vy) > MIN_SPEED
     if not moving.any():
         return np.zeros(len(vx))

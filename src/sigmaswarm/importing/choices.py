@@ -1,4 +1,4 @@
-"""Choices for each column of a log, as options of `import_log` and of the command line."""
+"""Assign the columns of a log to quantities, as options of `import_log` and of the command line."""
 
 import re
 import shlex

@@ -1,4 +1,4 @@
-"""Use a clock that two tables share, if the times that were found in them do not overlap."""
+"""Choose a time column that the tables of IMU and fixes share, if their guessed times do not overlap."""
 
 import math
 from collections.abc import Mapping

@@ -59,16 +59,18 @@ IMU = dict.fromkeys(("az", "gx", "gy"), "") | {
 # Suffixes of receiver logs in a folder of tables; such a log is read only with --gps
 RECEIVER_LOGS = (".llh", ".pos", ".nmea", ".ubx")
 MAX_FAULTS = 3  # largest number of faults in one message
-# Trial rates of a counter, Hz, with which the motion of IMU and fixes is compared
+# Trial rates, Hz, of a counter of unknown rate. The first rate with which the import succeeds is then corrected by
+# comparing the motion of IMU and fixes.
 TRIAL_RATES = (1e4, 1e5, 1e6, 1e7, 1e8, 1e3)
 
 
 def import_drive(
     request: Request, name: str, progress: ImportProgress = lambda done: None, *, raw: bool = False
 ) -> ImportResult:
-    """Make a drive from a log; ``progress`` receives the completed fraction, 0 to 1; ``raw`` permits raw counts.
+    """Make a drive from a log.
 
-    Raise `InputError` for a damaged or incomplete log, or a column that cannot be computed.
+    ``progress`` receives the completed fraction, 0 to 1; ``raw`` permits IMU values in raw counts. Raise `InputError`
+    for a damaged or incomplete log, or a column that cannot be computed.
     """
     require_name(name, "the drive")
     recipe, gathered, notes, assumed, metadata, unitless, counter = _read(request, ROLES, progress)
@@ -216,7 +218,7 @@ def guessed_counter(request: Request, guesses: Guesses) -> Counter:
 
 
 def faults_left(request: Request, recipe: Recipe, logs: Mapping[Path, Log], guesses: Guesses) -> list[str]:
-    """Return reasons not to read columns as guessed, except for columns that the user has mapped or omitted.
+    """Return the faults of guessed columns, except for columns that the user has mapped or omitted.
 
     The remedy for angular rates with an unknown unit is the unit that agrees with the course of the fixes.
     """
@@ -239,7 +241,7 @@ def faults_left(request: Request, recipe: Recipe, logs: Mapping[Path, Log], gues
 def _with_rate_of_ticks(
     faults: list[str], request: Request, logs: Mapping[Path, Log], recipe: Recipe, guesses: Guesses
 ) -> list[str]:
-    """Replace the remedy of a counter of unknown unit by the rate that the motion or the duration shows.
+    """In faults of a counter of unknown unit, replace the remedy by the rate that motion or duration indicates.
 
     The unit of a counter that IMU and fixes share is also unknown if the guesses for both differ.
     """
@@ -257,7 +259,7 @@ def _with_rate_of_ticks(
 
 
 def _trial(counter: Counter, request: Request, logs: Mapping[Path, Log], recipe: Recipe) -> str:
-    """Import with the first trial rate that works; return the remedy that the resulting drive shows, or ""."""
+    """Import with the first trial rate that works; return the remedy computed from the resulting drive, or ""."""
     for trial in TRIAL_RATES:
         maps = [f"{r}.t={time_of_ticks(counter.text, trial)}" for r in ("imu", "gps")[: 1 + counter.shared]]
         plain = replace(recipe, roles=with_maps(recipe.roles, maps, {}), mount="")
@@ -277,7 +279,7 @@ def _trial(counter: Counter, request: Request, logs: Mapping[Path, Log], recipe:
 def _with_unit_of_rates(
     faults: list[str], request: Request, logs: Mapping[Path, Log], recipe: Recipe, unitless: Mapping[str, str]
 ) -> list[str]:
-    """Replace the remedy of angular rates with an unknown unit by the unit that agrees with the course of the fixes."""
+    """For angular rates without a unit, let the remedy state the unit that agrees with the course of the fixes."""
     if "gps" not in recipe.roles or not any('"imu.g' in fault for fault in faults):
         return faults
     known = {name for part in recipe.roles["imu"] for name in part.columns}
@@ -364,7 +366,7 @@ def missing_sensor(
 
 
 def _siblings(path: Path, role: Role) -> list[str]:
-    """List the tables next to a table whose names are those of other sensors."""
+    """List the other CSV files in the folder of a CSV file, if their names contain the name of a sensor."""
     if not path.is_file() or path.suffix.lower() != ".csv":
         return []
     names = sorted(
@@ -375,7 +377,7 @@ def _siblings(path: Path, role: Role) -> list[str]:
 
 
 def _lacking_table(log: Log) -> str:
-    """Name the sensor without a table if the log has tables of accelerometer or gyro only."""
+    """Name the missing sensor if the log has a table of either the accelerometer or the gyroscope, but not of both."""
     names = [
         name for name, table in log.tables.items() if {"x", "y", "z"} <= {c.lower() for c in table.columns}
     ]
@@ -385,7 +387,7 @@ def _lacking_table(log: Log) -> str:
 
 
 def _headers(log: Log) -> str:
-    """Return a command that copies the tables of a folder and adds missing headers; "" if the result has no IMU."""
+    """Return a command that copies the tables of a folder and adds missing headers; "" if no IMU would result."""
     if not log.path.is_dir():
         return ""
     first = (

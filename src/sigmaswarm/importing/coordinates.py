@@ -22,11 +22,13 @@ from sigmaswarm.importing.table_columns import (
 from sigmaswarm.importing.units import in_si, other_units, possible_units
 from sigmaswarm.wording import quoted
 
-# Units of time that mean fractions of a degree in the names of latitude and longitude, by factor to s
+# Units of time in the names of latitude and longitude (min, s) mean arcminutes and arcseconds: number of these units
+# per degree, by the factor of the unit to s
 _ARCS = {60.0: "60", 1.0: "3600"}
 # m; a larger number is in another unit, and as m it would stretch the track by 0.14% or more
 MAX_ALTITUDE = 9000.0
-RADIUS, EDGE = 6_378_137.0, 2.01e7  # m, radius of Web Mercator's sphere; edge of its map
+RADIUS = 6_378_137.0  # m, radius of Web Mercator's sphere
+EDGE = 2.01e7  # m, coordinate at the edge of Web Mercator's map
 
 
 def describe_web_mercator(columns: Columns, role: Role) -> str:

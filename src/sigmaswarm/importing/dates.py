@@ -10,7 +10,7 @@ from sigmaswarm.importing.units import BASES
 
 Nanoseconds = NDArray[np.int64]
 SECOND = 1_000_000_000
-# ns; larger times (above 11.6 days) count from 1970, or from the start of a phone. The drive's times then begin at 0.
+# ns; larger times (above 11.6 days) count from 1970, or from the boot of a phone. The drive's times then begin at 0.
 MIN_DATE = 1_000_000 * SECOND
 GPS_EPOCH = 315_964_800  # 1980-01-06 (IS-GPS-200), s since 1970-01-01
 WEEK = 604_800

@@ -71,7 +71,9 @@ def _dms(text: pl.Expr) -> pl.Expr:
     minutes = pl.when(joined).then(parts[0] % 100).otherwise(parts[1])
     marked, latitude = plain.str.contains("(?i)[°ºd]"), plain.str.contains("(?i)[NS]")
     unsure = (joined & marked) | (single & (digits == 3) & latitude & ~marked)
-    unsure |= plain.str.contains(r"(?i)^[NSEW].*[NSEW]$|['′’:].*\d(?-i:s)$")  # s may be the unit of seconds
+    unsure |= plain.str.contains(
+        r"(?i)^[NSEW].*[NSEW]$|['′’:].*\d(?-i:s)$"
+    )  # a final s may mean seconds or south
     wrong = ~plain.str.contains(_DMS) | unsure | (minutes > 60) | (parts[2] > 60)
     negative = plain.str.contains("(?i)[SW]|^[^0-9]*-")
     return pl.when(wrong).then(None).when(negative).then(-degrees).otherwise(degrees)
@@ -287,7 +289,7 @@ class _Compiler:
 
 
 def time_expression(text: str, frame: pl.DataFrame) -> pl.Expr:
-    """Compile an expression of a time, s, to integer nanoseconds; integer columns keep all digits, also in a sum."""
+    """Compile an expression of a time in s to integer nanoseconds; integer columns keep all digits, also in a sum."""
     tree = _parse(text)
     terms = [text]
     if isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Add):

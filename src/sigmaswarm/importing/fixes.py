@@ -1,4 +1,4 @@
-"""Read the fixes of a second receiver from a log or another drive, in the clock and the local frame of a drive."""
+"""Read the fixes of a second receiver, and convert them to the clock and the local frame of a drive."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,7 +28,9 @@ class ReceiverLog:
     """Fixes of a receiver, in the clock and the local frame of a drive."""
 
     gps: Gps
-    sure: NDArray[np.bool_]  # (n,), True for integer ambiguities; all True if the format does not state them
+    sure: NDArray[
+        np.bool_
+    ]  # (n,), True for fixes with integer ambiguities; all True if the log has no such status
     notes: tuple[str, ...] = ()  # assumptions, one sentence each
 
 

@@ -37,11 +37,10 @@ READERS: dict[str, tuple[str, str]] = {
 }
 # Formats of a single file
 _SINGLE = ("mcap", "rtklib", "ubx", "nmea", "px4", "ardupilot", "matlab", "gnss-logger")
-_MIXED = ("nmea", "gnss-logger")
+_MIXED = ("nmea", "gnss-logger")  # formats of text with several kinds of lines
 _TEXTS = (*_MIXED, "rtklib", "csv")
-# Largest number of lines per row of a table, in texts with several kinds of lines; largest number of lines above the
-# table
-_LINES_OF_ROW, _TITLES = 10, 1000
+_LINES_OF_ROW = 10  # largest number of lines per row of a table, in the formats `_MIXED`
+_TITLES = 1000  # largest number of lines above a table
 # Suffixes of formats that are not supported, and how to convert them
 NOT_READ = {
     ".xlsx .xls .ods": "a spreadsheet; save it as CSV",

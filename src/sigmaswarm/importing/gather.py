@@ -1,4 +1,4 @@
-"""Evaluate a drive's columns on the batches of a log; unusable rows are left out and counted."""
+"""Evaluate the expressions of a drive's columns for the batches of a log; leave out and count unusable rows."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -25,12 +25,12 @@ from sigmaswarm.importing.time_units import wrong_unit
 from sigmaswarm.importing.times import of_one_table, rising_time, time_of
 from sigmaswarm.wording import list_names, printable, quoted
 
-ROW = "row"  # column of row numbers, from 0, in tables without a column of this name
+ROW = "row"  # name of an added column of row numbers, from 0, unless the table has this column
 # Largest number of rows without a time that count as lines of a header or a footer
 MAX_TIMELESS_ROWS = 10
 # Smallest distance of a placeholder from the median of the other values, in units of their 1% to 99% range
 MIN_PLACEHOLDER_DISTANCE = 10
-# Smallest 5% quantile of the specific force that includes gravity, relative to the upper quartile
+# Smallest 5% quantile of the magnitude of a specific force with gravity, relative to its upper quartile
 MIN_FORCE = 0.3
 
 
@@ -54,8 +54,8 @@ class PartColumns:
     # For each column of the table: the placeholder of missing values, and its count
     placeholders: dict[str, tuple[float, int]] = field(default_factory=dict[str, tuple[float, int]])
     period: int = 0  # ns, period of a clock that wraps; 0 for other clocks, and before `unwrap`
-    unordered: bool = False  # True if the time decreases, and is not that of a clock that wraps
-    set_back: int = 0  # ns, sum of the steps back of the clock before the chosen recording
+    unordered: bool = False  # True if the time decreases even after `unwrap`
+    set_back: int = 0  # ns, sum of the backward steps of the clock before the chosen recording
     set_ahead: bool = False  # True if the clock jumps ahead between recordings
     counted: bool = False  # True if the time is computed from row numbers alone
     # If the time is computed from row numbers: names and cells of the columns that may be clocks

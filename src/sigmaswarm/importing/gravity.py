@@ -23,12 +23,12 @@ FORCES, RATES = ("ax", "ay", "az"), ("gx", "gy", "gz")
 MIN_TILT = math.radians(20.0)  # rad, smallest reported tilt; larger than the slopes of roads
 MAX_GRAVITY_ERROR = 0.5  # m/s2, largest deviation of a median magnitude from gravity
 MAX_DEVIATION = 0.3  # largest relative deviation of the median specific force from gravity
-# m/s2, largest median magnitude of a vehicle's specific force; rad/s, largest range of common gyros
-MAX_FORCE, MAX_RATE = 3 * GRAVITY, math.radians(2000.0)
+MAX_FORCE = 3 * GRAVITY  # m/s2, largest median magnitude of a vehicle's specific force
+MAX_RATE = math.radians(2000.0)  # rad/s, largest range of common gyros
 
 
 def require_gravity_in_force(imu: Imu) -> None:
-    """Refuse an IMU whose angular rates have the constant magnitude of gravity, which its accelerations lack."""
+    """Reject an IMU with gravity in its angular rates instead of its accelerations."""
     if imu.az is None or imu.gx is None or imu.gy is None:
         return
     if np.median(np.linalg.norm((imu.ax, imu.ay, imu.az), axis=0)) > GRAVITY / 2:

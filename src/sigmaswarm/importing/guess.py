@@ -39,7 +39,8 @@ _RECEIVER = re.compile(r"gps|gnss", re.IGNORECASE)
 _OF_RECEIVER = ("lat", "lon", "alt", "speed", "course", "bearing")
 _WHEELS = re.compile(r"odo|wheel|(?:^|[^a-z])can(?:[^a-z]|$)", re.IGNORECASE)
 TRUTH = re.compile(r"truth|ground|reference|(?:^|[^a-z])(?:gt|ref)(?:[^a-z]|$)", re.IGNORECASE)
-# Words of a truth's columns that do not change the meaning of a name; x_ref and ref_x may be setpoints
+# Words that mark a column as truth; the rest of the name is interpreted. The suffix _ref is not among them, since x_ref
+# may be a setpoint; so may ref_x (`_MAYBE_TRUTH`).
 _OF_TRUTH = re.compile(
     r"^(?:(?:ground_?)?truth|true|gt|ref(?:erence)?)[\W_]|[\W_](?:(?:ground_?)?truth|true|gt)$",
     re.IGNORECASE,
@@ -69,7 +70,7 @@ _SATELLITES = "(?:gps_|gnss_)?(?:(?:num|n|no|number_of)_?)?(?:sats?|sv|satellite
 _STATUS = (
     rf"{_FIXED}|(?:(?:gps|gnss|nav|pos|position|sol|solution)_?)?(?:status|state|mode|type|solution|quality)"
 )
-# Names of `_STATUS` that may also be those of an autopilot, whose words resemble a receiver's: AUTO, FOLLOW_GPS, ACTIVE
+# Names of `_STATUS` that autopilots also use; their words resemble those of receivers: AUTO, FOLLOW_GPS, ACTIVE
 _PILOT = "state|mode|type"
 # Words that mean no fix, in lower case and joined by "_"
 _NO_FIX = (
@@ -82,21 +83,23 @@ _FIX = (
 )
 # Words that mean a fix, and that only a receiver uses
 _SURE_FIX = r".*(?:[23]d|fix|rtk|float|single|ppp|sbas|psr|valid).*"
-# Names of columns with the number of a sensor; largest number of sensors; smallest share of rows at which it changes
+# Names of columns that number the sensors, in tables with the rows of several IMUs
 _SENSOR_NUMBER = (
     "i|instance|index|id|address|serial|"
     "(?:imu|sensor|device|dev|node|unit)(?:_?(?:id|no|nr|number|index|instance|name))?"
 )
-MAX_SENSORS, MIN_CHANGES = 8, 0.1
+MAX_SENSORS = 8  # largest number of IMUs in such a table
+MIN_CHANGES = 0.1  # smallest fraction of rows whose sensor differs from that of the previous row
 MAX_WORDS = 20  # largest number of different words in a column of flags
 # Names of columns in which 3 means a fix in three dimensions, and 1 means no fix
 _DIMENSIONS = ".*(?:type|mode)"
-# Largest fraction of the likely fixes that a flag may exclude, unless the positions jump at these fixes; smallest ratio
-# of a jump to the 90% quantile of the other steps
-MAX_DROPPED, MIN_JUMP_RATIO = 0.2, 5.0
-# Largest ratio of the 90% to the 10% quantile of the magnitude of x, y, z of a magnetometer; largest median of its
-# vertical part, relative to the magnitude: x and y of a position may be small compared with its altitude
-MAX_SIZE_RATIO, MAX_VERTICAL_SHARE = 1.3, 0.99
+# largest fraction of the likely fixes that a flag may exclude, unless the positions jump at these fixes
+MAX_DROPPED = 0.2
+MIN_JUMP_RATIO = 5.0  # smallest ratio of a jump to the 90% quantile of the other steps
+# largest ratio of the 90% to the 10% quantile of the magnitude of x, y, z of a magnetometer
+MAX_SIZE_RATIO = 1.3
+# Largest ratio of the median of the magnetometer's z to the magnitude. In positions, x and y may be far smaller than z.
+MAX_VERTICAL_SHARE = 0.99
 _WANTED: dict[Role, tuple[str, ...]] = {
     "imu": ("ax", "ay", "az", "gx", "gy", "gz"),
     "gps": (
@@ -251,7 +254,7 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
             columns.names[what], columns.degrees[what] = Name(column, what), text
         else:
             columns.names[what] = next(n for n in read_names(frame.columns) if n.column == column)
-    called = f"{table} {'_'.join(split_words(table))}"  # also in English
+    called = f"{table} {'_'.join(split_words(table))}"  # the name, and its words in English
     letter = "a" if FORCES.search(called) else "g" if RATES.search(called) else ""
     if letter and not columns.has("lat", "lon"):
         for axis in "xyz":
@@ -420,7 +423,7 @@ def _std_of_messages(names: Sequence[str]) -> Iterator[tuple[str, ColumnExpressi
 
 
 def _with_fix(columns: Columns) -> ColumnExpression | None:
-    """From a column of flags, return the condition of rows with a fix, or a note if it excludes many likely fixes.
+    """Return the condition of rows with a fix from a column of flags, or a note if it would exclude many likely fixes.
 
     In some codes, 0 is a fix without fixed ambiguities.
     """

@@ -178,7 +178,7 @@ def _batches_of(log: Log, part: Part) -> Iterator[pl.DataFrame]:
 
 
 def _span(rows: pl.DataFrame, time: str) -> tuple[float, float]:
-    """Return begin and end of the rows, s."""
+    """Return the earliest and the latest time of the rows, s."""
     if rows.is_empty():
         return EVER
     numbered = with_row_numbers(rows)
@@ -226,7 +226,7 @@ def _proposal(
     tables: dict[Role, str] = {}
     found: dict[Role, Mapping[str, str]] = {}
     roles: tuple[Role, ...] = ("imu", "gps")
-    # for each role, its table in a log, and the columns that are known and those that are proposed
+    # for each role: log, table, known columns, and proposed columns
     used: dict[Role, tuple[Path, str, Mapping[str, str], Mapping[str, str]]] = {}
     for role in roles:
         there = first[request.home(role)]
@@ -275,7 +275,7 @@ def _proposal(
 
 
 def _time_of_fixes(log: Log, table: str, fixes: Log, places: str, time: str) -> str:
-    """Return a time of the IMU from its row number, at the usual rate for which its rows last as long as the fixes."""
+    """Return the IMU's time as an expression of its row number, at the usual rate with the duration of the fixes."""
     if not time or not log.tables[table].columns:
         return ""
     count = sum(len(rows) for _, rows, _ in log.batches({table: log.tables[table].columns[:1]}))
@@ -289,7 +289,7 @@ def _time_of_fixes(log: Log, table: str, fixes: Log, places: str, time: str) -> 
 
 
 def _key(texts: Mapping[str, str], rows: pl.DataFrame) -> str:
-    """Return a column that a role's expressions use, so that it is filled in the role's rows; "" if there is none."""
+    """Return a column that a role's expressions use, and that the role's rows therefore fill; "" if there is none."""
     for name in ("ax", "gz", "lat", "x"):
         if name in texts and is_valid_expression(texts[name], rows.columns):
             return next(iter(compile_expression(texts[name], rows.columns).columns), "")

@@ -35,19 +35,20 @@ PERIODS = {"course": 2 * np.pi, "heading": 2 * np.pi, "theta": 2 * np.pi, "lon":
 # If a larger fraction of an optional column's cells is empty, the column is left out; otherwise the rows with an empty
 # cell are left out
 MAX_EMPTY_SHARE = 0.1
-# Stamps are spread over all rows, also those without a fix, only if a larger share of rows repeats the previous stamp
+# Time stamps are spread over all rows, also those without a fix, only if a larger share of rows repeats the previous
+# time stamp
 MIN_SHARED = 0.5
 # Largest number of changes of the position within bursts, relative to the number of bursts, if each burst is one fix
 MAX_OTHER_SHARE = 0.1
-# s, largest difference between the begins of two tables of a sensor, apart from an offset of their clocks
+# s, largest difference between the first times of two tables of a sensor, apart from an offset of their clocks
 MAX_START = 5.0
 EVER = (-np.inf, np.inf)  # span of a table without rows, s
 RECIPE = "correct their times in a recipe (--show --save-recipe FILE writes one), and import with --recipe"
 POSITIONS = ("lat", "lon", "x", "y")
 # Largest differences between the coordinates of a fix in two messages
 MAX_ROUNDED_DEGREES, MAX_ROUNDED_M = 1e-5, 1.0
-# Smallest bend at a corner of an interpolated path, in median bends; smallest number of corners, and the smallest
-# share of corners at a constant interval
+# Corners of an interpolated path: smallest bend relative to the median bend, smallest number of corners, and smallest
+# fraction of corners at a constant interval
 MIN_CORNER, MIN_CORNERS, MIN_REGULAR_SHARE = 8.0, 20, 0.9
 # Largest rounding error of a second difference, in steps of the last digit; the exact limit is two steps
 MAX_ROUNDING = 2.5
@@ -59,7 +60,7 @@ def join(
 ) -> tuple[Nanoseconds, Values]:
     """Join a role's parts at the times of the first part; other parts are interpolated linearly.
 
-    ``recording`` is the number of the recording, from 1, if a clock restarts within a table.
+    ``recording`` is the number of the recording, counted from 1, if a clock restarts within a table.
     """
     (time, values), *others = [_in_order(part, role, recording, say) for part in parts]
     times = (time, *(t for t, _ in others))
@@ -204,7 +205,7 @@ def _separate_stamps(
     filled: NDArray[np.bool_],
     again: NDArray[np.bool_],
 ) -> tuple[Nanoseconds, NDArray[np.bool_], str]:
-    """Spread coarse stamps that fixes share, or else mark in ``again`` the rows that repeat time and position.
+    """Spread coarse time stamps that fixes share, or else add rows that repeat time and position to ``again``.
 
     Return times, marks, and a sentence if the times changed.
     """

@@ -24,8 +24,9 @@ from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import Part
 from sigmaswarm.importing.table_columns import quoted_column
 
-MIN_HEADING_RANGE = 180  # deg, smallest part of the circle whose headings determine the hard iron
-BIN, MIN_SAMPLES = 10, 5  # deg, width of a bin of headings; smallest number of samples in a covered bin
+MIN_HEADING_RANGE = 180  # deg, part of the circle that the headings must cover to determine the hard iron
+BIN = 10  # deg, width of a bin of headings
+MIN_SAMPLES = 5  # smallest number of samples in a covered bin
 DRIFT_TIME = 10.0  # s, interval over which the difference between course and integrated gyro is averaged
 MAX_ROWS = 20_000  # rows for the calibration, evenly spread over the drive
 # Largest deviation of the field's magnitude (relative) or direction (rad) without steel nearby, in robust standard

@@ -349,7 +349,7 @@ def _read(column: str, text: str) -> Name:
 
 
 def _with_unit(column: str, words: list[str], axis: str = "") -> Name:
-    """Return a name and its unit, which its last words before any axis state; without a unit if they state none."""
+    """Return a name with the unit in its last words before the axis, or without a unit if these words state none."""
     for count in (3, 2, 1):
         unit = unit_of(words[-count:]) if len(words) > count else None
         rest = "_".join([*words[:-count], *axis])

@@ -36,7 +36,7 @@ class Request:
     time: str | None = None  # expression of the time, for each table of the source
     choice: TableChoice = field(default_factory=TableChoice)
     limits: Limits = field(default_factory=Limits)
-    part: int | None = None  # number of the recording, from 1, if a clock restarts within a table
+    part: int | None = None  # number of the recording, counted from 1, if a clock restarts within a table
     # Files or folders with .msg definitions of ROS messages, for bags
     definitions: Sequence[Path] = ()
 
@@ -46,7 +46,7 @@ class Request:
         return self.source.name or self.source.resolve().name
 
     def home(self, role: str) -> Path:
-        """Return the log of a role; velocities belong to the fixes."""
+        """Return the log of a role; the role "velocity" has the log of the fixes."""
         other: Path | None = getattr(self, "gps" if role == "velocity" else role, None)
         return other if role not in ("imu", "mag") and other else self.source
 

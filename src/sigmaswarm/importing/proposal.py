@@ -107,7 +107,7 @@ def meaning_of(name: str) -> Meaning | None:
         if len(words) > count and words[-1] != "turn" and (found := unit_of(words[-count:])) and found.known:
             words, unit = words[:-count], found
             break
-    if re.fullmatch("[agw][xyz]", words[-1] if words else "") and _ESTIMATES.isdisjoint(words):  # bosch_ax
+    if len(words) > 1 and re.fullmatch("[agw][xyz]", words[-1]) and _ESTIMATES.isdisjoint(words):  # bosch_ax
         words = [*words[:-1], "acc" if words[-1][0] == "a" else "gyro", words[-1][1]]
     if unit and unit.dimension in ("rate", "acceleration", "length", "angle"):
         column_text = in_si(unit, column_text)
@@ -268,7 +268,7 @@ def _with_shown_unit(proposal: Proposal, drive: Drive) -> Proposal:
 
 
 def _plausible(drive: Drive) -> Drive:
-    """Refuse numbers that no sensor reports, since they would overflow the doctor's sums."""
+    """Reject numbers that no sensor reports, since they would overflow the doctor's sums."""
     for table in (drive.imu, drive.gps):
         for name, values in vars(table).items():
             if name != "time" and values is not None and np.abs(values).max(initial=0.0) > MAX_VALUE:
@@ -308,7 +308,7 @@ def _corrected(proposal: Proposal, drive: Drive, diagnosis: Diagnosis) -> Propos
 
 
 def reversed_forces(parts: Sequence[Part], make: Callable[[Proposal], Drive]) -> Proposal | None:
-    """Propose the other sign for accelerations, if the angular rates and all other axes are right; otherwise None.
+    """Propose the opposite sign for the accelerations if the doctor finds this fault; otherwise return None.
 
     Phones with iOS report accelerations with the sign of gravity, which no rotation corrects.
     """

@@ -29,8 +29,8 @@ from sigmaswarm.wording import quoted
 
 # Columns whose unknown unit is a fault; other columns with an unknown unit are left out
 REQUIRED = ("ax", "ay", "az", "gx", "gy", "gz", "lat", "lon", "x", "y", "theta", "wheel_speed")
-# Middle between gravity in cm/s2 (981) and in mg (1000); the unit is unknown at smaller distances from it
-MIDDLE_OF_MG_AND_GAL, MAX_NEAR_MIDDLE = 990.3, 3.0
+MIDDLE_OF_MG_AND_GAL = 990.3  # between the values of gravity in cm/s2 (981) and in mg (1000)
+MAX_NEAR_MIDDLE = 3.0  # if gravity is closer to this middle, the unit is unknown
 # Largest ratio of the third to the first quartile of the magnitude of accelerations with gravity
 MAX_QUARTILE_RATIO = 1.5
 MAX_ACCELERATION = 100.0  # m/s2, largest acceleration of a car on a smooth road
@@ -118,7 +118,7 @@ def _without_unit(columns: Columns, what: str, role: Role) -> ColumnExpression:
         size, low, high = median_of(sizes), *(float(sizes.quantile(q) or 0.0) for q in (0.25, 0.75))
         values = {a: columns.numbers(a).abs() for a in {*axes, "az"} if a in columns}
         usual = {a: median_of(v.filter(v > 0)) for a, v in values.items()}
-        # like gravity; accelerations without gravity are small at rest
+        # steady, like gravity; accelerations without gravity are small at rest
         steady = high <= MAX_QUARTILE_RATIO * low
         if steady and (0.9 < size < 1.12 or (0.8 < usual.get("az", 0.0) < 1.2 and size < 5.0)):
             return ColumnExpression(

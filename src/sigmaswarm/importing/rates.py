@@ -28,17 +28,17 @@ UNITS = {
     "0.1 deg/s": (_DEGREE / 10, "radians({}/10)"),
     **COUNTS,
 }
-# Largest relative difference from the factor of a unit; smallest ratio that contradicts the assumed unit
-FACTOR_TOLERANCE, MIN_FACTOR_RATIO = 0.08, 1.4
-# s, intervals over which changes of course are compared; largest ratio of an actual to an intended interval
-TURN_INTERVALS, MAX_INTERVAL_RATIO = (1.5, 6.0, 24.0), 1.4
+FACTOR_TOLERANCE = 0.08  # largest relative difference from the factor of a unit
+MIN_FACTOR_RATIO = 1.4  # smallest ratio, or inverse ratio, that contradicts the assumed unit
+TURN_INTERVALS = (1.5, 6.0, 24.0)  # s, intervals over which changes of course are compared
+MAX_INTERVAL_RATIO = 1.4  # largest ratio of an actual to an intended interval
 # s, tried delays of the fixes
 DELAYS = (-1.0, -0.5, -0.25, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0)
 # Fraction of the variance of the changes of course that the rates must explain to show another unit, and to confirm the
-# assumed one
+# assumed unit
 MIN_EXPLAINED, MIN_CONFIRMED = 0.9, 0.5
-# rad, smallest standard deviation of the changes of course; their smallest number
-MIN_TURN_STD, MIN_TURNS = 0.1, 20
+MIN_TURN_STD = 0.1  # rad, smallest standard deviation of the changes of course
+MIN_TURNS = 20  # smallest number of changes of course
 # standard deviations; larger residuals, for example of a robot that spins in place, are left out
 OUTLIER_SIGMAS = 3.0
 # Cutoff of the least-squares fit: smallest singular value of the integrated rates, relative to the largest
@@ -58,8 +58,8 @@ def unit_of_rates(
 ) -> RateUnit:
     """Compare rates without a stated unit with the course of the fixes; find the unit if the assumed unit is wrong.
 
-    ``unitless``: columns without a unit, as text in expressions, by column of the drive. If the course does not change,
-    a note states that rad/s is assumed.
+    ``unitless``: columns without a unit, as text in expressions, by column of the drive. If the changes of course do
+    not confirm the unit, a note states that rad/s is assumed.
     """
     rates = unitless.keys() & {"gx", "gy", "gz"}
     times = {role: parts[0].columns.get("t", "") for role, parts in roles.items() if parts}

@@ -50,7 +50,7 @@ class Recipe:
     gps_offset_s: float = 0.0  # added to the times of the fixes
     truth_offset_s: float = 0.0  # added to the times of the truth
     odometer_offset_s: float = 0.0  # added to the times of the odometer
-    # From true to magnetic north, east positive; None: the course determines it
+    # deg from true to magnetic north, east positive; None: the course of the fixes replaces it
     declination_deg: float | None = None
     origin: tuple[float, float, float] | None = None  # deg, deg, m, of the local frame
     gps_lever_arm_m: tuple[float, float, float] | None = None  # forward, left, up from IMU to antenna
@@ -169,7 +169,7 @@ def mapped_roles(maps: Sequence[str]) -> frozenset[str]:
 
 
 def mapped_columns(maps: Sequence[str]) -> frozenset[tuple[Role, str]]:
-    """Return roles and columns of mappings; invalid entries are skipped, and refused later."""
+    """Return the roles and columns of mappings; skip invalid entries, which `with_maps` rejects."""
     columns: set[tuple[Role, str]] = set()
     for text in maps:
         with suppress(InputError):

@@ -16,9 +16,9 @@ from sigmaswarm.wording import count_of, printable
 # Of a column that is a clock: smallest number of changes, and smallest share of usual changes
 MIN_CLOCK_STEPS, MIN_REGULAR_SHARE = 20, 0.9
 MIN_LOST = 0.3  # s, smallest total length of gaps that is reported
-# Number of steps on each side of a gap between fixes; smallest ratio of the gap's length to the length of these steps;
-# largest angle of the gap, rad, to the mean direction of travel
-NEIGHBORS, MIN_RATIO, MAX_TURN = 5, 2.5, 0.3
+NEIGHBORS = 5  # number of steps on each side of a gap between fixes
+MIN_RATIO = 2.5  # smallest ratio of the distance across the gap to the length of these steps
+MAX_TURN = 0.3  # rad, largest angle between the gap and the mean direction of these steps
 
 
 def gaps_by_clock(gathered: Mapping[Role, Sequence[PartColumns]]) -> list[str]:

@@ -13,16 +13,16 @@ from sigmaswarm.importing.positions import MAX_DISTANCE, Values
 from sigmaswarm.importing.source import Part, Role
 from sigmaswarm.importing.units import factor_of
 
-# Smallest fraction of the fixes' variance that a rotated truth must explain; smallest angle, rad, and smallest relative
-# difference of scale that are reported
-MIN_EXPLAINED, MIN_ROTATION, MIN_STRETCH = 0.9, np.radians(5), 0.05
-# s, tried delays of the truth, since on a circle a delay looks like a rotation; smallest ratio of the residual variance
-# of the unchanged truth at the best delay to that of the rotated truth
-LAGS, MIN_VARIANCE_RATIO = np.arange(-20.0, 20.1, 0.5), 4.0
+MIN_EXPLAINED = 0.9  # smallest fraction of the fixes' variance that a rotated truth must explain
+MIN_ROTATION = np.radians(5)  # rad, smallest reported rotation
+MIN_STRETCH = 0.05  # smallest reported relative difference of scale
+LAGS = np.arange(-20.0, 20.1, 0.5)  # s, tried delays of the truth; on a circle a delay looks like a rotation
+# Smallest ratio of the residual variance of the unchanged truth, at the best delay, to that of the rotated truth
+MIN_VARIANCE_RATIO = 4.0
 ANGLE_TOLERANCE = 0.02  # rad, angle within which axes count as exactly exchanged or reversed
 # m per unit of length
 LENGTHS = {unit: factor_of(unit) for unit in ("mm", "cm", "dm", "ft", "yd", "km", "mi", "nmi")}
-MIN_FIXES = 10
+MIN_FIXES = 10  # smallest number of fixes at times of the truth
 
 
 def require_same_axes(

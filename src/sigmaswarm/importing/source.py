@@ -17,7 +17,7 @@ from sigmaswarm.wording import list_names, printable, quoted
 
 Role = Literal["imu", "gps", "truth", "odometer", "mag"]
 ROLES: tuple[Role, ...] = ("imu", "gps", "truth", "odometer", "mag")
-CHUNK = 5000
+CHUNK = 5000  # rows of a batch
 FILES = "columns"
 ImportProgress = Callable[[float], None]  # receives the fraction of the log that has been read, 0 to 1
 Wanted = Mapping[str, Collection[str]]
@@ -108,7 +108,7 @@ class Placement:
 
 @dataclass(frozen=True)
 class TickRate:
-    """Rate of a counter, Hz, the expression of the known clock that shows it, and the table of both."""
+    """Rate of a counter, Hz, the expression of the clock from which the rate was computed, and the table of both."""
 
     rate: float
     clock: str

@@ -52,7 +52,7 @@ def median_of(values: pl.Series) -> float:
 
 
 def unknown_unit(name: Name, column: str, dimension: str, role: Role, likely: str = "") -> str:
-    """Describe a unit that is not known; ``likely``: the likely expression in SI units, for the remedy."""
+    """Describe an unknown or wrong unit; ``likely``: the likely expression in SI units, for the remedy."""
     unit, text = name.unit or Unit("", None, 0.0), quoted_column(name.column)
     kind = f"a unit of {unit.dimension}, not of {dimension}" if unit.known else "not known"
     message = f"column {quoted(name.column)}: the unit {quoted(unit.text)} is {kind}"
@@ -78,7 +78,8 @@ PLACEHOLDERS = (
     *(-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, 1e10, -1e10),
     *(32767.0, -32768.0, 2147483647.0, -2147483648.0),
 )
-# Magnitude of placeholders such as 1e38 and the largest numbers of 32 and 64 bits; measurements in any unit are smaller
+# Smallest magnitude of placeholders such as 1e38 and the largest numbers of 32 and 64 bits; measurements in any unit
+# are smaller
 MIN_HUGE = 1e15
 NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-", "invalid", *("*" * n for n in range(1, 20)))
 DIMENSIONS: dict[str, UnitDimension] = {

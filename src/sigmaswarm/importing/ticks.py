@@ -18,7 +18,8 @@ from sigmaswarm.importing.times import find_time
 from sigmaswarm.wording import printable
 
 WRAPS = (2**16, 2**24, 2**31, 2**32)  # numbers of ticks after which counters wrap
-MIN_CHANGES, MIN_SPAN = 10, 5.0  # smallest number of changes of the known clock, and their smallest span, s
+MIN_CHANGES = 10  # smallest number of changes of the known clock
+MIN_SPAN = 5.0  # s, smallest time from the first to the last change
 MAX_JITTER = 0.5  # s, 90% quantile of the distance between counter and clock; a clock may have whole seconds
 # Largest relative difference from a usual rate; the rates of crystals differ less, but stamps have jitter
 RATE_TOLERANCE = 1e-3
@@ -35,7 +36,7 @@ class Counter:
 
 
 def time_of_ticks(text: str, rate: float) -> str:
-    """Write the time of a counter, s."""
+    """Return the expression of a counter's time, s."""
     return f"{text}/{rate:.10g}"
 
 

@@ -27,15 +27,16 @@ from sigmaswarm.wording import printable, quoted
 
 # Largest plausible sample interval, s
 MAX_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0, "odometer": 5.0, "mag": 5.0}
-# s, shortest sample interval of a car's sensor; shortest usual interval of fixes
-MIN_STEP, MIN_FIX_INTERVAL = 1e-4, 0.04
+MIN_STEP = 1e-4  # s, shortest sample interval of a car's sensor
+MIN_FIX_INTERVAL = 0.04  # s, shortest usual interval of fixes
 # s, intervals of an IMU outside which the unit of its time is not guessed
 FASTEST_IMU, SLOWEST_IMU = 4e-4, 0.15
 # Fraction of decreasing steps above which rows are unordered; a counter that wraps has fewer decreasing steps
 MAX_DECREASING_SHARE = 0.4
-# If rows arrive in bursts (of up to 30), the ratio of BURST_QUANTILE of the steps to their median exceeds
-# MIN_BURST_RATIO; pauses are rarer. Smallest number of steps for this test
-BURST_QUANTILE, MIN_BURST_RATIO, MIN_BURST_STEPS = 0.967, 10.0, 30
+# Rows arrive in bursts (of up to 30) if the ratio of the quantile BURST_QUANTILE of the steps to their median exceeds
+# MIN_BURST_RATIO. Pauses are too rare to change this quantile.
+BURST_QUANTILE, MIN_BURST_RATIO = 0.967, 10.0
+MIN_BURST_STEPS = 30  # smallest number of steps for this test
 # Smallest step of whole numbers that are read as ms; smaller steps may be row numbers, or 0.01 s
 MIN_COUNT_STEP = 4
 _DAYS_FIRST = (
@@ -55,7 +56,7 @@ DATE_FORMATS = (
 )
 # Smallest fraction of dates that must fit a format; the others are presumably damaged
 MIN_FITTING_SHARE = 0.99
-FORMAT_SAMPLE = 50  # texts, evenly spaced, that exclude formats which read none of them
+FORMAT_SAMPLE = 50  # number of evenly spaced texts; a format that reads none of them is excluded
 UNKNOWN_TICK = "have no likely unit"  # in the fault of a counter
 COUNTER_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 # Units of times, s; those of clock counters come first

@@ -1,4 +1,4 @@
-"""Make the times of a table strictly increasing: unwrap counters, choose a recording, spread repeated stamps, sort."""
+"""Make the times of a table strictly increasing: unwrap counters, choose a recording, spread repeated time stamps."""
 
 from itertools import pairwise
 
@@ -35,30 +35,34 @@ WRAPS: tuple[tuple[int, str], ...] = (
     (MINUTE, "the seconds of the minute"),
     *((period, f"a counter of {period // SECOND} s") for period in DECIMAL_PERIODS),
 )
-# Smallest period and longest step of a counter that wraps after less than a minute, in usual steps
+# For counters that wrap within a minute: smallest period and longest step, both in usual steps
 MIN_PERIOD_STEPS, MAX_SHORT_STEP = 15, 5
 # Smallest number of rows of a separate recording; shorter runs of rows out of order are sorted
 MIN_ROWS = 20
-# s, smallest distance of a wrong time from the times of the rows around it; largest number of checked clock jumps
-MIN_TIME_ERROR, MAX_JUMPS = 10.0, 100
+MIN_TIME_ERROR = 10.0  # s, smallest distance of a wrong time from the times of the rows around it
+MAX_JUMPS = 100  # if the clock jumps more often, wrong times are not searched for
 # If there are more recordings of about one second, the fractions of seconds are presumably wrong
 MAX_SECONDS = 5
-MIN_STEP_BACK, STEPS = 0.2, 2  # smallest step back of a clock between recordings: in s, and in median steps
+# Smallest jump of a clock between recordings: in s, and in median steps; the larger value applies
+MIN_STEP_BACK, STEPS = 0.2, 2
 MAX_STEP_AHEAD = 3590 * SECOND  # longest pause within a recording; a change to summer time is an hour
-MAX_REPEATED_SHARE = 0.02  # if a larger fraction of rows repeats the previous time, rows share stamps
-# Largest step within a burst of rows, relative to the mean step and to `MAX_STEP`; smallest share of such steps in a
-# log with bursts
-MAX_BURST_STEP, MAX_BURST_INTERVAL, MIN_BURST_SHARE = 0.25, 1 / 400, 0.4
+MAX_REPEATED_SHARE = 0.02  # if a larger fraction of rows repeats the previous time, rows share time stamps
+# Largest step within a burst of rows, relative to the mean step and to `MAX_STEP`; the smaller value applies
+MAX_BURST_STEP, MAX_BURST_INTERVAL = 0.25, 1 / 400
+MIN_BURST_SHARE = 0.4  # smallest fraction of such steps in a log with bursts
 MAX_ODD_SHARE = 0.2  # largest share of stamps without exactly two rows in a log with two rows per measurement
-# Rows with coarse stamps are lost if the variance of changes of the lateness over `WINDOW` stamps, rows^2, exceeds
-# MIN_WALK plus MIN_GROWTH times the variance over one stamp. Largest share of lost rows of a stamp, and of stamps with
-# more lost rows or unusual steps
-MIN_WALK, MIN_GROWTH, MAX_LOST, MAX_UNEVEN_SHARE = 0.3, 1.5, 0.2, 0.1
+# Rows are probably lost if coarse time stamps drift relative to a constant rate: the variance of the drift over
+# `WINDOW` stamps, rows^2, exceeds MIN_WALK plus MIN_GROWTH times the variance of the drift over one stamp.
+MIN_WALK, MIN_GROWTH = 0.3, 1.5
+# A stamp is uneven if its number of rows or its step differs from the usual value by more than this fraction
+MAX_LOST = 0.2
+MAX_UNEVEN_SHARE = 0.1  # if a larger fraction of stamps is uneven, rows are not spread by stamp
 # Smallest deviation of the steps of stamps, relative to a step, that rounding does not cause
 MIN_STEP_VARIATION = 0.005
 # Relative to the usual step of stamps: longest step without a pause, window in which rows have a constant rate, and
-# largest width of the band of stamps at a constant rate; smallest share of rows with this rate
-MAX_PAUSE, WINDOW, MAX_BAND, MIN_EVEN_SHARE = 2.5, 20, 1.25, 0.9
+# largest width of the band of stamps at a constant rate (see `spread_stamps`)
+MAX_PAUSE, WINDOW, MAX_BAND = 2.5, 20, 1.25
+MIN_EVEN_SHARE = 0.9  # smallest fraction of rows with such a band
 
 
 def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
@@ -107,7 +111,7 @@ def unwrap(
         if period == 86_400 * SECOND and wraps.any():
             edge = np.abs((np.r_[time[1:][wraps], time[:-1][wraps]] + period // 2) % period - period // 2)
             inside |= int(np.ptp(time)) <= period and int(edge.max()) <= 60 * SECOND
-        # Recordings of a minute each; three or more of them hardly end with the same sample.
+        # These may be two recordings of a minute each; three or more would hardly end with the same sample.
         alike = period == MINUTE or (period in DECIMAL_PERIODS and period > SECOND)
         begun = alike and int(time[0]) < 0.1 * SECOND and (parts or np.count_nonzero(wraps) == 1)
         if not (wraps.any() and np.array_equal(wraps, wraps & near) and inside) or begun:
@@ -135,7 +139,7 @@ def require_unwrappable(time: Nanoseconds, tick: float, where: str) -> None:
 
 
 def wraps_too_fast(period: float, where: str) -> InputError:
-    """Return the refusal of a counter; ``period``: its period, s."""
+    """Return the error of a counter that wraps too fast; ``period``: its period, s."""
     return InputError(
         f"{where}: the counter of the time wraps every {period:.3g} s, which is too fast for the rate of the rows, "
         "so their times are ambiguous; specify another time column"
@@ -163,7 +167,7 @@ def recordings(time: Nanoseconds, *, pauses: bool) -> list[slice]:
 
 
 def _rate_by_rows(time: Nanoseconds, parts: list[slice]) -> float:
-    """Return the rows per second of a clock whose fractions are wrong; 0 if the recordings do not last a second."""
+    """Return the rows per second of a clock with wrong fractions; 0 if the recordings do not last one second each."""
     inner = parts[1:-1]
     first = np.array([int(time[p].min()) for p in inner])
     rows = float(np.median([p.stop - p.start for p in inner]))
@@ -212,7 +216,7 @@ def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> 
 
 
 def in_burst(time: Nanoseconds, role: Role) -> NDArray[np.bool_]:
-    """Mark steps, (n - 1,), that are so short that both rows may be of one stamp or burst."""
+    """Mark steps, (n - 1,), that are so short that both rows may belong to one time stamp or burst."""
     steps = np.diff(time)
     step = int(np.sum(np.maximum(steps, 0))) / max(len(steps), 1)
     small = max(MAX_BURST_STEP * step, 1.0)
@@ -225,8 +229,8 @@ def spread_stamps(
     """Spread rows that share a stamp or arrive in bursts evenly; refuse shared stamps of rows without a constant rate.
 
     At a constant rate, the stamps minus a straight line over the rows are in a band. The times are at its upper edge
-    for coarse stamps, which are rounded down, and at its lower edge for stamps of the arrival, which are late. Pairs of
-    rows are two messages of one measurement, or two sensors, rather than a buffer, and keep their times. Without
+    for coarse stamps, which are rounded down, and at its lower edge for arrival times, which are late. Pairs of rows
+    are two messages of one measurement, or two sensors, rather than a buffer, and keep their times. Without
     ``arrival``, only coarse stamps are spread.
     """
     if len(time) < 3:
@@ -274,7 +278,7 @@ def spread_stamps(
 
 
 def _lost(late: Array, apart: Nanoseconds, length: float) -> bool:
-    """Return True if rows are lost, which increases the lateness of all later stamps; ``late`` (m,) is in rows."""
+    """Return True if rows are lost, which shows as a drift of ``late`` (m,): stamps minus a constant rate, in rows."""
     paused = np.append(0, np.cumsum(apart > MAX_PAUSE * length))
 
     def growth(k: int) -> float:

@@ -105,7 +105,7 @@ def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
 
 
 def rising_time(frame: pl.DataFrame, role: Role) -> str:
-    """Return the expression of a time, s: of the first column that increases and has no known name, else "".
+    """Return the time, s, as an expression of the first increasing column without a known name; otherwise "".
 
     A counter may wrap. A counter of rows, which increases by 1, is not a time.
     """
@@ -161,7 +161,7 @@ def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> ColumnExpre
     for first, rest, scale in sorted(pairs, key=lambda p: "stamp" not in p[0].words):
         whole, part = column_numbers(frame[first.column]), column_numbers(frame[rest.column])
         fits = (whole == whole.round()).all() and part.is_between(0, 1 / scale - 0.5).all()
-        falls = rest.words[-1] != "ms" or (part.diff() < 0).any()  # otherwise ms may count from the start
+        falls = rest.words[-1] != "ms" or (part.diff() < 0).any()  # otherwise ms may be the whole time
         if len(whole) and len(part) and fits and falls:
             text = f"{quoted_column(first.column)} + {scaled(quoted_column(rest.column), scale)}"
             return ColumnExpression(text, f"the time is the sum of {first.column} and {rest.column}")

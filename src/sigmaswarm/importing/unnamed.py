@@ -88,7 +88,7 @@ def _letters(frame: pl.DataFrame) -> dict[str, str]:
 
 
 def _times(frame: pl.DataFrame, role: Role, summed: Mapping[str, str]) -> Iterator[str]:
-    """Yield time expressions of texts, increasing columns and sums of columns, by column; row numbers come last."""
+    """Yield time expressions of texts, increasing columns and sums of columns in table order, row numbers last."""
     found: list[tuple[bool, str]] = []
     texts = {name: frame[name].drop_nulls() for name in frame.columns if frame.schema[name] == pl.String}
     for day, clock in pairwise(frame.columns):
@@ -140,7 +140,7 @@ def _meters(values: dict[str, Array]) -> dict[str, str]:
 
 
 def _are_fractions(whole: Array, part: Array) -> bool:
-    """Return True if numbers in [0, 1) rise within a second, fall where the next begins, and make the steps even.
+    """Return True if numbers in [0, 1) rise within a second, fall at the next second, and make the time steps even.
 
     Where a second has only one row, its fraction may also rise.
     """

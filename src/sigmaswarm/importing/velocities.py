@@ -14,9 +14,10 @@ from sigmaswarm.importing.source import Part
 from sigmaswarm.importing.units import factor_of, scaled
 
 UNITS = ("mm/s", "cm/s", "km/h", "ft/s", "mph", "knots")
-# Largest ratio of the recorded speed to that of the positions, or of the speed of the positions to the recorded speed;
-# largest ratio of the 90% to the 10% quantile of this ratio, since a wrong unit is a constant factor
-MAX_SPEED_RATIO, MAX_RATIO_SPREAD = 1.5, 2.0
+# Largest ratio of the recorded speed to that of the positions, or of the speed of the positions to the recorded speed
+MAX_SPEED_RATIO = 1.5
+# Largest ratio of the 90% to the 10% quantile of the speed ratio; a wrong unit is a constant factor
+MAX_RATIO_SPREAD = 2.0
 # m/s, lowest speed at which positions are compared with a recorded speed; low, since robots are slow
 MIN_COMPARED_SPEED = 0.2
 MIN_MOVING_SHARE = 0.3  # smallest fraction of the recorded path that the compared stretches must contain

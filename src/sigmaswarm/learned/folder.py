@@ -40,8 +40,8 @@ class NetworkRecord(BaseModel):
     learning_rate: float
     axes: list[str] = Field(default_factory=list)
     inflation: float | None = None  # factor of the forecasts' variances; None: infinite
-    unsure: float = 1.0
-    numbers: int
+    unsure: float = 1.0  # factor on the velocity's Q in outages
+    numbers: int  # number of weights
 
 
 class TrainingRecord(BaseModel):

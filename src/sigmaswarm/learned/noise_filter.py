@@ -120,7 +120,7 @@ def _weight(dof: float, observed: Any, noise: Any, nu: Any) -> Any:
 def _take_fix(settings: FilterConstants, state: tuple[Any, ...], u: Any, scale: Any) -> tuple[Any, ...]:
     """Update mean, covariance and number of rejected fixes with a fix; ``scale``: logarithm of the factor on R.
 
-    Also return nu (m) and xx, xy, yy of S, m2, before the update.
+    Also return the innovation nu (m), and xx, xy and yy of its covariance S (m2), before the update.
     """
     (m, c, rejected), p = state, settings.parameters
     cos, sin = jnp.cos(m[THETA]), jnp.sin(m[THETA])
@@ -163,8 +163,9 @@ def _take_standstill(noise: float, m: Any, c: Any, u: Any) -> tuple[Any, Any]:
 def run(settings: FilterConstants, weights: Any, mean: Any, covariance: Any, columns: Any) -> tuple[Any, Any]:
     """Run the filter with its network over k steps, from a mean (n,) and a covariance (n, n).
 
-    Return an array (k, 6), and the means (k, n). The columns of the array are nu (m) and xx, xy, yy of S (m2) before
-    the update, for steps with a fix; the last column is 1 at these steps, otherwise 0.
+    Return an array (k, 6), and the means (k, n). For steps with a fix, the first five columns of the array are the
+    innovation nu (m), and xx, xy and yy of its covariance S (m2), before the update. The last column is 1 at these
+    steps, otherwise 0.
     """
     p, nothing = settings.parameters, jnp.array([0.0, 0.0, 1.0, 0.0, 1.0, -1.0])
 

@@ -78,7 +78,7 @@ def tracks_of(
 
 
 def cases_of(tracks: Sequence[Track], seed: int) -> list[tuple[FilterPass, float]]:
-    """Place sets of outages on the validation data; return the passes, and the starts of the validation data, s."""
+    """Place sets of outages on the validation data; return passes, each with the start (s) of its validation data."""
     cases: list[tuple[FilterPass, float]] = []
     for number, track in enumerate(tracks):
         drive, initial = track.ready.drive, track.ready.initial

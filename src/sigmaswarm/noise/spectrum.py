@@ -25,7 +25,7 @@ from sigmaswarm.arrays import Array
 FLICKER = 2 * math.log(2) / math.pi  # Allan variance of flicker noise / square of its coefficient
 MARKOV_PEAK = 0.3811  # largest Allan variance of a unit Gauss-Markov process, at 1.89 correlation times
 TIMES_PER_DECADE = 8  # averaging times per decade
-# Ratio of longest stretch to longest averaging time; estimates at longer times scatter by more than half
+# Ratio of longest stretch to longest averaging time; estimates at longer times scatter by more than half of their value
 MIN_STRETCH_RATIO = 5
 PIECE = 32_768  # samples per batch, which fits into the processor's cache
 

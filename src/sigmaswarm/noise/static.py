@@ -162,7 +162,8 @@ MIN_SLOW_NOISE_DURATION = 1800.0  # s, shortest stretch that shows bias instabil
 MIN_TREND_DURATION = 300.0  # s, shortest stretch whose trend is tested
 MIN_STATIC_SHARE = 0.95  # smallest fraction of samples at rest without a remark
 MAX_GRAVITY_ERROR = 0.1  # relative error of gravity that suggests another unit
-# 10 deg/sqrt(h) in rad/s/sqrt(Hz). Values from logs in rad/s are smaller; values from logs in deg/s are usually larger.
+# 10 deg/sqrt(h) in rad/s/sqrt(Hz). Gyros in cars have less noise; the values are usually larger if a log in deg/s is
+# read as rad/s.
 MAX_GYRO_NOISE = 3e-3
 MIN_INTERVALS = 30.0  # least number of averaging intervals (duration / tau) for an accurate Allan deviation
 MISFIT = 1.5  # smallest reported ratio of the Allan deviation to that of the model, or its inverse

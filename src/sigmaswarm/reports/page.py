@@ -50,7 +50,7 @@ TERMS = {
 PLOTLY_DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot", "none": "none"}
 _TERM = re.compile(rf"(?<!\w)({'|'.join(map(re.escape, sorted(TERMS, key=len, reverse=True)))})(?!\w)")
 MAX_NUMBERS = 250_000
-"""Maximum number of values in all tracks of a page together, about 2 MB; above it, the tracks are thinned."""
+"""Maximum number of values in all tracks of a page together, about 2 MB; above this number, the tracks are thinned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,7 +36,7 @@ PROTOCOL_COLORS = {
     "paper": STUDY_STYLES["paper-pso-ukf"].color,
     "honest": STUDY_STYLES["honest-pso-ukf"].color,
 }
-# End of the scale / lowest mean; with a longer scale, good methods could not be distinguished.
+# Ratio of the end of the scale to the lowest mean; with a longer scale, good methods could not be distinguished.
 SCALE_RATIO = 12
 DRAWN_FILTERS: dict[str, tuple[str, Look]] = {
     "ukf-defaults": ("UKF, manual: defaults", Look(ORANGE, 1.0, "--")),

@@ -51,7 +51,8 @@ def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, kernel: str, worke
     total = sum(map(sum, steps.values()))
     parts = list(_parts(steps, total if workers == 1 else min(MIN_JOB_STEPS, total / workers)))
     most = MAX_SETS if workers == 1 else most_lanes(kernel)
-    # The shortest parts do not fill a round of all workers, so their parameter sets are divided among the workers.
+    # The number of parts may not be a multiple of the number of workers. Therefore, the parameter sets of the shortest
+    # parts, which remain for the last round, are divided among the workers.
     left_over = sorted(parts, key=lambda part: part.steps)[: len(parts) % workers]
     narrow = min(most, -(-n_sets // workers // WIDEST) * WIDEST)
     widths = [(part, narrow if part in left_over else most) for part in parts]

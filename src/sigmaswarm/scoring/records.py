@@ -19,7 +19,7 @@ from sigmaswarm.wording import count_of, printable
 
 SCORES_FILE, EVALUATION_FILE, AGAINST_FILE = "scores.json", "evaluation.json", "against.toml"
 Measured = dict[str, float | None]
-MIN_OUTAGES = 4  # number of outages in a placement; with fewer, all placements hide nearly the same fixes
+MIN_OUTAGES = 4  # fewest outages in a placement; with fewer, all placements hide nearly the same fixes
 
 
 class DriftRecord(BaseModel):

@@ -73,10 +73,10 @@ class Vehicle(NamedTuple):
     pedal_lag: float  # s, of motor and brake together
     roll_gain: float  # rad per m/s2
     roll_frequency: float  # rad/s
-    roll_damping: float
+    roll_damping: float  # damping ratio
     pitch_gain: float  # rad per m/s2
     pitch_frequency: float  # rad/s
-    pitch_damping: float
+    pitch_damping: float  # damping ratio
     pedal_speed: Array  # m/s, knots of the three maps below
     full_throttle: Array  # m/s2
     coast: Array  # m/s2, both pedals released
@@ -386,11 +386,11 @@ def _press(s: Array, now: Array, soon: Array, gone: float, car: Vehicle) -> floa
 def run_closed_loop(
     car: Vehicle, friction: float, start: Array, path: Array, spacing: float, plan: Array
 ) -> Array:
-    """Let the driver follow a path and a plan from a `start_state`; return the record (10 m, 21), one row per ms.
+    """Let the driver follow a path and a plan from a `start_state`; return the record (10 k, 21), one row per ms.
 
     ``path`` (p, 4): m east, m north, heading (rad, not wrapped) and curvature (1/m) every ``spacing`` m.
 
-    ``plan`` (m, 3): speed (m/s), acceleration (m/s2) and distance along the path (m) every 10 ms.
+    ``plan`` (k, 3): speed (m/s), acceleration (m/s2) and distance along the path (m) every 10 ms.
     """
     record = np.empty((len(plan) * STEPS_PER_DRIVER_STEP, RECORDED))
     k, s, nearest = np.zeros((5, STATES)), start.copy(), 0

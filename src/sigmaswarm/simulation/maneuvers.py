@@ -1,4 +1,4 @@
-"""Routes of the paper's maneuvers and of `urban`, minutes of mixed driving; the simulated drive, and its figures.
+"""Routes of the paper's maneuvers and of `urban` (minutes of mixed driving), their simulation, and the achieved values.
 
 If friction does not allow the paper's target, the driver drives at the friction limit. The drive's metadata contain the
 target and the achieved value.

@@ -101,7 +101,8 @@ def simulate(maneuver: str = "urban", environment: str | Environment = "clear", 
     environment : str or Environment
         "clear", "night", "rain", "fog" or "slippery".
     seed, run : int
-        0 by default. Equal arguments give the same drive.
+        Seed, and number of the run; both 0 by default. Different runs have different random numbers. Equal arguments
+        give the same drive.
     imu, gps : str or ImuGrade, GpsGrade
         Names in `IMU_GRADES` and `GPS_GRADES`, or records; "icm-20602" and "ublox-m8" by default.
     vehicle : str or Vehicle

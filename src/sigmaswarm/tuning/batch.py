@@ -38,7 +38,7 @@ class BatchResult:
     scores : tuple of tuple of Score
         ``scores[i][j]``: set i on drive j.
     failed : ndarray of bool, shape (n_sets,)
-        True for a set with which a covariance became indefinite or a value became NaN on any drive.
+        True for a set with which, on any drive, a covariance became indefinite or a value was not finite.
     """
 
     costs: Array
@@ -121,7 +121,7 @@ def scorer_for(objective: Objective, dataset: Dataset, seed: int, *, as_recorded
 
 
 def require_fit(scorer: BatchScorer, objective: str, seed: int) -> None:
-    """Raise `InputError` if a drive has no scored fix, truth or hidden fix after the start of a filter."""
+    """Raise `InputError` if a drive has no data that the objective needs after the start of a filter."""
     needs_truth = parse_objective(objective).needs_truth
     for i, (drive, initial) in enumerate(zip(scorer.drives, scorer.initial, strict=True)):
         span, truth = f"a filter runs from {initial.time:g} to {drive.imu.time[-1]:g} s", drive.truth

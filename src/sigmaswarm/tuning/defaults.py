@@ -46,7 +46,7 @@ with a u-blox M8, the 30 s drift was 22 to 118 m without priors, depending on th
 With a weight of 1 instead, the position RMSE after tuning on one such drive was 5% larger on average (five drives).
 """
 MAX_WHITE_SHARE = 0.7
-"""Largest ratio of the fixes' white noise to their standard deviation from the truth at which fix-error is used.
+"""Largest ratio of white noise to true standard deviation of the fixes at which fix-error is used.
 
 A log of very accurate fixes that states no accuracy looks like a log with correlated errors. With fix errors of 0.08 m,
 a robot's filter had a position RMSE of 0.93 m with fix-error, and 0.07 m without it. The ratio is 0.2 to 0.6 with a

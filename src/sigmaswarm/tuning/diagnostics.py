@@ -46,7 +46,7 @@ MAX_CONFIRMED_RATIO = 0.8
 
 The ratio is the drift of the baseline with this standard deviation, divided by its drift with the assumed one. On four
 logs with ratios of 0.3 to 0.75, stating the scatter reduced the 5 s drift of a tuned filter on the held-out part by 10
-to 78% (one seed each). On two logs with ratios of 0.85 and 1.1, it increased this drift.
+to 78% (one seed each). On two logs with ratios of 0.85 and 1.1, stating the scatter increased this drift.
 """
 CHECKED_TIME = 600.0  # s in the middle of a drive that are checked for drift
 DO_NOT_USE = "DO NOT USE THIS FILTER"

@@ -1,4 +1,4 @@
-"""How far parameters can change before the cost increases, and inflation of the process noise.
+"""Sensitivity of the cost to each parameter, and inflation of the process noise.
 
 The process noise is inflated so that the filter suits roads and IMUs that the tuning did not use. Inflation selects the
 largest noise whose cost is close to the lowest cost, similar to the one-standard-error rule (L. Breiman et al.,
@@ -95,7 +95,7 @@ def sensitivities(
     shares = np.array([0.5**k for k in range(10, -1, -1)])  # fractions of the distance to the bound
     steps = np.stack([down, up], axis=1)
     points = (point + shares[:, np.newaxis] * steps[:, :, np.newaxis]).reshape(-1, len(point))
-    # The points of a parameter at a bound repeat in this direction.
+    # If a parameter is at a bound, its points in the direction of this bound are equal.
     tried, inverse = np.unique(points, axis=0, return_inverse=True)
     rises = problem.relative_increase(problem.costs(tried, executor)[inverse], cost)
     rises = rises.reshape(len(names), 2, len(shares))
@@ -150,8 +150,9 @@ def inflate(
 ) -> tuple[Array, float, float]:
     """Inflate the process noise of a point, shape (d,), within the bounds, as far as its cost permits.
 
-    ``allowed`` is the largest relative increase of the cost without a prior; it is reduced for driving times above
-    the reference. Then raise the point to the minima. Return the new point, its cost and the inflation factor.
+    ``allowed`` is the largest relative increase of the cost without a prior; it is reduced for driving times above the
+    reference. Parameters below their minima are then raised to these minima. Return the new point, its cost and the
+    inflation factor.
     """
     space = problem.space
     decades = np.arange(0.0, MAX_DECADES + STEP / 2, STEP)

@@ -108,7 +108,7 @@ class Problem(ABC, Generic[P]):
         return self.costs(points, executor)
 
     def diagnosis(self, point: Array, executor: Executor | None) -> dict[str, Any]:
-        """Return the attributes of `Tuning` on faults of the filter at a point that the objective does not show."""
+        """Return the attributes of `Tuning` that describe faults of the filter at a point, which the cost hides."""
         return {}
 
     def baseline_point(self) -> Array | None:
@@ -299,10 +299,11 @@ def car_problem(
 
 
 def _std_check(scorer: AnyBatchScorer, config: TuneConfig, have: Sequence[LogProperties]) -> StdCheck | None:
-    """Compare the assumed standard deviation of fixes with their scatter, if no truth, receiver or noise shows it.
+    """Compare the assumed standard deviation of fixes with their scatter, if it is assumed on all drives.
 
-    Return None if some drives show it, since the result applies to all receivers. Return None with fix-error, which
-    models the assumed standard deviation as that of correlated errors.
+    Return None if a log or the truth shows the standard deviation on some drive, since the result applies to all
+    receivers. Return None also with fix-error, which models the assumed standard deviation as that of correlated
+    errors.
     """
     if (
         not all(one.assumed_std for one in have)

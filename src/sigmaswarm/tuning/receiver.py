@@ -25,7 +25,7 @@ from sigmaswarm.wording import to_do
 PRIOR_STD = 0.5  # prior standard deviation of log10 R below the receiver's variance
 PRIOR_STD_ABOVE = 0.25  # prior standard deviation of log10 R above that variance, for fix-error only
 MAX_STD_RATIO = 3.0  # ratio of the receiver's standard deviation to that of R above which a warning is given
-MIN_STATED_SHARE = 0.05  # fraction of R from stated variances up to which a warning is given
+MIN_STATED_SHARE = 0.05  # a warning is given if stated variances are at most this fraction of R
 SPAN = 600.0  # s in the middle of a drive in which scatter is measured; more time gives the same result
 MIN_PRIOR_COST = 0.02  # nats per fix; a larger cost of the prior leads to a remark
 MIN_SCATTER = 0.5  # m per axis; if fixes scatter less, the receiver smooths them or uses RTK
@@ -52,10 +52,10 @@ class StdCheck:
     @property
     def message(self) -> str:
         return (
-            "the receiver states no accuracy. Tune used the scatter of the fixes as their standard deviation, "
-            f"{self.std:.2g} m per axis, since with it the baseline drifts {self.drift_m:.3g} m instead of "
-            f"{self.assumed_m:.3g} m in outages of {self.length_s:g} s. The true value may be larger, since slow "
-            f"errors of the fixes do not show. {IF_KNOWN}"
+            "the receiver states no accuracy. `tune` used the scatter of the fixes as their standard deviation, "
+            f"{self.std:.2g} m per axis: with this value the baseline drifts {self.drift_m:.3g} m instead of "
+            f"{self.assumed_m:.3g} m in outages of {self.length_s:g} s. The true value may be larger, since the "
+            f"scatter does not contain slow errors of the fixes. {IF_KNOWN}"
         )
 
 
@@ -190,8 +190,8 @@ def prior_warnings(
             return [f"on {name}, {compromise} the stated {std:.2g} m{addition}"]
         if unknown:
             why = (
-                f"the drive {name} does not state the accuracy of its fixes. Tune assumed {std:.2g} m per axis, as for "
-                "a typical receiver, so the filter may follow the fixes too closely or too loosely. "
+                f"the drive {name} does not state the accuracy of its fixes. `tune` assumed {std:.2g} m per axis, as "
+                "for a typical receiver, so the filter may follow the fixes too closely or too loosely. "
                 f"{compromise} this value. If the receiver smooths its fixes, NIS will be low"
             )
             return [f"{why}. {NO_STD if parameters.fix_error is None else IF_KNOWN}"]

@@ -128,13 +128,13 @@ class Tuning(Generic[P]):
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Deprecated: `warnings`."""
+        """Deprecated name of ``warnings``."""
         warn_deprecated("Tuning.doubts", "Tuning.warnings")
         return self.warnings
 
     @property
     def raised_by(self) -> float:
-        """Deprecated: `inflation_factor`."""
+        """Deprecated name of ``inflation_factor``."""
         warn_deprecated("Tuning.raised_by", "Tuning.inflation_factor")
         return self.inflation_factor
 

@@ -141,7 +141,7 @@ def _in_order(each: Array, order: NDArray[np.int64]) -> Array:
 def _behind(
     costs: Array, finished: NDArray[np.int64], dropped: list[NDArray[np.int64]], otherwise: float
 ) -> Array:
-    """Raise the costs of dropped candidates above those of finished candidates, or above ``otherwise``."""
+    """Raise the costs of dropped candidates above the finite costs of finished candidates (if none: ``otherwise``)."""
     shifted, floor = costs.copy(), _highest(costs[finished], otherwise)
     for group in reversed(dropped):
         best = float(costs[group].min(initial=np.inf))
@@ -157,7 +157,7 @@ def _highest(costs: Array, otherwise: float) -> float:
 
 
 HISTORY: dict[str, type] = {"best": np.float64, "median": np.float64, "steps": np.int64}
-"""Arrays of a trial with one entry per generation."""
+"""Names and types of a trial's arrays that have one entry per generation."""
 
 
 @dataclass(frozen=True)

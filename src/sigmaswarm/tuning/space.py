@@ -38,7 +38,7 @@ innovations: after tuning with truth on kingston-1, the position RMSE was 3.1 m 
 time constant.
 """
 TYPICAL_FIX_ERROR_TIME = 30.0
-"""Time constant, s, of a filter with roll and pitch if it is not searched.
+"""Time constant of fix errors (s) for a filter with roll and pitch, if the time constant is not searched.
 
 Compared with 5 s (the default of `FilterParameters`), 30 s changed the scores of six simulated M8 receivers on held-out
 drives: heading error -13%, 30 s drift -15%, NEES 2.0 to 2.9 instead of 2.0 to 4.7, position RMSE +2%. On the second

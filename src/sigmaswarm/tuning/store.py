@@ -28,7 +28,7 @@ MAX_LENGTH = 120  # characters of a value in a message
 
 
 CENTER = "center"
-"""Key of the center of the first generation (values by parameter). Without this key, the generation is uniform."""
+"""Key of the center of the first generation (values by parameter). Without it, that generation is uniform."""
 
 
 class ConfigRecord(BaseModel, extra="allow"):

@@ -38,7 +38,7 @@ class Page:
     ) -> None:
         """Run ``work`` in a thread that continues after the tab is closed; only the latest request's result is used.
 
-        ``then`` receives the result, or None after an error; ``wrong`` then contains the error message.
+        ``then`` receives the result, or None after an error. After an error, ``wrong`` contains the message.
         """
         self.waiting, self._latest = waiting, self._latest + 1
         background_tasks.create(self._work(self._latest, work, arguments, then))

@@ -110,7 +110,8 @@ def time_plot(
 ) -> None:
     """Show series over time.
 
-    Dragging the mouse zooms and loads details. If ``on_select`` is given, dragging instead selects a time span for it.
+    Dragging the mouse zooms and loads details. If ``on_select`` is given, dragging instead calls it with the start and
+    end (s) of the selected time span.
 
     For ``dashed`` and ``pale`` see `lines`. ``span``, s, is shaded if it is clearly shorter than the series.
     """

@@ -10,7 +10,7 @@ from sigmaswarm.doctor.checks.gyro import is_upside_down
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_by_margin, confidence_of, finding_of
 from sigmaswarm.doctor.mounting import leveling_rotation
-from sigmaswarm.doctor.verdicts import PlanarMounting
+from sigmaswarm.doctor.verdicts import DIAGONAL_TOLERANCE, PlanarMounting
 from sigmaswarm.doctor.windows import moving_mean, smoothed
 from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
 from sigmaswarm.drives.drive import Imu
@@ -24,6 +24,8 @@ RESIDUAL_LIMITS = (0.5, 1.2)
 MAGNITUDE_LIMITS = (0.3, 1.0)
 # smallest ratio of a rotation to its standard deviation, to report or to repair the rotation
 REPORT_RATIO, REPAIR_RATIO = 2.5, 3.5
+# smallest ratio to repair a rotation about the vertical that only one of the two axes shows
+RATIO_OF_ONE_AXIS = 6.0
 WRONG_SCALE = 0.4  # smallest reported relative error of the scale
 MIN_ACCELERATION_SPREAD = 0.4  # m/s2, smallest spread of the acceleration that determines its scale
 WHERE = "imu.csv, ax, ay"
@@ -73,7 +75,10 @@ def _size(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
     if abs(angle) >= max(MOUNTING_LIMITS[0], REPORT_RATIO * std):
         # With six axes, the check of the mounting reports the rotation, with its own confidence.
         six = evidence.mounting is not None and np.array_equal(mount.axes, np.eye(2))
-        clear = abs(angle) >= REPAIR_RATIO * std and not six
+        ratio = REPAIR_RATIO if all(mount.known) else RATIO_OF_ONE_AXIS
+        # a rotation does not explain an axis whose scale differs from 1
+        fits = all(abs(scale - 1) < 3 * off + DIAGONAL_TOLERANCE for scale, off in mount.scale)
+        clear = abs(angle) >= ratio * std and fits and not six
         severity = ("serious" if abs(angle) > MOUNTING_LIMITS[1] else "warning") if clear else "note"
         # the x axis points to this side
         degrees, side = math.degrees(angle), "left" if angle > 0 else "right"
@@ -116,6 +121,8 @@ def _gravity(evidence: Evidence) -> Iterator[Finding]:
     assert evidence.acceleration is not None
     leak = -np.median(evidence.acceleration.bias, axis=0)
     size = float(np.hypot(*leak))
+    if np.hypot(*evidence.acceleration.bias_std) > RESIDUAL_LIMITS[1]:
+        return  # the vehicle hardly moves
     margin = REPAIR_RATIO * float(np.hypot(*(leak * evidence.acceleration.bias_std))) / max(size, 1e-9)
     if size < RESIDUAL_LIMITS[0] + margin:
         return

@@ -24,10 +24,11 @@ from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
 MIN_SCALE_TURN = np.radians(1.0)
 BIAS_LIMITS = (np.radians(0.1), np.radians(1.0))  # rad/s, for a note and for a warning
 
-# s, windows for the mean of the force, and for the change of its direction. Longer windows contain more of the car's
-# acceleration, and shorter windows contain more vibration. On seven recordings every correct sign is significant by 9.5
-# standard deviations or more.
-MEAN_WINDOW, LAG = 0.3, 0.5
+MEAN_WINDOW = 0.3  # s, over which the force is averaged
+# s, interval of a change of the force's direction. A longer interval contains more of the car's acceleration, and a
+# shorter interval more vibration. On seven recordings, every correct sign is significant by 9.5 standard deviations or
+# more.
+LAG = 0.5
 # Smallest significance of a sign, in standard deviations; high, since neighboring changes share samples
 MIN_SIGNIFICANCE = 7.0
 MIN_SIGNIFICANCE_RATIO = 2.0  # smallest ratio of the significance of a column to that of the other column
@@ -38,10 +39,10 @@ OUTLIER_SIGMAS = 3.0  # standard deviations; larger changes are outliers
 SCALE_LAGS = (1.0, 2.0)
 # Largest logarithm of an estimated scale; on flat roads, the lean of the body gives scales above 10
 MAX_LOG_SCALE = 0.8
-# Largest relative error of the estimate; smallest lead of one scale over another, in the logarithm
-MAX_SCALE_ERROR, MIN_SCALE_LEAD = 0.25, 0.1
+MAX_SCALE_ERROR = 0.25  # largest relative standard deviation of an estimated scale
+MIN_SCALE_LEAD = 0.1  # smallest lead of one scale over another, in the logarithm
 
-# Column that a direction follows (0: gx, 1: gy), its sign, and its significance in standard deviations
+# Rate that changes the direction of the force: column (0: gx, 1: gy), sign, and significance in standard deviations
 RateMatch = tuple[int, float, float]
 
 
@@ -119,8 +120,8 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
 def _whole_gain(evidence: Evidence) -> float:
     """Return the ratio of the course's turns to the gyro's turns, fitted without a bias to the total turns of windows.
 
-    `fit_yaw` removes a straight line from each window. In steady circles the rest is small, so lever arm and slip have
-    the effect of a scale error.
+    `fit_yaw` removes a straight line from each window. In steady circles little of the turn remains, so lever arm and
+    slip have the effect of a scale error.
     """
     imu, course, yaw, fit = evidence.drive.imu, evidence.course, evidence.yaw, evidence.yaw_fit
     assert course is not None and fit is not None

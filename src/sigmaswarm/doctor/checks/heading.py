@@ -27,8 +27,8 @@ HEADINGS: dict[str, Callable[[Array], Array]] = {
 MAX_DEVIATION = math.radians(15)  # rad, largest median difference from the course, apart from a constant
 # rad, smallest constant difference from the course for a warning and for a serious finding
 ROTATION_LIMITS = (math.radians(2), math.radians(10))
-# s, smallest delay for a warning; largest ratio of the misfit with this delay to the misfit without it
-MIN_DELAY, MAX_MISFIT_RATIO = 0.15, 0.8
+MIN_DELAY = 0.15  # s, smallest delay for a warning
+MAX_MISFIT_RATIO = 0.8  # largest ratio of the misfit with the delay to the misfit without it
 WINDOW = 5.0  # s, over which turns of the heading and of the gyro are compared
 MIN_FIXES = 30
 WHERE = "gps.csv, heading"
@@ -36,8 +36,9 @@ WHERE = "gps.csv, heading"
 # A stated heading contradicts the course if they differ by more than MIN_STATED_OFFSET rad and STATED_SIGMAS standard
 # deviations.
 MIN_STATED_OFFSET, STATED_SIGMAS = math.radians(20), 3.0
-GYRO_BIAS_STD = math.radians(0.5)  # rad/s, assumed for the time from the first IMU sample to the course
-# rad, added for slow vehicles: errors of fixes that last for a minute change the course, but not its stated deviation
+GYRO_BIAS_STD = math.radians(0.5)  # rad/s, assumed gyro bias from the first IMU sample to the course
+# rad, added for slow vehicles: errors of fixes that last for a minute change the course, but its computed standard
+# deviation does not include them
 SLOW_COURSE_STD = math.radians(20)
 
 

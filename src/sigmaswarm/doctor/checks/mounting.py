@@ -21,14 +21,16 @@ from sigmaswarm.geodesy import roll_pitch_yaw
 # Smallest change of gravity's direction if the IMU was moved: in rad, and in typical errors of a median. In fault-free
 # drives with 20 s of hard maneuvers at one end, the change was up to 16 degrees.
 MIN_MOVEMENT, MIN_MOVEMENT_RATIO = math.radians(18.0), 4.0
-# Smallest length of each part, s, and smallest angle, rad, that show that an IMU was turned about the vertical
-MIN_PART, MIN_TURNED = 20.0, math.radians(45.0)
+MIN_TURNED = math.radians(45.0)  # rad, smallest turn of the IMU about the vertical, see `find_turn`
+MIN_PART = 20.0  # s, shortest part of a drive before or after such a turn
 # Smallest coherence of measured and expected accelerations in each part, and smallest RMS acceleration of the vehicle,
-# m/s2. Below the second limits, hills (RMS slope of 8%) can have the same effect, so the path must also show the turn:
-# the residuals of its regression decrease by this ratio. In 2,000 parts (60 s) of hilly drives without faults, the
-# ratio was 0.95 or more.
+# m/s2
 MIN_COHERENCE, MIN_MOTION = 0.5, 0.4
-CLEAR_COHERENCE, CLEAR_MOTION, MAX_RESIDUAL_RATIO = 0.7, 0.8, 0.94
+# Below these limits, hills (RMS slope of 8%) can look like a turn of the IMU, so the path must also show the turn
+CLEAR_COHERENCE, CLEAR_MOTION = 0.7, 0.8
+# Largest ratio of the residuals of the path's regression with the turn to those without the turn. In 2,000 parts (60 s)
+# of hilly drives without faults, the ratio was 0.95 or more.
+MAX_RESIDUAL_RATIO = 0.94
 # Smallest change of the direction of acceleration, rad, that driving backward explains
 BACKWARD = math.radians(150.0)
 OR_BACKWARD = ", or the vehicle drives backward before or after this time"

@@ -72,7 +72,7 @@ def _disturbed(evidence: Evidence) -> Iterator[Finding]:
     part = slice(int(np.argmax(high)), len(high) - int(np.argmax(high[::-1])))
     moved, off = np.diff(course.position[fit.rows[part]], axis=1), np.diff(fit.residual[part], axis=1)
     turn = np.degrees(np.max(np.abs(np.angle(moved * np.conj(moved - off)))))
-    duration = len(fixes) * float(np.median(np.diff(course.time)))
+    duration = (len(fixes) - 1) * float(np.median(np.diff(course.time)))
     start, end = float(course.time[fixes[0]]), float(course.time[fixes[-1]])
     what = (
         f"for {duration:.0f} of the {end - start:.0f} s from t = {start:.0f} s, the fixes scatter by {noise:.2g} m per "
@@ -98,11 +98,11 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         return
     if known is None:
         assumed = float(np.mean(receiver_std(evidence.drive)))
-        or_scatter = " or the scatter, if the baseline then drifts clearly less" * assumes_std(evidence.drive)
+        or_scatter = ", or the scatter if this clearly reduces the drift of the baseline filter"
         what = (
             f"the receiver states no accuracy. The fixes scatter by {scatter:.2g} m per axis, which is a lower limit "
             "of their standard deviation, since slow errors do not increase the scatter. A tuning without truth "
-            f"assumes {assumed:.2g} m{or_scatter}"
+            f"assumes {assumed:.2g} m{or_scatter if assumes_std(evidence.drive) else ''}"
         )
         remedy = "if you know a better value, write gps_std_m at the top of drive.toml"
         yield Finding("gps-noise", "note", what, "drive.toml, gps_std_m", evidence.span, 0.95, remedy)
@@ -137,7 +137,7 @@ def _place(evidence: Evidence) -> str:
 class _WrongStd(NamedTuple):
     larger: bool  # True if the stated standard deviation is larger than that of the fixes
     std: float  # standard deviation of the fixes, m per axis
-    by_truth: bool  # True if the truth shows this
+    by_truth: bool  # True if the comparison with the truth shows this
     confidence: float
 
 

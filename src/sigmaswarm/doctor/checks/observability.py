@@ -18,9 +18,9 @@ CIRCLE = 2 * np.pi  # rad, smallest range of the course of a car that drives in 
 REMEDY = "use a drive with turns, starts and stops to check for these faults"
 # RMS change of the course within windows, in standard deviations, above which the car turns
 MIN_TURN_SIGMAS = 3.0
-# Error of the velocity due to errors of the fixes that last for seconds: largest assumed value, m/s; ratio to the
-# scatter of the fixes, 1/s
-MAX_WANDER, WANDER_RATE = 0.25, 2.5
+# Assumed error of the velocity due to errors of the fixes that last for seconds: ratio to the scatter of the fixes
+# (1/s), and largest value (m/s)
+WANDER_RATE, MAX_WANDER = 2.5, 0.25
 MIN_DETERMINED_TURN = np.radians(5.0)  # rad, RMS change of the course within windows; swaying causes less
 
 

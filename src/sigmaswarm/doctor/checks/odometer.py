@@ -17,16 +17,17 @@ from sigmaswarm.drives.drive import Odometer
 # to noise, and the gyro's bias has little effect within 20 s.
 SPAN_LIMITS = (6.0, 20.0)
 MIN_DISTANCE = 15.0  # m, shortest straight distance of a compared path
-MIN_PATHS = 6
+MIN_PATHS = 6  # smallest number of readings, and of compared paths
 MIN_SCALE_ERROR = 0.02  # smallest reported error of the scale; it must also exceed three standard deviations
 # Ratio of the speeds, or its inverse, above which the unit is wrong rather than the tire size
 MAX_SCALE_RATIO = 1.25
 
 MIN_DELAY = 0.15  # s, smallest delay for a warning
-# s: largest tried delay, step of the tried delays, averaging time of both accelerations
-MAX_LAG, STEP, AVERAGING_TIME = 3.0, 0.02, 0.4
-# Bounds of the scale, and largest latency, s, that `tune` tries with the option odometer; the smallest latency is 0
-TUNED_SCALES, MAX_TUNED_LATENCY = (0.9, 1.1), 0.3
+MAX_LAG = 3.0  # s, largest tried delay
+STEP = 0.02  # s, step of the tried delays
+AVERAGING_TIME = 0.4  # s, over which the accelerations of odometer and IMU are averaged
+TUNED_SCALES = (0.9, 1.1)  # bounds of the scale that `tune` tries with the option odometer
+MAX_TUNED_LATENCY = 0.3  # s, largest latency that `tune` tries with this option; the smallest is 0
 MIN_CORRELATION = 0.6  # smallest correlation of the accelerations at a delay
 
 MIN_STUCK_TIME = 4.0  # s, shortest constant reading that counts as stuck
@@ -35,7 +36,8 @@ MIN_STUCK_ERROR = 2.5  # m/s, smallest median difference of a stuck reading from
 # m/s, change of speed within MAX_JUMP_TIME s, without acceleration, that shows spinning or locked wheels. A slope of
 # 10% looks like a change of 1 m/s, and a delay of 0.3 s during full braking looks like a change of 2 m/s.
 MIN_JUMP = 2.5
-MAX_JUMP_TIME, MAX_SLIP_TIME = 1.0, 10.0  # s: longest jump, longest slip
+MAX_JUMP_TIME = 1.0  # s, longest jump of the wheel speed
+MAX_SLIP_TIME = 10.0  # s, longest time from a jump to the jump back
 # m/s, largest median difference between the speed changes of odometer and IMU with which slip can be checked
 MAX_DIFFERENCE = 0.5
 
@@ -171,7 +173,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
 
 
 def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
-    """Return, for each path, the ratio of the odometer's displacement to that of the fixes, and the latter, m."""
+    """Return two numbers per path: ratio of the odometer's displacement to that of the fixes, and the latter in m."""
     imu, yaw, time = evidence.drive.imu, evidence.yaw, odometer.time
     heading = np.interp(time, imu.time, integral(imu.time, yaw.factor * getattr(imu, yaw.column)))
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)

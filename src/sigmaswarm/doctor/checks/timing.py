@@ -18,8 +18,8 @@ from sigmaswarm.drives.drive import Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 
 SERIOUS_OFFSET = 0.3  # s; larger clock offsets cause errors of meters
-# s: GPS time minus UTC; tolerance within which an offset consists of these seconds and the receiver's delay
-LEAP_SECONDS, MAX_LEAP_ERROR = 18.0, 0.3
+LEAP_SECONDS = 18.0  # s, GPS time minus UTC
+MAX_LEAP_ERROR = 0.3  # s; an offset that differs by less consists of these seconds and the receiver's delay
 MAX_TUNED_LATENCY = 0.5  # s, largest latency of the fixes that `tune` tries; the smallest is 0
 MIN_IMU_RATE = 8.0  # Hz; at lower rates, turns are lost between samples
 MAX_INTERVAL_RANGE = 0.5  # largest range of the middle 90% of the intervals, relative to their median
@@ -103,7 +103,7 @@ def _is_leap(delay: float, std: float) -> bool:
 
 
 def check_truth(evidence: Evidence) -> Iterator[Finding]:
-    """Compare the clock of the truth with that of the fixes, or with that of the corrected fixes."""
+    """Compare the clock of the truth with that of the fixes, after any correction of the latter."""
     truth, known = evidence.drive.truth, evidence.truth_delay
     delay = round((known or 0.0) + evidence.moved, 2)
     if truth is None or known is None or evidence.truth_has_clock_of_fixes or abs(delay) < MIN_DELAY:

@@ -1,8 +1,8 @@
 """A bank of sixteen filters with the interface of a `LiveFilter`.
 
-A search starts from an earlier state of the bank that no late fix can change. Its result replaces filters in such a
-state, and the bank processes the later samples again. Therefore, estimates do not depend on the time that the search
-takes.
+A search starts from a stored state of the bank that no late fix can change. `SEARCH_DELAY` after the start of the
+search, its result replaces filters in a newer stored state that no late fix can change, and the bank processes the
+later samples again. Therefore, estimates do not depend on the computing time of the search.
 """
 
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ SEARCH_DELAY = 1.0  # s of samples from a search's start to the use of its resul
 REPLAY_SPAN = 60.0  # s of samples that a search replays
 MIN_SPEED = 2.0  # m/s; at lower speeds no search starts, since fixes hardly determine headings and biases
 N_REPLACED = 7  # filters replaced per search: one by its result, the others by changed copies of good filters
-COPY_STD = 0.6  # standard deviation of a copy's random changes, in standard deviations of the offset
+COPY_STD = 0.6  # standard deviation of a copy's random changes, in standard deviations of the prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +60,9 @@ class LiveFilterBank(LiveFilter):
     which older fixes count less. Filter 0 has the tuned parameters and equals a `LiveFilter`. Filters 1 to 7 have fixed
     offsets, for larger biases and for other receivers. Every 10 s of driving, the filters with the lowest weights among
     filters 8 to 15 are replaced: one by the result of a search over the last minute, and each of the others by a
-    randomly changed copy of a good filter. Thus the bank adapts to other sensors or another GPS reception. On the
-    vehicle of the training drives, the bank is not more accurate than a single filter. If the mixture diverges, filters
-    1 to 15 are reset; most of them keep the biases of the mixture.
+    randomly changed copy of a good filter. Thus the bank adapts to other sensors or to better or worse GPS reception.
+    On the vehicle of the training drives, the bank is not more accurate than a single filter. If the mixture diverges,
+    filters 1 to 15 are reset; most of them keep the biases of the mixture.
 
     The interface is that of a `LiveFilter`, without the smoothed state. A copy by `pickle` continues with identical
     results. After a reset, all filters ignore fixes from before the reset.
@@ -339,8 +339,8 @@ class LiveFilterBank(LiveFilter):
     def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
         """Set the biases of reset filters to those of the mixture.
 
-        Filters whose constant offsets assume larger initial biases do not change. No filter changes if the gyro bias of
-        the alignment is more precise than that of the mixture, or contradicts it.
+        Filters whose constant offsets assume larger initial biases do not change. No filter changes if the alignment
+        determined the gyro bias more precisely than the mixture, or used another gyro bias than ``gyro_bias`` (rad/s).
         """
         gyro = start.gyro
         if gyro is not None:

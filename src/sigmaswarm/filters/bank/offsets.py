@@ -30,7 +30,7 @@ FIXED_OFFSETS = (
     {R: 2.5, START: 3.0},
     {R: 4.5, START: 3.0},
 )
-"""Constant offsets (decades of variance) of the first filters: none, larger initial biases, other receivers."""
+"""Offsets of the first eight filters (decades of variance): none, larger initial biases, other receivers."""
 
 WARNING_OFFSET, WARNING_AXLE_OFFSET = 0.5, 0.5  # largest offsets without a warning, decades and m
 _MEANS = {

@@ -43,7 +43,7 @@ from sigmaswarm.filters.kernel_array import KernelArray
 
 GENERATIONS = 8
 WEIGHT, CROSSOVER = 0.7, 0.9  # F and CR of differential evolution
-CONVERGENCE_TIME = 2.0  # s at the start of a replay; not scored, since filters with new offsets converge
+CONVERGENCE_TIME = 2.0  # s at the start of a replay, in which filters with new offsets converge; not scored
 MIN_SCORED_FIXES = 8  # smallest number of scored fixes for a result
 MAX_OFFSET = 8.0  # largest offset, in standard deviations of its prior
 
@@ -237,7 +237,7 @@ if hasattr(os, "register_at_fork"):
 
 @dataclass(frozen=True, eq=False)
 class PendingSearch:
-    """A search over logged steps; ``logged`` is the number of the first step after them.
+    """A search over logged steps; ``logged`` is the number of the first step after the searched steps.
 
     ``leader`` is the index of the filter with the largest weight. The search starts from an earlier state of this
     filter or, if it is a copy, of its original. A forked copy of this object searches in the calling thread, and an

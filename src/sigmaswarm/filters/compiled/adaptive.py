@@ -1,8 +1,8 @@
 """Parts of an update with a fix: adaptation of Q and R, weight of the fix, inflation of P, and the fix error b.
 
-The textbook forms are `textbook.adaptive` and `filters.kernels`. The states b are the last two. The process of a model
-does not depend on b, so a prediction multiplies the columns of b in P by the transition A of the model. The
-coefficients of A are in scratch rows: see transition.py.
+The textbook forms are `textbook.adaptive` and `filters.kernels`. The last two states are b. The process of a model does
+not depend on b, so a prediction multiplies the columns of b in P by the transition A of the model. The coefficients of
+A are in scratch rows: see transition.py.
 """
 
 import math
@@ -17,9 +17,9 @@ def strong_tracking(w, *, n):
 
     FADING < 0: off. Source: D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996 (single fading factor, computed
     from traces), with two changes. The previous mean and the new nu^T nu have the weights rho = FADING and 1 - rho.
-    With the paper's weights, rho / (1 + rho) and 1 / (1 + rho), the mean forgets too fast. Only the part of P that the
-    fix observes is inflated, P + (factor - 1) C (H P H^T)^-1 C^T with C = Cov(state, z), since the unobserved part
-    would grow without limit.
+    With the weights of the source, rho / (1 + rho) and 1 / (1 + rho), the mean forgets too fast. Only the part of P
+    that the fix observes is inflated, P + (factor - 1) C (H P H^T)^-1 C^T with C = Cov(state, z), since the unobserved
+    part would grow without limit.
     """
     for l in range(LANES):
         rho = w.FADING

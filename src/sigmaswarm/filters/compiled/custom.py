@@ -168,8 +168,8 @@ def _root(a, root):
 def _center(images, points, angles, weights, mean):
     """Write the weighted mean of ``images`` to ``mean``, and subtract the mean from the images.
 
-    For an angle, the difference between an image and the first image is wrapped. It then differs by at most half a turn
-    from the difference between their sigma points in ``points`` (from 0 if ``points`` has no columns).
+    For an angle, the difference between an image and the first image is wrapped to within half a turn of the difference
+    between the sigma points in ``points`` (of 0 if ``points`` has no columns).
     """
     for i in range(images.shape[1]):
         first, shift = images[0, i], 0.0
@@ -271,7 +271,7 @@ def _limited_share(z, nis, limit, runs):
 
 @_kernel
 def _limited(nis, limit):
-    """Return the NIS, as a term of -2 log likelihood; above the limit, return limit (1 + log(NIS / limit)).
+    """Return the term of -2 log likelihood for an NIS: NIS, or limit (1 + log(NIS / limit)) above the limit.
 
     Above the limit, the derivative of the result with respect to the innovation nu is 2 S^-1 nu limit / NIS, as if S
     were multiplied by NIS / limit.
@@ -281,7 +281,7 @@ def _limited(nis, limit):
 
 @_kernel
 def _finite(mean, covariance):
-    """Return True if both arrays are finite. The sum of all elements times 0 is then 0, otherwise NaN."""
+    """Return True if all elements are finite: 0 times a finite element is 0, and 0 times inf or NaN is NaN."""
     total = 0.0
     for i in range(mean.size):
         total += 0.0 * mean[i]

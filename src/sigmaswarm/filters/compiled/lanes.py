@@ -33,10 +33,10 @@ _FLUSH_SUBNORMALS = 0x8040  # bits of an x86 control register that replace subno
 
 @intrinsic
 def _exchange_control(typing_context, control):
-    """Set the floating-point control register and return its old value; for -1, add the bits `_FLUSH_SUBNORMALS`.
+    """Set the floating-point control register, or, if ``control`` is -1, only its bits `_FLUSH_SUBNORMALS`.
 
-    Precise measurements reduce covariances to subnormal numbers, and an operation with these takes a hundred cycles.
-    The function has no effect on processors other than x86.
+    Return the old value of the register. Precise measurements reduce covariances to subnormal numbers, and an operation
+    with these takes a hundred cycles. The function has no effect on processors other than x86.
     """
 
     def generate(context, builder, signature, arguments):

@@ -4,13 +4,13 @@ The filter is the first lane of the rows in `layout`. In functions, ``m`` is the
 first array. The memory consists of the address of the step (see `single`), and eight arrays:
 
     filter_state (N_ALL or more,) the state, which a late fix resets to an earlier state; then settings and scratch
-    counts  (N_COUNTS,) lengths of the filled parts of the other arrays, and counts of ignored data
+    counts  (N_COUNTS,) numbers of used rows of the other arrays, flags, and counts of ignored data
     calm    (N_MEMORY, 8) memory of the standstill detection, see `drives.standstill`; no rows if unused
     fixes   (f, N_FIX) the fixes and their kinds, sorted by time, then by arrival
     speeds  (r, 2) odometer readings, sorted by time: time (s) and speed (m/s); no rows if unused
     history (h, N_RECORD) ring buffer: the last samples, and the state before each sample
-    checkpoints (m, k) ring buffer: the k numbers from BEHIND on that a step also changes, stored before each
-            CHECKPOINT_EVERY-th sample; no rows if k is 0
+    checkpoints (m, k) ring buffer: the k numbers of a filter bank that a step changes, from index BEHIND of
+            filter_state on, stored before every CHECKPOINT_EVERY-th sample; no rows if k is 0
     lately  (l, N_SAMPLE) ring buffer: the last samples, for the divergence monitor (see `monitor`); no rows if unused
 
 A sample consists of its time and the IMU's axes in the order of `timeline.AXES`; an unused axis is 0.
@@ -80,7 +80,7 @@ N_ALL = FACTOR.stop
     N_SAMPLES,  # number of samples ever added to the history
     SPARE,  # number of records that are stored only to continue from a checkpoint
     N_LATELY, NEWEST,  # number of samples in ``lately``, and the row of the last one
-    CAME_LATE,  # 1 if the last fix was late
+    CAME_LATE,  # 1 if the last accepted fix was late
 ) = range(14)  # fmt: skip
 N_COUNTS = 14
 NOTHING, HELD, CONFIRMED = range(3)  # state of FIX_AHEAD: empty, waiting for a second fix, confirmed
@@ -106,8 +106,8 @@ N_RECORD = S_MEANS.stop
 TAKEN, IGNORED, LEFT_OUT = 1, 0, -1
 """Results for a fix or an odometer reading.
 
-IGNORED: repeated, a fix that is before the start or waits for confirmation, or a reading that is not used. LEFT_OUT:
-too late, no free row, time or speed not finite, or a reading whose time is far ahead.
+IGNORED: repeated data, a fix that is not after the filter's start or waits for confirmation, or a reading of a filter
+without odometer. LEFT_OUT: too late, no free row, time or speed not finite, or a reading whose time is far ahead.
 """
 DUE = 2  # result of a sample: used, and the divergence monitor is due
 
@@ -201,7 +201,7 @@ def _process_sample(m, k):
 
 @_plain
 def _until(rows: np.ndarray, n: int, now: float) -> int:
-    """Return the number of the first n rows, sorted by time, whose time (column 0) is at most ``now``."""
+    """Return how many of the first n rows, sorted by time, have a time (column 0) of at most ``now``."""
     while n > 0 and rows[n - 1, 0] > now:
         n -= 1
     return n
@@ -235,7 +235,7 @@ def _number(m, k):
 
 @_plain
 def _drop_old(m, rows, count, age):
-    """Remove the rows that are more than ``age`` s before the history; return False if there are none."""
+    """Remove the rows that are more than ``age`` s older than the history; return False if there are none."""
     counts = m.counts
     oldest = _record(m, 0)[TIME] if counts[N_HISTORY] > 0 else m.filter_state[TIME]
     old = _until(rows, counts[count], oldest - age)
@@ -403,7 +403,7 @@ def _accept(m, z, is_fix):
 @_plain
 def _accept_fix(m, z):
     v, is_number = m.filter_state, math.isfinite(z[FIX_X]) and math.isfinite(z[FIX_Y])
-    if z[FIX_TIME] <= v[START]:  # the start includes this fix, but the fix may show a standstill
+    if z[FIX_TIME] <= v[START]:  # the initial state includes this fix, but the fix may show a stop
         _store_fix(m, z)
         if is_number:
             m.counts[CAME_LATE] = 0
@@ -545,7 +545,7 @@ class LiveCalls:
     """Compiled functions that change or read the memory of a live filter; their first argument is `Memory.handle`.
 
     - ``sample(handle, t, a, b, c, d, e, f)``: process an IMU sample; ``a`` to ``f``: axes in the filter's order
-    - ``fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta)``
+    - ``fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta)``: process a fix
     - ``speed(handle, t, speed)``: process an odometer reading
     - ``heading(handle, gyro_bias)``: heading (rad) from samples and fixes, see `rough_heading`; NaN if unknown
     - ``definite(handle)``: True if the covariance is positive semidefinite

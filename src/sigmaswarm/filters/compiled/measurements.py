@@ -1,4 +1,4 @@
-"""Measurements of the compiled filter: fixes (the others are in `vehicle`).
+"""Updates of the compiled filter with fixes; `vehicle` contains the other updates.
 
 For each measurement, a kernel computes nu, S and C = Cov(state, z) in every lane. Then `update_pair` or `update_scalar`
 computes x += C S^-1 nu and P -= C S^-1 C^T. In an unscented filter, nu, S and C are moments of sigma points. If z is

@@ -1,8 +1,8 @@
 """Memory of runs and live filters for compiled code.
 
 The array of a run is on the stack, aligned to a cache line. In Numba, the arrays of `np.empty` start at multiples of 32
-bytes. With AVX-512, each load and store may then access two cache lines, and a run takes a seventh longer. The memory
-of a live filter is passed as one address: passing eight arrays takes longer than a step.
+bytes. With AVX-512, each load and store may then access two cache lines, and a run takes 14% longer. The memory of a
+live filter is passed as one address: passing eight arrays takes longer than a step.
 """
 
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ CACHE_LINE = 64  # bytes; also the width of the widest vectors
 
 
 def array_at(context, builder, kind, data, shape, strides):
-    """Return an array of doubles in given memory, for the generator of an intrinsic; strides in bytes."""
+    """Return an array of doubles at the address ``data``, in the code generator of an intrinsic; strides in bytes."""
     array = context.make_array(kind)(context, builder)
     size = ir.IntType(64)(8)
     context.populate_array(array, data=data, shape=shape, strides=strides, itemsize=size, meminfo=None)

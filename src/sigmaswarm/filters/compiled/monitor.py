@@ -11,11 +11,11 @@ from sigmaswarm.drives.alignment import ALIGNMENT_FIXES, MAX_DURATION, MIN_CHORD
 from sigmaswarm.drives.stale_fixes import STALE
 from sigmaswarm.filters.compiled.lanes import OPTIONS
 
-CHECK_INTERVAL = 1.0  # s, length of a time slot, which has at most one check of a filter
+CHECK_INTERVAL = 1.0  # s, length of a time slot; a filter is checked at most once per slot
 LATEST_CHECK = 0.25  # s, longest time from a fix to its check; for late fixes, the largest delay is added
 MONITOR_SPAN = MAX_DURATION + 1.0  # s, span of the samples and fixes that are stored for the monitor
 
-_T, _X, _Y, _KIND = 0, 1, 2, 10  # of a row of fixes: see `live`, which imports this module
+_T, _X, _Y, _KIND = 0, 1, 2, 10  # columns of fixes, as in `live`, which imports this module
 
 _plain = njit(**OPTIONS)
 
@@ -67,10 +67,10 @@ def rough_heading(samples, newest, n, fixes, end, gyro_bias):
 
 @_plain
 def _way(samples, k, steps, since, until, gyro_bias):
-    """Return a displacement between two times, m east and north, and the turn from the first to the last sample.
+    """Return a displacement between two times (m east, m north), and the turn from the first to the last sample (rad).
 
-    The displacement is that of a motion at 1 m/s with the initial heading 0. Row ``k`` is the last sample up to
-    ``since``; ``steps`` samples follow.
+    The displacement is that of a vehicle with speed 1 m/s and initial heading 0. Row ``k`` is the last sample at or
+    before ``since``; ``steps`` samples follow.
     """
     before, east, north, turned, cos, sin = samples[k, 0], 0.0, 0.0, 0.0, 1.0, 0.0
     for _ in range(steps):

@@ -64,7 +64,7 @@ def _turn(w, ax, ay, turn):
 
 @kernel
 def predict_planar5(w, u):
-    """Compute a step of the process model; xu1 and xu2 are the element xu after its first and second change.
+    """Compute a step of the process model; xu1, xu2 and xu3 are the element xu of P after its first to third change.
 
     The position moves for half a step with the velocity before the step, and for half a step with the velocity after
     it. There are two loops, since one loop would be too long for out-of-order execution.

@@ -326,8 +326,8 @@ def run_lanes(
     drive : DriveArrays
     rows : (N_KEPT, a multiple of WIDEST), changed: state, constants and sums of each lane
     cursor : (5,), changed: see NEXT_STEP ... NEXT_SPEED
-    stop : the step before which the run stops; the sums are complete if this is k, the number of steps
-    record : (r, s + 1, m), written from its start: at each IMU sample of these steps, the model's s `state_rows` and
+    stop : the step before which the run stops; the sums are complete if ``stop`` is k, the number of steps
+    record : (r, s + 1, m), written from index 0 on: at each IMU sample of these steps, the model's s `state_rows` and
         the OK flag of the first m lanes, at most LANES; r = 0: none
     innovations : (f, 5), written: nu (m) and S (m2; xx, xy, yy) of the first lane at each fix of these steps, before
         the update; f = 0: none

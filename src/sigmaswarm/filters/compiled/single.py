@@ -1,6 +1,7 @@
 """One step of one filter as a separate function, which other compiled code calls by its address.
 
-Otherwise, Numba would inline the step into the functions of a live filter, and compile these functions for each model.
+If the step were not separate, Numba would inline it into the functions of a live filter, and compile these functions
+for each model.
 """
 
 from dataclasses import dataclass

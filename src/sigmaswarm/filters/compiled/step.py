@@ -104,7 +104,7 @@ def step_of(name, *, noted=False):
     if model.measures_imu:
         return robot_localization.step
     predict, settle = _PREDICTIONS.get(name) or _PREDICTIONS[base_model_name(name)]
-    carries = model.fix_error and not model.tilts  # tilted12's prediction also propagates these columns
+    carries = model.fix_error and not model.tilts  # tilted12's prediction propagates these errors
     biases = int(model.gyro_bias is not None)
     note_prior = transition.note_prior(name) if noted else None
     return kernel(

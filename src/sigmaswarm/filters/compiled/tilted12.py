@@ -1,8 +1,8 @@
 """tilted12's extended filter; compare `filters.tilted` and `textbook.manifold.ErrorStateKalmanFilter`.
 
 The attitude of the mean is the quaternion in rows ATT_W ... ATT_Z. Rows I, J and T of the mean are the error about
-east, north and up. This error is 0 except between a measurement and `fold`, which rotates the quaternion by the error.
-All other rows are those of planar8; K and L are the biases of gx and gy.
+east, north and up. This error is 0 except just before `fold`, which rotates the quaternion by the error. All other rows
+are those of planar8; K and L are the biases of gx and gy.
 
 The transition matrix A changes seven states (see transition.py). A P A^T is computed in two parts: first the seven rows
 of A P, mostly in scratch rows, then those of (A P) A^T.

@@ -186,7 +186,7 @@ def _point(w, l, j, sign, quarter, per_dt, *, sinc_cos, rotation_vector):
     """Return r of two outputs at a point of column j: acceleration times dt (east, north), and error after the step."""
     step = 4.0 * sign * w.QUARTER_GAMMA
     b = _scaled(quarter * step, _first_of(w, l, j))
-    # Quaternions of half the turn: v, and v0 of the center. The vector part of v0^-1 v is p + c, of v v0^-1 p - c.
+    # Quaternions of half the turn: v, and v0 of the center. Vector parts: p + c of v0^-1 v, and p - c of v v0^-1.
     half = _less((w.HALF_X, w.HALF_Y, w.HALF_Z), b)
     k, d = sinc_cos(_square(half))
     v = _scaled(k, half)

@@ -2,11 +2,12 @@
 
 A is the Jacobian of an extended filter, or the statistical linearization Cov(s', s) P^-1 of an unscented filter. The
 latter is the Jacobian with k J g0 (planar5.py) or k J g0 + m t (planar8.py) in place of J g0; see also
-tilted12_unscented.py. Smoothers and the prediction of tilted12 use A. Each function of a model returns A e as a tuple.
-Its coefficients ``f`` are the values of the rows `COEFFICIENTS`, with the length ``dt`` of the step as a factor.
+tilted12_unscented.py. Smoothers and the prediction of tilted12 use A. The function of each model returns A e as a
+tuple. Its argument ``f`` contains the values of the rows `COEFFICIENTS`, which include the factor ``dt``, the length of
+the step.
 
 The log of a step contains the state, the prediction and the coefficients of A. If a fading factor or a run of outliers
-inflates P, the prediction includes this inflation.
+inflates P, the logged prediction includes this inflation.
 """
 
 import numpy as np
@@ -47,7 +48,7 @@ def planar8(f, dt, e):
 
 
 def tilted12(f, dt, e):
-    """Compute A e; ``r_east``, ``r_north`` and ``r_up`` are a small rotation, stored as roll, pitch and heading."""
+    """Compute A e; ``r_east``, ``r_north`` and ``r_up`` are small rotations, in the rows of roll, pitch and heading."""
     a_east, a_north, d11, d12, d13, d21, d22, d23, d31, d32, d33 = f
     x, y, vx, vy, r_up, ax, ay, wz, r_east, r_north, wx, wy = e
     h, g = 0.5 * dt, GRAVITY * dt
@@ -100,7 +101,7 @@ def _note_move(w, dt, *, indices, moves, phi):
         for i in indices:  # A is the identity in a step of length 0
             MOVE[1 + i] = w[moves[i]] if dt > 0.0 else 0.0
         if phi:
-            MOVE[phi] = 1.0  # at a fix, `move_fix_error` replaces it
+            MOVE[phi] = 1.0  # at a fix, `move_fix_error` replaces this value
 
 
 def _note_prior(w, *, state):

@@ -1,14 +1,14 @@
 """Loops over lanes, emitted as vector instructions of LLVM.
 
-Numba would infer the types of some thousand lines, which takes half a minute or more. Since all numbers in kernels are
-doubles, each loop over lanes is emitted directly, as a separate function of the array of rows and of the few numbers
-that all lanes share. The name of this function contains a hash of its text, so all callers use the same function and
-get identical results.
+Numba would infer the types of several thousand lines, which takes half a minute or more. Since all numbers in kernels
+are doubles, each loop over lanes is emitted directly, as a separate function of the array of rows and of the few
+numbers that all lanes share. The name of this function contains a hash of its text, so all callers use the same
+function and get identical results.
 
 The body of a loop over lanes must not contain branches. It may contain assignments to names and to ``w.XX`` or
-``w[row]`` with a known row, elements of tuples, arithmetic, comparisons, ``&``, ``|``, ``a if test else b``,
-`math.sqrt`, `math.log`, `math.exp`, `numpy.floor` and `abs`. Calls of plain functions with such bodies are inlined.
-``n += test`` counts the lanes in which a test is true.
+``w[row]`` with a row number known at compilation, elements of tuples, arithmetic, comparisons, ``&``, ``|``, ``a if
+test else b``, `math.sqrt`, `math.log`, `math.exp`, `numpy.floor` and `abs`. Calls of plain functions with such bodies
+are inlined. ``n += test`` counts the lanes in which a test is true.
 """
 
 import ast

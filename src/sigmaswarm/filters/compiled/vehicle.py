@@ -1,6 +1,7 @@
 """Updates of mean and covariance with velocity, heading, odometer, and the motion constraints of a wheeled vehicle.
 
-In `update_scalar` and `update_pair`, the caller has computed nu, S and C of the measurement in every lane.
+Before it calls `update_scalar` or `update_pair`, the caller computes nu, S (or G) and C of the measurement in every
+lane.
 """
 
 import math
@@ -100,10 +101,11 @@ def take_velocity(w, zu, zv, *, n):
 def measure_along_planar(w, u, wheels, *, n, bias, lateral):
     """Compute nu, S and C of a velocity R(theta)^T v in the body frame: lateral constraint or odometer.
 
-    Lateral: 0 = left - arm (yaw rate - w), with arm from `models.lateral_arm`. Odometer: speed / scale = forward -
-    delay (ax - b). R(theta)^T v has the closed form of planar8.py, rotated into the body frame, with t = R^T P[v,
-    theta] and mu = (e R^T v - k J t)_along. The forward velocity is computed as the left velocity of a body that is
-    rotated by 90 degrees; ``away`` is the forward velocity of this body.
+    Lateral: 0 = left - arm (yaw rate - w), with arm from `models.lateral_arm` and the gyro's bias w. Odometer: speed /
+    scale = forward - delay (ax - b), with the accelerometer's bias b. R(theta)^T v has the closed form of planar8.py,
+    rotated into the body frame, with t = R^T P[v, theta] and mu = (e R^T v - k J t)_along. The forward velocity is
+    computed as the left velocity of a body that is rotated clockwise by 90 degrees; ``away`` is the forward velocity of
+    this body.
     """
     if lateral:
         shown = u[GZ]
@@ -192,7 +194,7 @@ def measure_heading_planar(w, *, n):
 
 
 def update_heading(w, u, z, *, tilted, measure_heading):
-    """Update with a heading that is ``latency`` s old; increase S of an outlier.
+    """Update with a heading that is ``latency`` s old; for an outlier, increase S.
 
     See `constants.HEADING_GATE`.
     """

@@ -193,7 +193,7 @@ def _seconds(t: float) -> float:
 
 
 def _store(stored: list[Timed], t: float, z: Array) -> bool:
-    """Insert a measurement in order of time, or add it to one with the same time; return False if no element is new."""
+    """Insert a measurement by time, or merge it with one of the same time; return False if no element is new."""
     for k, (time, known) in enumerate(stored):
         if time == t:
             both = np.where(np.isnan(known), z, known)

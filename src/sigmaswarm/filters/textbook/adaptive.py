@@ -14,8 +14,9 @@ class SageHusa:
     """Adapt Q and R to the innovations of the fixes.
 
     A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969. The weight of a fix is 1 -
-    b, the limit of the paper's weight (1 - b) / (1 - b^(k+1)) for large k. R is computed from the residual after the
-    update, so it is positive by construction. A fix reduces an element of Q at most to b times its previous value.
+    b, the limit of their weight (1 - b) / (1 - b^(k+1)) for a large number k of fixes. R is computed from the residual
+    after the update, so it is positive by construction. A fix reduces an element of Q at most to b times its previous
+    value.
     """
 
     process_noise: Array  # (n,), diagonal of Q per nominal step

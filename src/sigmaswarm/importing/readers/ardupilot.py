@@ -1,6 +1,6 @@
 """ArduPilot's dataflash logs, binary (``.bin``) or as text (``.log``), read with pymavlink.
 
-Messages (ArduPilot, libraries/AP_Logger/LogStructure.h): the time is TimeUS in us since start. Before version 3.3 the
+Messages (ArduPilot, libraries/AP_Logger/LogStructure.h): the time is TimeUS in us since boot. Before version 3.3 the
 time is TimeMS in ms, or T in GPS messages, in which TimeMS is the time of week. The axes of IMU are forward, right,
 down (m/s2, rad/s). GPS is in degrees, m/s and degrees clockwise from north. GPA contains the accuracies that the
 receiver reports, and SIM contains the true position and yaw of a simulation.

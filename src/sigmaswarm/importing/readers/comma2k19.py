@@ -1,9 +1,8 @@
 """comma2k19: the folder of a segment, with processed_log and global_pose.
 
 H. Schafer et al., "A Commute in Data: The comma2k19 Dataset", 2018, and the README of the data set define the files.
-NumPy arrays contain times (s since the start of the device) and values. The axes of the IMU are forward, right and
-down. The poses of the camera are in ECEF, with quaternions (Hamilton, w first) that rotate the axes of the device to
-ECEF.
+NumPy arrays contain times (s since the boot of the device) and values. The axes of the IMU are forward, right and down.
+The poses of the camera are in ECEF, with quaternions (Hamilton, w first) that rotate the axes of the device to ECEF.
 """
 
 from contextlib import ExitStack

@@ -16,7 +16,8 @@ from typing import Any
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.source import Guess, Limits, Log, Part, first_bytes, import_library, log_of_rows
 
-KNOT, MIN_SPEED = 1852 / 3600, 0.5  # m/s: a knot, and the speed below which an empty course is no error
+KNOT = 1852 / 3600  # m/s
+MIN_SPEED = 0.5  # m/s; below this speed, an empty course is no error
 COLUMNS = (
     *("t", "lat", "lon", "alt", "quality", "hdop", "speed", "course", "std_lat", "std_lon"),
     *("heading", "std_heading"),

@@ -1,9 +1,9 @@
 """An experiment exported from phyphox as CSV: a folder or zip with Accelerometer.csv, Gyroscope.csv and Location.csv.
 
-Column names contain units: "Time (s)" since the start (the same clock in all files), "Acceleration x (m/s^2)" with
-gravity, "Gyroscope x (rad/s)", "Latitude (°)", "Velocity (m/s)", "Direction (°)" clockwise from north. The axes are
-Android's, also on iOS. Exports in other languages are identified by the units of columns in the app's order
-(phyphox/phyphox-experiments).
+Column names contain units: "Time (s)" since the start of the experiment (the same clock in all files), "Acceleration x
+(m/s^2)" with gravity, "Gyroscope x (rad/s)", "Latitude (°)", "Velocity (m/s)", "Direction (°)" clockwise from north.
+The axes are Android's, also on iOS. Exports in other languages are identified by the units of columns in the app's
+order (phyphox/phyphox-experiments).
 """
 
 import re

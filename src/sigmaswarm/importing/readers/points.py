@@ -14,8 +14,8 @@ _POINT = rf"{_BEGIN}\(\s*{_NUMBER}\s+{_NUMBER}[^()]*\)\s*$"
 _NO_POINT = rf"{_BEGIN}(?:EMPTY|\(\s*nan\s+nan[^()]*\))\s*$|^\s*$"  # the cell of a row without a fix
 _WORDS = re.compile(r"_?(?:geom(?:etry)?|points?|wkt|position|location)$", re.IGNORECASE)
 _DEGREES = 180.0, 90.0  # largest longitude and latitude
-# Largest median step between points in degrees, and largest range of one coordinate relative to its size; coordinates
-# of a site in m have larger steps or begin near zero
+# Points are in degrees if their median step is below _STEP, and the range of a coordinate is below _RANGE times its
+# size. Coordinates of a site in m have larger steps or begin near zero.
 _STEP, _RANGE = 0.01, 0.1
 
 

@@ -1,6 +1,6 @@
 """PX4's flight logs (``.ulg``), read with pyulog, and PX4's messages in ROS 2 bags.
 
-Messages (PX4-Autopilot, msg/): times are in us since start. The axes of sensor_combined are forward, right, down (m/s2,
+Messages (PX4-Autopilot, msg/): times are in us since boot. The axes of sensor_combined are forward, right, down (m/s2,
 rad/s). Fixes are in degrees and m (in older logs 1e-7 degrees and mm), with velocity north and east. Simulations also
 contain the true position, m north and east of a reference.
 """

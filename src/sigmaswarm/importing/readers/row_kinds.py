@@ -13,7 +13,7 @@ from sigmaswarm.wording import list_names
 MAX_KINDS = 20
 MAX_ROWS = 20_000  # largest number of rows that are examined
 _WORDS = ("0", "no", "none", "false", "void", "invalid")
-# Flags of rows without a fix, and the form of other flags, in lower case; 1 to 3 mean no fix, a 2D and a 3D fix
+# Flags of rows without a fix, and the form of other flags, in lower case; 1, 2 and 3 mean no fix, a 2D fix and a 3D fix
 NO_FIX: dict[str, str] = {
     **dict.fromkeys(_WORDS, r"\w+"),
     "1": "[23]",
@@ -76,7 +76,7 @@ def _codes(rows: Sequence[Sequence[str]], place: int) -> set[str]:
 
 
 def _are_cut(rows: Sequence[Sequence[str]], place: int) -> bool:
-    """Return True if rows whose flag means no fix have only the first cells of the other rows, in the same ranges."""
+    """Return True if the rows with a flag of no fix have only the first cells of the other rows, in the same ranges."""
     whole = [row for row in rows if len(row) > KIND_CELLS]
     flag = min(whole, key=len)[place].strip() if whole else ""
     kinds = [[row for row in whole if (row[place].strip() == flag) == cut] for cut in (True, False)]

@@ -1,6 +1,6 @@
 """The optimizers.
 
-All implement the protocol `Optimizer` and are used in the same loop::
+All optimizers implement the protocol `Optimizer` and are used in the same loop::
 
     optimizer = create_optimizer("cma-es", low, high, population=30, budget=1500, rng=rng)
     while len(points := optimizer.ask()):

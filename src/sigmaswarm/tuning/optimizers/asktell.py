@@ -162,7 +162,7 @@ class Swarm(AskTell):
 
 
 class RandomSearch(AskTell):
-    """J. Bergstra and Y. Bengio, Random search for hyper-parameter optimization, JMLR 13, 281-305, 2012."""
+    """Uniform random points: J. Bergstra and Y. Bengio, Random search for hyper-parameter optimization, JMLR 2012."""
 
     name = "random"
 

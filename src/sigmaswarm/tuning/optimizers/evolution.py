@@ -120,7 +120,7 @@ def mutated(
 
 
 class DifferentialEvolution(_Evolution):
-    """R. Storn and K. Price, J. Global Optimization 11, 341-359, 1997.
+    """Differential evolution: R. Storn and K. Price, J. Global Optimization 11, 341-359, 1997.
 
     The schemes are rand/1/bin and best/1/bin, with a scale factor that is drawn in every generation (dither).
     """
@@ -157,7 +157,7 @@ class DifferentialEvolution(_Evolution):
         return [ranked[:, k % n] for k in range(3)]
 
 
-INITIAL_STEP = 0.3  # in widths of the bounds, as the tutorial recommends
+INITIAL_STEP = 0.3  # in widths of the bounds, as the source of `CmaEs` recommends
 MIN_WIDTH, MAX_WIDTH, MAX_CONDITION = 1e-12, 10.0, 1e14
 """Limits of the largest standard deviation, in widths of the bounds, and of the covariance's condition number.
 

@@ -49,7 +49,7 @@ class ParticleSwarm(MovingSwarm):
 
 
 class GeneticSwarm(MovingSwarm):
-    """The better half moves as particles, the worse half is replaced by children of a genetic algorithm.
+    """Particle swarm in which children of a genetic algorithm replace the worse half; the better half moves.
 
     HGAPSO: C.-F. Juang, IEEE Trans. Systems, Man, and Cybernetics B 34, 997-1006, 2004. In contrast to HGAPSO,
     crossover and mutation are those of `GeneticAlgorithm`, and the better half has children before it moves, so that a
