@@ -258,6 +258,14 @@ def test_the_error_names_different_drives(started: Path):
     assert "the drives" in refusal(DRIVES[::-1], started, resume=True, **OPTIONS)
 
 
+def test_the_error_names_a_number_of_drive_toml_that_changed(tmp_path: Path):
+    interrupted(DRIVES, tmp_path / "out", 8, **OPTIONS)
+    stated = [DRIVES[0], replace(DRIVES[1], metadata={**DRIVES[1].metadata, "gps_std_m": 7.0})]
+    message = refusal(stated, tmp_path / "out", resume=True, **OPTIONS)
+    assert "but this command has d1.stated.gps_std_m = 7.0; " in message
+    assert "its drives or options differ; choose another" in refusal(stated, tmp_path / "out", **OPTIONS)
+
+
 CORRUPTIONS = {
     "empty": lambda good: b"",
     "cut-short": lambda good: good[: len(good) // 2],
@@ -368,5 +376,6 @@ def test_a_run_without_entries_of_later_versions_is_resumed(tmp_path: Path):
     assert config.pop("center")
     for drive in config["data"]:
         drive["slow"] = True  # as another version could write it
+        del drive["stated"]
     file.write_text(json.dumps(config))
     assert tune(DRIVES, out=tmp_path / "run", resume=True, **OPTIONS).cost > 0

@@ -16,6 +16,16 @@ START_RULE = (
     "10 m in at most 90 s)"
 )
 
+# Numbers of drive.toml that change a tuning or an evaluation but are not part of the fingerprint
+STATED = (
+    "gps_std_m",
+    "accel_noise_density",
+    "gyro_noise_density",
+    "accel_bias_walk",
+    "gyro_bias_walk",
+    "imu_stated_noise",
+)
+
 
 class DriveRecord(BaseModel):
     """Description of a drive in the file of a result."""
@@ -27,6 +37,7 @@ class DriveRecord(BaseModel):
     has_truth: bool | None = None
     imu_mounting_deg: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
     imu_axes: dict[str, str] = Field(default_factory=dict)
+    stated: dict[str, float | list[float]] = Field(default_factory=dict)  # the numbers `STATED` of drive.toml
     slow: bool = False  # True if the vehicle rarely travels far enough for the usual alignment
     sha256: str = ""
     receiver_std_m: float | None = None  # standard deviation of the fixes per axis, see `receiver_std`
@@ -48,6 +59,9 @@ def drive_record(drive: Drive) -> dict[str, Any]:
         "has_truth": drive.truth is not None,
         **({KEY: [*drive.mounting]} if drive.mounting else {}),
         **({AXES_KEY: axes} if (axes := axes_of(drive.metadata)) else {}),
+        "stated": {
+            key: np.asarray(drive.metadata[key], float).tolist() for key in STATED if key in drive.metadata
+        },
         **({"slow": True} if is_slow(drive) else {}),
         "sha256": fingerprint(drive),
     }

@@ -156,7 +156,8 @@ class CarProblem(Problem[FilterParameters]):
         described: list[dict[str, Any]] = []
         for entry, one, std in zip(self.data, self.sensors, self._shown_stds, strict=True):
             shown = {} if std is None else {"shown_std_m": rounded(std)}
-            described.append({**entry, "receiver_std_m": rounded(max(one.receiver_std)), **shown})
+            known = {key: value for key, value in entry.items() if value != {}}
+            described.append({**known, "receiver_std_m": rounded(max(one.receiver_std)), **shown})
         return described
 
     @property

@@ -10,6 +10,7 @@ The folder contains
 """
 
 import json
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self, cast
@@ -129,11 +130,24 @@ def _with_current_names(config: Any) -> Any:
 
 
 def _difference(key: str, saved: Any, wanted: Any) -> tuple[str, str]:
+    if key in ("data", "validation"):
+        for old, new in _same_drives(saved, wanted):
+            if old != new:
+                return _difference(printable(new["name"]), old, new)
     if isinstance(saved, dict) and isinstance(wanted, dict) and key not in ("data", "model"):
         old, new = cast(dict[str, Any], saved), cast(dict[str, Any], wanted)
         inner = next(k for k in sorted(old.keys() | new.keys()) if old.get(k) != new.get(k))
         return _difference(f"{key}.{inner}" if key else inner, old.get(inner), new.get(inner))
     return _short(key, saved), _short(key, wanted)
+
+
+def _same_drives(saved: Any, wanted: Any) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """Return pairs of the drives' records if both lists name the same drives with the same data; otherwise nothing."""
+    with suppress(LookupError, TypeError, ValueError):  # a damaged file lacks names or hashes
+        pairs = list(zip(saved, wanted, strict=True))
+        if all(old["name"] == new["name"] and old["sha256"] == new["sha256"] for old, new in pairs):
+            return pairs
+    return []
 
 
 def _short(key: str, value: Any) -> str:
@@ -145,15 +159,23 @@ def _short(key: str, value: Any) -> str:
     return f"{printable(key)} = {printable(value, MAX_LENGTH)}"
 
 
+def _drives(config: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    for drive in (*config.get("data", []), *config.get("validation", [])):
+        if isinstance(drive, dict):
+            yield cast(dict[str, Any], drive)
+
+
 def _require_same(file: Path, config: dict[str, Any]) -> dict[str, float] | None:
     """Raise `InputError` if a saved configuration differs; return the saved center of the first generation."""
     record = load_record(ConfigRecord, file, "not written by a tuning; choose another --out", infinite=True)
     saved, wanted = _with_current_names(record.model_extra), json.loads(json.dumps(config))
     center, _ = saved.pop(CENTER, None), wanted.pop(CENTER, None)
     for one in (saved, wanted):
-        for drive in (*one.get("data", []), *one.get("validation", [])):
-            if isinstance(drive, dict):
-                cast(dict[str, Any], drive).pop("slow", None)  # version 0.3.0 does not save it
+        for drive in _drives(one):
+            drive.pop("slow", None)  # version 0.3.0 does not save it
+    if not any("stated" in drive for drive in _drives(saved)):  # version 0.3.0 does not save it
+        for drive in _drives(wanted):
+            drive.pop("stated", None)
     if not same_results(record.versions, wanted.pop("versions", {})):
         made = list_names(" ".join(one) for one in record.versions.items())
         raise InputError(
