@@ -131,7 +131,12 @@ def test_a_drift_larger_than_the_baseline_s_names_a_safe_step(particles: int, in
     )
     (said,) = _larger_drifts(record)
     assert "drifts MORE than the baseline" in said.what and said.remedy.endswith(remedy)
-    assert ("other data (at least 40 s after its start); " in said.remedy) is (particles == 30)
+    assert ("a drive with at least 40 s after the filter's start; " in said.remedy) is (particles == 30)
+    for length, short in ((39.2, " (a-test has only 39 s); "), (40.0, "start; ")):
+        (said,) = _larger_drifts(record, ("a-test", length))
+        assert (f"40 s after the filter's start{short.removeprefix('start')}" in said.remedy) is (
+            particles == 30
+        )
     record.forecasts = forecasts[:1]
     assert not [*_larger_drifts(record)]
 

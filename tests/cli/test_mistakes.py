@@ -244,7 +244,7 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     "export-into-a-drive": (
         nothing,
         "export tuning.toml --to c99 --out good",
-        ["good: is in the drive ", "choose an --out outside of this folder"],
+        ["good: is a drive; choose an --out outside of this folder"],
     ),
     "export-a-drive": (
         nothing,
@@ -280,6 +280,11 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     "run-no-such-folder": (nothing, "run tuning.toml good --out no/x.csv", ["no", "no such folder"]),
     "run-out-is-a-folder": (folder("x.csv"), "run tuning.toml good --out x.csv", ["x.csv", "folder"]),
     "run-no-out": (nothing, "run tuning.toml good", ["--out is missing: specify a file for the result"]),
+    "run-log": (
+        folder("raw"),
+        "run tuning.toml raw --out x.csv",
+        ["raw: contains no drive; a drive is a folder with imu.csv, ", "; to make a drive from a log: "],
+    ),
     "run-two-drives": (nothing, "run tuning.toml good good --out x.csv", ["good"]),
     "run-negative-variance": (
         file(

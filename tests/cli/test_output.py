@@ -76,6 +76,8 @@ def test_remarks_of_a_tuning_are_printed_by_evaluate_as_by_tune(capsys: pytest.C
     drive = library.simulate("urban", duration=40.0, imu_rate=50.0, gps="white-1m")
     evaluation = library.evaluate([replace(drive, name="my-drive")], baseline_of(drive, "planar8", []))
     remarks = to_do("tune on more drives", "errors differ"), "on my-drive, R is a compromise. It is 2 m"
+    print_evaluation(Output(verbose=False), evaluation, remarks, ["the filter drifts MORE"])
+    assert "\nThe filter drifts MORE.\n" in capsys.readouterr().out
     print_evaluation(Output(verbose=True), evaluation, remarks)
     said = capsys.readouterr().out
     assert "\n  to do    Errors differ.\n           -> tune on more drives\n" in said

@@ -318,3 +318,28 @@ def test_the_phone_with_a_wrong_mounting_gets_the_right_one(mount: str):
 )  # fmt: skip
 def test_repairs_that_leave_two_sensors_with_different_axes(repairs: list[Repair], different: bool):
     assert leave_different_axes(drive_of("simulated short"), repairs) == different
+
+
+def test_faults_of_the_axes_that_are_not_repaired_do_not_dismiss_a_late_clock():
+    """The IMU is turned by -90 deg, gz has the wrong sign, and the fixes are 0.4 s late."""
+    good = sigmaswarm.simulate("urban", run=9, duration=200.0, imu_rate=50.0, gps="white-1m", gps_rate=1.0)
+    i = good.imu
+    turned = replace(i, ax=-i.ay, ay=i.ax, gx=-i.gy, gy=i.gx, gz=-i.gz)
+    drive = replace(good, imu=turned, gps=replace(good.gps, time=good.gps.time + 0.4), truth=None)
+    found = {f.code: f for f in sigmaswarm.diagnose(drive).findings if f.severity == "serious"}
+    assert found.keys() == {"mounting", "gyro-sign", "clock-offset"}
+    known = "if you know that this fault exists, "
+    assert found["mounting"].remedy.startswith(
+        f"{known}rotate all six axes: import with --mount 0,0,-90, and check"
+    )
+    assert found["gyro-sign"].remedy.startswith(f"{known}change the sign of gz, and check again; or ")
+    assert found["clock-offset"].remedy.startswith(
+        "correct the IMU's axes and check again; then subtract 0.4"
+    )
+    mended = sigmaswarm.repair(drive, sigmaswarm.diagnose(drive))
+    assert "withheld" not in mended.metadata
+    # The remedies work: with gz corrected, the doctor repairs the other faults.
+    known = replace(drive, imu=replace(turned, gz=-turned.gz))
+    mended = sigmaswarm.repair(known, sigmaswarm.diagnose(known))
+    assert {*mended.metadata["repaired"]} >= {"mounting", "clock-offset"}
+    assert not sigmaswarm.diagnose(mended).serious

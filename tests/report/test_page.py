@@ -362,6 +362,16 @@ def test_without_truth_the_page_contains_the_drift_and_no_empty_columns(
     assert [row[1] for row in scores.rows] == ["tuned UKF", "baseline", "fixes alone"]
     assert "NEES" not in report.sections[2].text[0]
     assert not any("without truth" in sentence for sentence in read_report(folders[1]).lead)
+    tuning = tmp_path / "e" / "tuning.toml"
+    drifts = [(5.0, 3.0, 2.0, 9.0), (30.0, 7.13, 6.36, 59.4)]
+    names = "length_s", "tuned_m", "baseline_m", "fixes_alone_m"
+    forecasts = [dict(zip(names, one, strict=True)) for one in drifts]
+    tuning.write_text(tomli_w.dumps(tomllib.loads(tuning.read_text()) | {"forecasts": forecasts}))
+    (larger,) = (remark for remark in read_report(tmp_path / "e").remarks if "MORE" in remark)
+    assert larger == (
+        "On the training drives, the tuned filter drifts MORE than the baseline in outages of 30 s (7.13 m instead "
+        "of 6.36 m); this evaluation can't check it."
+    )
 
 
 def test_the_commands_contain_the_given_options(folders: tuple[Path, Path, Evaluation]):

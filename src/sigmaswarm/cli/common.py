@@ -92,7 +92,8 @@ def require_result_folder(
         if out.resolve() in (Path(source).resolve(), Path(source).resolve().parent):
             raise InputError(f"{out}: contains {source}, which this command reads; choose another --out")
     if around := drive_around(out.resolve()):
-        raise InputError(f"{out}: is in the drive {around}; choose an --out outside of this folder")
+        what = "a drive" if around == out.resolve() else f"in the drive {around}"
+        raise InputError(f"{out}: is {what}; choose an --out outside of this folder")
     if earlier_result(out, kind, mark, alone=alone) != frozenset() and not overwrite:
         free = f"choose another folder, for example --out {quote(str(free_path(out)))}"
         article = "an" if kind[0] in "aeiou" else "a"

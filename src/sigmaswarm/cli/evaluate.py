@@ -125,7 +125,8 @@ def evaluate(
     remarks = [one for one in (record.result.warnings if record.result else ()) if one not in record.unusable]
     more = name_training_files(remarks, training_drives, drives)
     details = Output(verbose=True, silent=True)
-    print_evaluation(details, result, more)
+    unconfirmed = record.unconfirmed_drifts(result.view.outage_lengths())
+    print_evaluation(details, result, more, unconfirmed)
     written = (
         save_evaluation(result, out, tuning, learned and learned.save, details=details.text) if out else []
     )
@@ -134,7 +135,7 @@ def evaluate(
         warn_of_unusable(tuning, record)
         return
     output = Output(verbose=options.verbose)
-    print_evaluation(output, result, more)
+    print_evaluation(output, result, more, unconfirmed)
     if written:
         names = ": " + ", ".join(path.name for path in written) if options.verbose else ""
         output.show(f"wrote {len(written)} files to {out}{names}")
@@ -143,10 +144,13 @@ def evaluate(
     output.next(*_next_steps(out, remedies, export), place=out / DETAILS_FILE if out else "")
 
 
-def print_evaluation(output: Output, evaluation: "Evaluation", more: Iterable[str] = ()) -> None:
+def print_evaluation(
+    output: Output, evaluation: "Evaluation", more: Iterable[str] = (), unconfirmed: Iterable[str] = ()
+) -> None:
     """Print the mean scores and the first sentences; details are the other tables and sentences.
 
-    ``more``: additional sentences, for example the warnings of the tuning.
+    ``more``: additional sentences, for example the warnings of the tuning. ``unconfirmed``: drifts that are larger than
+    the baseline's on the training drives, and that the evaluation does not contain.
     """
     from sigmaswarm.scoring.methods import LEGEND
     from sigmaswarm.scoring.remarks import describe_drives
@@ -160,6 +164,7 @@ def print_evaluation(output: Output, evaluation: "Evaluation", more: Iterable[st
         table.to_rich(grouped=True),
         LEGEND,
         *view.missing_scores(),
+        *map(as_sentence, unconfirmed),
         "",
         *map(Remark.of, sentences[:MAX_SENTENCES]),
     )

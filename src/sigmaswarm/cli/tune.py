@@ -118,7 +118,12 @@ def tune(
     """
     again = options.resume or not (out / "tuning.toml").exists()
     require_result_folder(
-        out, [options.start], "tuning", "config.json", overwrite=again, option="--resume to print it again"
+        out,
+        [options.start],
+        "tuning",
+        "config.json",
+        overwrite=again,
+        option="--resume (same drives and options) to print it again",
     )
     remedies = None if options.trust_log else list[Remedy]()
     with cluster_at(options.cluster) as client:
@@ -199,27 +204,47 @@ def _print_tuning(output: Output, tuning: "Tuning[Any]", track: "FirstTrack", gi
         output.show(record.drifts.to_rich(), LEGEND, "")
     if position := describe_first_track(track):
         output.show(Remark.of(as_sentence(position)))
-    output.show(*_larger_drifts(record))
+    output.show(*_larger_drifts(record, _other_part(folders, record)))
     remarks = [name_files(remark, folders) for remark in tuning.remarks if remark not in record.unusable]
     output.show(*(Remark.of(remark) for remark in remarks if remark.startswith(TO_DO)))
     output.details("note", *(Remark.of(remark, "note") for remark in remarks if not remark.startswith(TO_DO)))
     output.details("the cost", *filter(None, (record.training, record.racing)))
 
 
-def _larger_drifts(record: "TuningRecord") -> Iterator[Remark]:
+def _larger_drifts(record: "TuningRecord", proposed: tuple[str, float] | None = None) -> Iterator[Remark]:
+    """Yield a warning for each method that drifts less than the tuned filter.
+
+    ``proposed``: name and duration (s) of the drive in the proposed evaluation.
+    """
     from sigmaswarm.scoring.targets import OUTAGE_FIRST_AFTER
 
     config, usual = record.config, TuneConfig.model_fields
     all_evaluations = usual["particles"].default * usual["generations"].default
     few = config["particles"] * config["generations"] < all_evaluations
     length = OUTAGE_FIRST_AFTER + max((one.length_s for one in record.forecasts), default=0.0)
+    enough = f"{length:g} s after the filter's start"
+    if proposed and proposed[1] < length:
+        enough += f" ({proposed[0]} has only {proposed[1]:.0f} s)"
     remedy = (
         "tune with the default --particles and --generations"
         if few
-        else f"evaluate the filter on other data (at least {length:g} s after its start); if its drift is also larger "
-        "there, tune on more or longer drives"
+        else f"evaluate the filter on a drive with at least {enough}; if its drift is also larger there, tune on more "
+        "or longer drives"
     )
     yield from (Remark("warning", as_sentence(text), remedy=remedy) for text in record.larger_drifts)
+
+
+def _other_part(folders: Sequence[Path], record: "TuningRecord") -> tuple[str, float] | None:
+    """Return name and duration (s) of the other part of the drive if the filter was tuned on one part of it."""
+    from sigmaswarm.cli.whole_drive import description_of
+    from sigmaswarm.drives.description import cut_of
+    from sigmaswarm.drives.split import name_of_other
+
+    if len(folders) != 1:
+        return None
+    name = name_of_other(record.data[0].name)
+    cut = cut_of(description_of(folders[0].parent / name))
+    return (name, float(cut["end_s"] - cut["start_s"])) if {"start_s", "end_s"} <= cut.keys() else None
 
 
 def _is_part(drive: "Drive") -> bool:

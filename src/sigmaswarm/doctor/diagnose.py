@@ -20,7 +20,7 @@ from sigmaswarm.doctor.checks.timing import check_clock, check_sampling, check_t
 from sigmaswarm.doctor.checks.velocity import check_velocity
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.findings import NO_ACTION, SEVERITIES, Diagnosis, Finding, finding_of
-from sigmaswarm.doctor.repairs import AXIS_ACTIONS, leave_different_axes
+from sigmaswarm.doctor.repairs import AXIS_ACTIONS, VERIFIED_ACTIONS, leave_different_axes
 from sigmaswarm.drives.checks import invalid_times, shortage_of
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
@@ -93,7 +93,7 @@ def _diagnosed(drive: Drive) -> Diagnosis:
         found = [f for f in found if f.code != "mounting-changed" or OR_BACKWARD not in f.what]
     of_axes = [f for f in found if f.repair and f.repair.action in AXIS_ACTIONS]
     if leave_different_axes(drive, [f.repair for f in of_axes if f.repair]):
-        found = [_of_one_sensor(f) if f in of_axes else f for f in found]
+        found = [_of_one_sensor(f) if f in of_axes else _after_the_axes(f) for f in found]
     withheld = drive.metadata.get("withheld", ())
     found = [_contradicted(finding) if finding.code in withheld else finding for finding in found]
     found.sort(key=lambda finding: SEVERITIES.index(finding.severity))
@@ -113,11 +113,22 @@ def _contradicted(finding: Finding) -> Finding:
 
 def _of_one_sensor(finding: Finding) -> Finding:
     """Withhold the repair of a finding, since all repairs would give accelerometers and gyro different axes."""
+    first, stop, more = finding.remedy.partition(". ")
     remedy = (
-        "check the IMU's axes, or split the drive if it begins in reverse. With the repairs of all findings, "
-        f"accelerometers and gyro would have different axes. If only this fault exists, {finding.remedy}"
+        f"if you know that this fault exists, {first}, and check again; or split the drive if it begins in reverse. "
+        "With the repairs of all findings, accelerometers and gyro would have different axes, so one finding may be "
+        f"a consequence of another fault{stop}{more}"
     )
     return replace(finding, remedy=remedy, repair=None)
+
+
+def _after_the_axes(finding: Finding) -> Finding:
+    """Withhold a repair that a filter verifies, since the filter's predictions are useless with wrong axes."""
+    if finding.repair is None or finding.repair.action not in VERIFIED_ACTIONS:
+        return finding
+    return replace(
+        finding, remedy=f"correct the IMU's axes and check again; then {finding.remedy}", repair=None
+    )
 
 
 def _of_part(found: Sequence[Finding], whole: str) -> Iterator[Finding]:

@@ -278,6 +278,9 @@ def _cut_ends(drive: Drive, begin: float, end: float) -> Drive:
 
 # actions that change the axes of the IMU
 AXIS_ACTIONS = {"rotate", "gyro", "tilt-rates", "accelerometer", "turn"}
+CLOCK_ACTIONS = {"shift-clock", "shift-fixes", "stretch-imu"}
+# actions that change the motion that a filter computes, so the predictions of a filter verify them
+VERIFIED_ACTIONS = CLOCK_ACTIONS | {"rotate", "gyro", "accelerometer", "turn", "level"}
 # In the order of application. Actions refer to rows by recorded times, and to fixes by corrected times.
 ACTIONS: dict[str, Callable[..., Drive]] = {
     "exchange-fixes": _exchange_fixes,

@@ -46,9 +46,13 @@ def drive_folders(path: Path) -> list[Path]:
         return [path]  # read_drive reports its faults
     inside = sorted(folder for folder in path.iterdir() if has_table(folder, "imu"))
     if not inside:
-        remedy = f"{A_DRIVE}; {import_remedy(path)}" if any(path.iterdir()) else A_DRIVE
-        raise DriveError(f"{path}: contains no drive; {remedy}")
+        raise _no_drive(path)
     return inside
+
+
+def _no_drive(path: Path) -> DriveError:
+    remedy = f"{A_DRIVE}; {import_remedy(path)}" if any(path.iterdir()) else A_DRIVE
+    return DriveError(f"{path}: contains no drive; {remedy}")
 
 
 def has_table(folder: Path, table: str) -> bool:
@@ -103,6 +107,8 @@ def read_with_warnings(location: Location) -> tuple[Drive, list[SigmaswarmWarnin
     if not is_url(location):
         folder, about = Path(location), Path(location) / "drive.toml"
         if folder.is_dir() and not (about.exists() or _drives_in(folder)) and any(folder.iterdir()):
+            if not (has_table(folder, "imu") or has_table(folder, "gps")):
+                raise _no_drive(folder)
             own = f"if the tables in the folder have the columns of a drive, {WRITE_IT}"
             raise DriveError(f"{about} is missing; {import_remedy(folder)}; {own}")
         return _read_folder(folder)

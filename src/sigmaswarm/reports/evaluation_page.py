@@ -81,6 +81,7 @@ def evaluation_report(
     verdicts = view.verdicts()
     remarks = [*view.warnings(), *view.findings()]
     remarks += [verdicts[kind] for kind in WARNING_VERDICTS if kind in verdicts]
+    remarks += map(as_sentence, record.unconfirmed_drifts(view.outage_lengths()))
     of_tuning = record.result.remarks if record.result else ()
     remarks += [as_sentence(remark) for remark in of_tuning if remark not in NOT_VALIDATED_TEXTS]
     return Report(

@@ -9,6 +9,7 @@ import numpy as np
 from sigmaswarm.arrays import Array
 from sigmaswarm.doctor import repairs
 from sigmaswarm.doctor.findings import Diagnosis
+from sigmaswarm.doctor.repairs import CLOCK_ACTIONS, VERIFIED_ACTIONS
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.sensors import has_attitude, stated_std, white_noise
 from sigmaswarm.errors import SigmaswarmError, SigmaswarmWarning
@@ -17,9 +18,6 @@ from sigmaswarm.filters.presets import baseline_of
 from sigmaswarm.filters.run import run_innovations
 from sigmaswarm.scoring.batch import BatchScorer, PassOptions
 
-CLOCKS = {"shift-clock", "shift-fixes", "stretch-imu"}
-VERIFIED = CLOCKS | {"rotate", "gyro", "accelerometer", "turn", "level"}
-"""Repairs of axes, signs, units and clocks, which change the motion that a filter computes."""
 MAX_ERROR_RATIO = 1.05
 """Largest accepted ratio (after / before) of forecast errors.
 
@@ -97,9 +95,11 @@ def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None =
 
 
 def _rejected(drive: Drive, diagnosis: Diagnosis) -> set[str]:
-    tested = {f.code for f in diagnosis.findings if f.repair is not None and f.repair.action in VERIFIED}
+    tested = {
+        f.code for f in diagnosis.findings if f.repair is not None and f.repair.action in VERIFIED_ACTIONS
+    }
     filters = [checking_filter(drive)] if tested else []
-    if {f.repair.action for f in diagnosis.findings if f.repair} & {*CLOCKS, "rotate"}:
+    if {f.repair.action for f in diagnosis.findings if f.repair} & {*CLOCK_ACTIONS, "rotate"}:
         # the baseline of the repaired drive's default filter
         model = "tilted12" if has_attitude(repairs.repair(drive, diagnosis)) else "planar8"
         filters.append(baseline_of(drive, model, ("lateral", "standstill", "robust")))
@@ -108,7 +108,7 @@ def _rejected(drive: Drive, diagnosis: Diagnosis) -> set[str]:
     while tested and np.isfinite(before).any():
         kept = _without(diagnosis, rejected)
         ratio = (_forecasts(repairs.repair(drive, kept), filters) / before)[~np.isnan(before)]
-        rotated = {f.repair.action for f in kept.findings if f.repair} & VERIFIED == {"rotate"}
+        rotated = {f.repair.action for f in kept.findings if f.repair} & VERIFIED_ACTIONS == {"rotate"}
         if (np.exp(np.mean(np.log(ratio))) if rotated else np.max(ratio)) <= MAX_ERROR_RATIO:
             break
         # The responsible repair is the one without which the predictions are best.

@@ -304,6 +304,12 @@ class EvaluationView:
         second = (*self.coverage(), *self.drifts(), *self.explanations())
         return tuple(dict.fromkeys((*first, *second)))
 
+    def outage_lengths(self) -> set[float]:
+        """Return the lengths, s, of the outages in which the tuned filter was measured."""
+        lengths = SHORT_OUTAGE_LENGTH, self.setup.outage_length_s, LONG_OUTAGE_LENGTH
+        known = zip(DRIFTS, lengths, strict=True)
+        return {length for m, length in known if self.scores.mean_of("tuned", m) is not None}
+
     def missing_scores(self) -> tuple[str, ...]:
         """Return a sentence for each drift that is missing for some drives, and for a missing heading error."""
         slow = f"did not exceed {MIN_HEADING_SPEED:g} m/s according to the truth"

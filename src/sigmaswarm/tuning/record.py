@@ -1,7 +1,7 @@
 """The files tuning.toml and convergence.csv."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -240,6 +240,13 @@ class TuningRecord(BaseModel):
     def larger_drifts(self) -> list[str]:
         """A sentence for each method that drifts less than the tuned filter."""
         return larger_drifts(self.forecasts)
+
+    def unconfirmed_drifts(self, lengths: Collection[float]) -> list[str]:
+        """Return a sentence for each larger drift on the training drives, in outages of other lengths (s)."""
+        rest = [one for one in self.forecasts if one.length_s not in lengths]
+        return [
+            f"on the training drives, {text}; this evaluation can't check it" for text in larger_drifts(rest)
+        ]
 
     def parameters(self, caption: str = "") -> Table:
         """Return the table of all parameters, with the range in which the cost increases by less than 1%."""
