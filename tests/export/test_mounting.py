@@ -202,6 +202,14 @@ def test_the_readme_of_the_c_contains_the_expressions_of_the_import(tmp_path: Pa
         *(f"{axis} = {axis} of gyro.csv" for axis in ("gx", "gy", "gz")),
     ]
     found = sigmaswarm.Tuning.load(tmp_path / "tuned")
+    level = replace(
+        found, data=[{k: v for k, v in one.items() if k != "imu_mounting_deg"} for one in found.data]
+    )
+    readme = sigmaswarm.export(level, "c99")["README.md"]
+    assert block in readme and "were rotated" not in readme  # the expressions are complete
+    several = replace(found, data=[*found.data, {**found.data[0], "imu_mounting_deg": [0.0, 0.0, 90.0]}])
+    readme = sigmaswarm.export(several, "c99")["README.md"]
+    assert "```text" not in readme and "were rotated" in readme
     differing = replace(found, data=[*found.data, {"name": "b", "imu_axes": {"ax": "x"}}])
     assert differing.imu_axes == {} and "```text" not in sigmaswarm.export(differing, "c99")["README.md"]
     degrees = replace(
@@ -215,7 +223,7 @@ def test_the_readme_of_the_c_contains_the_expressions_of_the_import(tmp_path: Pa
 
 
 def test_the_axes_contain_the_repairs_of_signs_and_units():
-    """The expressions lead from the columns of the log to the repaired axes; otherwise, they are absent."""
+    """The expressions lead from the columns of the log to the repaired axes, also after a rotation by the import."""
     sound = sigmaswarm.simulate("urban", duration=90.0, imu_rate=50.0, gps="white-1m")
     axes = {axis: f"{axis}_of_log" for axis in AXES}
     imu = replace(sound.imu, gz=-sound.imu.gz, **{n: getattr(sound.imu, n) / 9.80665 for n in AXES[:3]})
@@ -227,8 +235,16 @@ def test_the_axes_contain_the_repairs_of_signs_and_units():
         np.testing.assert_allclose(
             eval(text, {"radians": np.radians}, names), getattr(mended.imu, axis), rtol=1e-6
         )
-    turned = replace(wrong, metadata={**wrong.metadata, "imu_mounting_deg": [0.0, 0.0, 90.0]})
-    assert "imu_axes" not in sigmaswarm.repair(turned, sigmaswarm.diagnose(turned)).metadata
+    for angles in ((0.0, 0.0, 90.0), ANGLES):
+        turned = replace(wrong, metadata={**wrong.metadata, "imu_mounting_deg": [*angles]})
+        mended = sigmaswarm.repair(turned, sigmaswarm.diagnose(turned))
+        assert mended.mounting is None  # the expressions contain it
+        rotated = rotate_imu(wrong.imu, Rotation.from_euler("xyz", angles, degrees=True).as_matrix().T)
+        raw = {f"{axis}_of_log": getattr(rotated, axis) for axis in AXES}
+        assert {*mended.metadata["imu_axes"]} == {*AXES}
+        for axis, text in mended.metadata["imu_axes"].items():
+            expected = getattr(mended.imu, axis)
+            np.testing.assert_allclose(eval(text, {"radians": np.radians}, raw), expected, atol=1e-5)
     three = replace(sound.imu, az=None, gx=None, gy=None, ax=-sound.imu.ax, ay=-sound.imu.ay)
     names = {axis: axes[axis] for axis in ("ax", "ay", "gz")}
     backward = replace(sound, imu=three, metadata={**sound.metadata, "imu_axes": names})

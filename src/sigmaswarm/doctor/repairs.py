@@ -16,10 +16,10 @@ from sigmaswarm.doctor.findings import Diagnosis, Repair
 from sigmaswarm.doctor.fixes import with_exchanged_axes
 from sigmaswarm.doctor.mounting import rotate_imu
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.mounting import AXES_KEY, axes_of, with_rotation, without_axes
+from sigmaswarm.drives.mounting import AXES_KEY, NO_ROTATION, axes_of, with_rotation, without_axes
 from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.tables import NO_HEADING, Imu
-from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.geodesy import rotation_of, wrap_angle
 
 
 def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
@@ -99,11 +99,13 @@ def _directions(drive: Drive, repairs: Sequence[Repair]) -> tuple[Array, Array]:
 def _axes(drive: Drive, repairs: Sequence[Repair], rotation: Array | None) -> dict[str, dict[str, str]]:
     """Return the expressions of the IMU's axes after repairs of units or signs, for the metadata; {} if unknown.
 
-    The metadata's mounting describes a rotation, so the expressions contain only factors and signs before it.
+    If the repairs are a rotation, it is part of the metadata's mounting, and the expressions contain only factors and
+    signs before it. Otherwise the metadata has no mounting, and the expressions contain the earlier one.
     """
     stated, names = axes_of(drive.metadata), _names(drive.imu)
-    if not names <= stated.keys() or (rotation is None and drive.mounting is not None):
+    if not names <= stated.keys():
         return {}
+    earlier = rotation_of(*(drive.mounting or NO_ROTATION))
     imu, axes = _of_unit_vectors(drive, repairs), dict[str, str]()
     for sensor in "ag":
         there = [name for name in sorted(names) if name[0] == sensor]
@@ -113,11 +115,13 @@ def _axes(drive: Drive, repairs: Sequence[Repair], rotation: Array | None) -> di
             rows[:, own] = rotation[np.ix_(own, own)].T @ rows[:, own]
             if not np.allclose(rows, rows[0, own[0]] * np.eye(3)[own]):
                 return {}
+        else:
+            rows = rows[:, own] @ earlier[own]
         for name, row in zip(there, rows, strict=True):
-            (used,) = np.nonzero(np.abs(row) > 1e-9)
-            if len(used) != 1 or (source := sensor + "xyz"[used[0]]) not in stated:
+            factors = {sensor + "xyz"[k]: float(row[k]) for k in np.flatnonzero(np.abs(row) > 1e-9)}
+            if not factors or not factors.keys() <= names:
                 return {}
-            axes[name] = _scaled(stated[source], float(row[used[0]]))
+            axes[name] = " + ".join(_scaled(stated[source], factor) for source, factor in factors.items())
     return {AXES_KEY: axes}
 
 

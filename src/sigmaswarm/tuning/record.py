@@ -142,8 +142,9 @@ class TuningRecord(BaseModel):
 
     @property
     def for_export(self) -> dict[str, Any]:
-        """Arguments of `export_texts`."""
-        return {"as_recorded": self.as_recorded, "mounting": self.mounting, "imu_axes": self.imu_axes}
+        """Arguments of `export_texts`; without ``imu_axes`` if the drives have different rotations after them."""
+        axes = {} if self.mountings_differ else self.imu_axes
+        return {"as_recorded": self.as_recorded, "mounting": self.mounting, "imu_axes": axes}
 
     @property
     def unusable(self) -> list[str]:
