@@ -16,6 +16,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError, TuningStopped
 from sigmaswarm.files import write_atomically
+from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.scoring.batch import Scores
 from sigmaswarm.tuning.objectives import OBJECTIVES, Objective
@@ -225,6 +226,8 @@ def test_a_folder_with_results_needs_resume(started: Path):
     assert "already contains an unfinished tuning; add --resume" in refusal(DRIVES, started, **OPTIONS)
     with pytest.raises(InputError, match=r"out: has no finished tuning; add --resume to the command"):
         Tuning.load(started)
+    with pytest.raises(InputError, match=r"out: has no finished tuning; add --resume to the command"):
+        FilterParameters.load(started)
     (started.parent / "out-2").mkdir()
     for drives, options in ((DRIVES, {**OPTIONS, "seed": 4}), (DRIVES[:1], OPTIONS)):
         said = refusal(drives, started, **options)

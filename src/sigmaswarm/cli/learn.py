@@ -78,9 +78,9 @@ def learn(
 
 
 def _learn(network: NetworkName, tuning: Path, drives: list[str], options: LearnOptions) -> "LearnedRecord":
+    from sigmaswarm.filters.parameters import filter_file
     from sigmaswarm.learned.learn import LearnConfig
     from sigmaswarm.learned.learn import learn as train
-    from sigmaswarm.tuning.record import tuning_file
 
     require_tuning(
         tuning, f"pass a tuning first, as in sigmaswarm learn {network} TUNING {quote(str(tuning))}"
@@ -92,7 +92,7 @@ def _learn(network: NetworkName, tuning: Path, drives: list[str], options: Learn
         learned = train(
             LearnConfig(network, parameters, read, held_back, options.search, options.seed),
             options.out,
-            tuning=tuning_file(tuning),
+            tuning=filter_file(tuning),
             resume=options.resume,
             progress=lambda now: show(now.done, now.total, loss=f"{now.loss:.3f}"),
         )

@@ -326,18 +326,30 @@ def described(key: str) -> dict[str, Any]:
     return {f.name: f.metadata[key] for f in fields(FilterParameters) if f.metadata.get(key) is not None}
 
 
-def read_filter(path: Path) -> tuple[dict[str, Any], Path]:
-    """Read a TOML file with a filter, or the tuning.toml of a folder; return its content and its path."""
-    if path.is_dir():
+def filter_file(path: Path) -> Path:
+    """Return the tuning.toml of a folder; raise `InputError` for a drive, and for an interrupted tuning without it."""
+    if not path.is_dir():
+        return path
+    file = path / "tuning.toml"
+    if not file.exists():
         from sigmaswarm.drives.reader import has_table  # slow to import
 
-        if has_table(path, "imu") and not (path / "tuning.toml").exists():
+        if has_table(path, "imu"):
             raise InputError(
                 f"{path}: is a drive; pass a tuning, as written by sigmaswarm tune {path} --out tuned"
             )
-        path = path / "tuning.toml"
+        if (path / "config.json").exists() and not (path / "runs").exists():  # a comparison has runs
+            raise InputError(
+                f"{path}: has no finished tuning; add --resume to the command that made this folder, and run it again"
+            )
+    return file
+
+
+def read_filter(path: Path) -> tuple[dict[str, Any], Path]:
+    """Read a TOML file with a filter, or the tuning.toml of a folder; return its content and its path."""
+    file = filter_file(path)
     remedy, missing = "name a readable TOML file", "name a tuning.toml or the folder that contains it"
-    return read_content(path, remedy, missing=missing), path
+    return read_content(file, remedy, missing=missing), file
 
 
 SEARCHED: dict[str, SearchRange] = described("search")

@@ -45,7 +45,7 @@ from sigmaswarm.scoring.methods import FIXES, Measure, with_outages
 from sigmaswarm.scoring.records import EVALUATION, EVALUATION_FILE, write_checksums
 from sigmaswarm.scoring.tracks import CLOSE_UP_SIZE, MOVED, SHARES, Columns, Picture, Tracks
 from sigmaswarm.scoring.view import EvaluationView
-from sigmaswarm.tuning.record import FILE, HISTORY_FILE, tuning_file
+from sigmaswarm.tuning.record import FILE, HISTORY_FILE, filter_file
 from sigmaswarm.wording import list_names
 
 DRAWING_ORDER = [name for name, look in reversed(STYLES.items()) if look.visible]
@@ -87,7 +87,7 @@ def save_evaluation(
 
 def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
     """Copy tuning.toml, convergence.csv and seen.npz of a tuning into a folder; return the paths of the copies."""
-    file = tuning_file(tuning)
+    file = filter_file(tuning)
     written: list[Path] = []
     for name in (FILE, HISTORY_FILE, TRAINING_DATA_FILE):
         source = file if name == FILE else file.parent / name

@@ -17,7 +17,7 @@ from sigmaswarm.drives.overlap import TRAINING_DATA_FILE, Landmarks, load_landma
 from sigmaswarm.errors import InputError
 from sigmaswarm.file_sizes import require_text
 from sigmaswarm.filters.fixes_alone import MotionNoise
-from sigmaswarm.filters.parameters import FilterParameters, read_filter, units
+from sigmaswarm.filters.parameters import FilterParameters, filter_file, read_filter, units
 from sigmaswarm.filters.robot_yaml import YAML
 from sigmaswarm.record_files import load_record, to_record
 from sigmaswarm.tables import Cell, Column, Table
@@ -108,7 +108,7 @@ class TuningRecord(BaseModel):
     @classmethod
     def read(cls, path: Path) -> "TuningRecord":
         """Read a tuning.toml or the folder of a tuning; an ekf.yaml has no record of a tuning."""
-        return cls(filter={}) if path.suffix in YAML else load_record(cls, tuning_file(path))
+        return cls(filter={}) if path.suffix in YAML else load_record(cls, filter_file(path))
 
     @classmethod
     def of(cls, parameters: FilterParameters | None) -> "TuningRecord":
@@ -294,17 +294,6 @@ class TuningRecord(BaseModel):
 
 def _end(end: End | None) -> Cell:
     return "at the bound" if end == "-" else end
-
-
-def tuning_file(path: Path) -> Path:
-    """Return the tuning.toml of a folder; raise `InputError` for an interrupted tuning, which has none yet."""
-    if not path.is_dir():
-        return path
-    if (path / "config.json").exists() and not (path / FILE).exists():
-        raise InputError(
-            f"{path}: has no finished tuning; add --resume to the command that made this folder, and run it again"
-        )
-    return path / FILE
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from sigmaswarm.errors import InputError, warn_deprecated
 from sigmaswarm.files import write_atomically
 from sigmaswarm.filters.fixes_alone import MotionNoise
 from sigmaswarm.filters.models import MODELS
-from sigmaswarm.filters.parameters import FilterParameters, densities, units
+from sigmaswarm.filters.parameters import FilterParameters, densities, filter_file, units
 from sigmaswarm.record_files import read_content, to_record
 from sigmaswarm.tuning.bounds import TouchedBound
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
@@ -25,7 +25,7 @@ from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
 from sigmaswarm.tuning.diagnostics import DriftComparison
 from sigmaswarm.tuning.inflation import MAX_INCREASE, NOISE_SCALE, Sensitivity
 from sigmaswarm.tuning.objectives import parse_objective
-from sigmaswarm.tuning.record import NOT_VALIDATED, RANGES, TuningRecord, training_data_of, tuning_file
+from sigmaswarm.tuning.record import NOT_VALIDATED, RANGES, TuningRecord, training_data_of
 from sigmaswarm.tuning.search import Trial, saved_trials
 from sigmaswarm.tuning.space import SCALING, search_space
 from sigmaswarm.versions import versions
@@ -253,7 +253,7 @@ class Tuning(Generic[P]):
         InputError
             If the file can't be read, or is not the result of a tuning run.
         """
-        file = tuning_file(Path(path))
+        file = filter_file(Path(path))
         content = read_content(file)
         record = to_record(TuningRecord, content, file)
         result = record.result
