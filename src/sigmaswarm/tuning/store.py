@@ -28,6 +28,11 @@ from sigmaswarm.wording import list_names, printable
 MAX_LENGTH = 120  # characters of a value in a message
 
 
+DRIVES = (
+    "data",
+    "validation",
+    "test",
+)  # keys of a configuration with records of drives; "test": of a comparison
 CENTER = "center"
 """Key of the center of the first generation (values by parameter). Without it, that generation is uniform."""
 
@@ -130,7 +135,7 @@ def _with_current_names(config: Any) -> Any:
 
 
 def _difference(key: str, saved: Any, wanted: Any) -> tuple[str, str]:
-    if key in ("data", "validation"):
+    if key in DRIVES:
         for old, new in _same_drives(saved, wanted):
             if old != new:
                 return _difference(printable(new["name"]), old, new)
@@ -160,7 +165,7 @@ def _short(key: str, value: Any) -> str:
 
 
 def _drives(config: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    for drive in (*config.get("data", []), *config.get("validation", [])):
+    for drive in (drive for key in DRIVES for drive in config.get(key, [])):
         if isinstance(drive, dict):
             yield cast(dict[str, Any], drive)
 
