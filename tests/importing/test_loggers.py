@@ -801,3 +801,143 @@ def test_numbers_with_names_are_separated_by_the_named_command(tmp_path: Path, b
         imported(tmp_path / "serial.log")
     run(str(caught.value).partition("for example with: ")[2], tmp_path)
     assert len(imported(tmp_path / "new.csv").drive.imu) == len(TIME)
+
+
+@pytest.mark.parametrize("both", [0, 7])
+def test_sensors_in_separate_rows_of_a_table_are_joined(tmp_path: Path, both: int):
+    """The gyro has rows of its own, 3 ms after those of the accelerometer; ``both`` rows also have accelerations."""
+    rates, forces = (pl.DataFrame({"t": TIME, **{n: IMU[n] for n in AXES if n[0] == kind}}) for kind in "ga")
+    rates = rates.with_columns(
+        t=pl.when(pl.int_range(pl.len()) < both).then("t").otherwise(pl.col("t") + 3e-3)
+    )
+    fixes = pl.DataFrame({"t": FIXED + 5e-3, "lat": LAT, "lon": LON})
+    rows = forces.join(rates, on="t", how="full", coalesce=True)
+    pl.concat([rows, fixes], how="diagonal").sort("t").write_csv(tmp_path / "log.csv")
+    drive = as_proposed(tmp_path / "log.csv")
+    assert len(drive.imu) >= len(TIME) - 1 and abs(len(drive.gps) - len(FIXED)) < 3
+    for name in ("ax", "gz"):
+        exact = np.interp(drive.imu.time, TIME + 3e-3 * (name[0] == "g"), IMU[name])
+        assert np.median(np.abs(getattr(drive.imu, name) - exact)) < 0.02 * np.std(IMU[name])
+
+
+@pytest.mark.parametrize("names", ["{}-axis", "{}_value", "Value {}"])
+def test_axes_of_tables_that_are_named_after_a_sensor(tmp_path: Path, names: str):
+    """The dates of the accelerometer's table have an unknown format, so another column is the time."""
+    for kind, word, unit in (("a", "Accelerometer", "g"), ("g", "Gyroscope", "deg/s")):
+        axes = {
+            f"{names.format(i)} ({unit})": IMU[f"{kind}{i}"] / (G if kind == "a" else np.pi / 180)
+            for i in "xyz"
+        }
+        dates = [f"2024-05-01T12.{int(s) // 60:02d}.{s % 60:06.3f}" for s in TIME]
+        times = {"timestamp (+0200)": dates, "epoc (ms)": np.round((TIME + 1.7e9) * 1e3).astype(np.int64)}
+        write(tmp_path / f"MetaWear_{word}_50.000Hz_1.7.3.csv", times | axes)
+    write(tmp_path / "location.csv", {"time": FIXED + 1.7e9, "latitude": LAT, "longitude": LON})
+    require_same(as_proposed(tmp_path))
+
+
+@pytest.mark.parametrize("first", ['"sep=\t"', "sep=\t"])
+def test_a_row_of_units_below_unknown_names(tmp_path: Path, first: str):
+    names = [
+        "Shimmer_9DA1_Timestamp_Unix_CAL",
+        *(f"Shimmer_9DA1_{w}_{i}_CAL" for w in ("Accel_LN", "Gyro") for i in "XYZ"),
+    ]
+    units = ["ms", *["m/(s^2)"] * 3, *["deg/s"] * 3]
+    values = [(1.7e9 + TIME) * 1e3, *(IMU[n] * (180 / np.pi if n[0] == "g" else 1.0) for n in AXES)]
+    rows = ["\t".join(f"{v:.6f}" for v in row) for row in zip(*values, strict=True)]
+    (tmp_path / "imu.csv").write_text("\n".join([first, "\t".join(names), "\t".join(units), *rows]) + "\n")
+    write(tmp_path / "gps.csv", {"time": FIXED + 1.7e9, "lat": LAT, "lon": LON})
+    require_same(as_proposed(tmp_path))
+
+
+@pytest.mark.parametrize("suffix", [".dat", ".asc"])
+def test_a_folder_of_tables_of_another_suffix(tmp_path: Path, suffix: str):
+    tables = {"imu": {"t": TIME, **IMU}, "gps": {"t": FIXED, "lat": LAT, "lon": LON}}
+    for name, columns in tables.items():
+        np.savetxt(tmp_path / (name + suffix), np.column_stack([*columns.values()]), header=" ".join(columns))
+    require_same(as_proposed(tmp_path))
+
+
+def test_zero_bytes_around_a_cell_mean_nothing(tmp_path: Path):
+    write(tmp_path / "imu.csv", {"t": TIME, **IMU})
+    lines = (tmp_path / "imu.csv").read_text().splitlines()
+    text = "\n".join([*lines[:900], "\0" * 40 + lines[900], *lines[901:]])
+    (tmp_path / "imu.csv").write_text(text + "\0" * 400)
+    write(tmp_path / "gps.csv", {"t": FIXED, "lat": LAT, "lon": LON})
+    require_same(as_proposed(tmp_path))
+
+
+def test_padded_counts_get_the_scale_that_gravity_shows(tmp_path: Path):
+    """One family of names goes before another: axisRate has only one axis."""
+    counts = {f"accSmooth[{k}]": np.round(IMU[f"a{i}"] / G * 2048) for k, i in enumerate("xyz")}
+    counts |= {f"gyroADC[{k}]": np.round(np.degrees(IMU[f"g{i}"]) * 16.4) for k, i in enumerate("xyz")}
+    columns = {"time (us)": np.round(TIME * 1e6), "axisRate[0]": 0 * TIME, **counts}
+    cells = [[f"{int(v):>9}" for v in values] for values in columns.values()]
+    cells += [["" if v is None else f"{v:.8f}" for v in sparse(p)] for p in (LAT, LON)]
+    lines = [", ".join(row) for row in zip(*cells, strict=True)]
+    (tmp_path / "LOG1.csv").write_text("\n".join([", ".join([*columns, "lat", "lon"]), *lines]) + "\n")
+    maps = inspect_request(Request(tmp_path / "LOG1.csv")).settings["maps"]
+    assert maps["imu.az"] == "`accSmooth[2]`*9.80665/2048" and "gyroADC[0]" in maps["imu.gx"]
+
+
+def test_fixes_in_the_rows_of_an_imu_have_its_time(tmp_path: Path):
+    columns = {"TimeGroup.TimeStartup": np.round(TIME * 1e9).astype(np.int64)}
+    columns |= {f"ImuGroup.Accel.{i}": IMU[f"a{i.lower()}"] for i in "XYZ"}
+    columns |= {f"ImuGroup.AngularRate.{i}": IMU[f"g{i.lower()}"] for i in "XYZ"}
+    place = {"GnssGroup.PosLla.Lat": sparse(LAT), "GnssGroup.PosLla.Lon": sparse(LON)}
+    write(tmp_path / "vn.csv", columns | {n: v.fill_null(strategy="forward") for n, v in place.items()})
+    require_same(as_proposed(tmp_path / "vn.csv"))
+
+
+@pytest.mark.parametrize("name", ["gps_id", "I", "receiver"])
+def test_of_alternating_receivers_the_first_is_read(tmp_path: Path, name: str):
+    write(tmp_path / "imu.csv", {"t": TIME, **IMU})
+    numbers = [np.full(len(FIXED), k) for k in (0, 1)]
+    frames = [
+        pl.DataFrame({"t": FIXED + 0.03 * k[0], name: k, "lat": LAT + 2e-5 * k, "lon": LON}) for k in numbers
+    ]
+    pl.concat(frames).sort("t").write_csv(tmp_path / "gps.csv")
+    require_same(as_proposed(tmp_path))
+    assert any("several receivers alternate" in note for note in imported(tmp_path).notes)
+
+
+def test_codes_of_an_imu_in_rows_of_equal_length_are_kinds(tmp_path: Path):
+    """The remedies lead to the drive: separate files, and headers for them."""
+    rows = [
+        (t, f"{t:.3f},{code},{','.join(f'{v:.9f}' for v in values)}")
+        for code, letter in (("ACC", "a"), ("GYR", "g"))
+        for t, values in zip(TIME, np.column_stack([IMU[f"{letter}{i}"] for i in "xyz"]), strict=True)
+    ]
+    rows += [
+        (t + 1e-3, f"{t + 1e-3:.3f},GPS,{a:.9f},{o:.9f},500.0")
+        for t, a, o in zip(FIXED, LAT, LON, strict=True)
+    ]
+    (tmp_path / "log.csv").write_text("\n".join(row for _, row in sorted(rows)) + "\n")
+    with pytest.raises(InputError, match="rows of several kinds") as caught:
+        imported(tmp_path / "log.csv")
+    run(str(caught.value).partition("run: ")[2].partition(", and import")[0], tmp_path)
+    with pytest.raises(InputError, match="write headers") as caught:
+        imported(tmp_path / "kinds")
+    run(str(caught.value).partition("suggest: ")[2].partition(", and import")[0], tmp_path)
+    require_same(as_proposed(tmp_path / "kinds" / "named"))
+
+
+def test_sentences_of_a_board_are_separated_by_the_named_command(tmp_path: Path):
+    lines, place = [], dict(zip(NEW.tolist(), range(len(NEW)), strict=True))
+    for k, row in enumerate(np.column_stack([TIME * 1e3, *IMU.values()])):
+        lines.append("$PIMU," + ",".join(f"{v:.6f}" for v in row) + "*2F")
+        if k in place:
+            lines.append(
+                f"$GPRMC,1000{place[k] // 5:02d}.{place[k] % 5 * 2}0,A,4600.0,N,00700.0,E,1.0,2.0,010524,,,A*00"
+            )
+    (tmp_path / "log.nmea").write_text("\n".join(lines) + "\n")
+    with pytest.raises(InputError, match=r"sentences \$PIMU may be IMU samples") as caught:
+        imported(tmp_path / "log.nmea")
+    run(str(caught.value).partition("with: ")[2].partition(", and import")[0], tmp_path)
+    got = pl.read_csv(tmp_path / "imu.csv", has_header=False).to_numpy()
+    np.testing.assert_allclose(got[:, 1:], np.column_stack([*IMU.values()]), atol=1e-6)
+
+
+def test_a_truth_that_is_named_with_gps_is_read_as_fixes(tmp_path: Path):
+    write(tmp_path / "imu" / "imu.csv", {"t": TIME, **IMU})
+    write(tmp_path / "ground_truth.csv", {"t": FIXED, "lat": LAT, "lon": LON, "yaw": 0 * FIXED})
+    require_same(as_proposed(tmp_path / "imu", gps=tmp_path / "ground_truth.csv"))

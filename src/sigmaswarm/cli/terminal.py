@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
     from sigmaswarm.tuning.search import Progress as TuningProgress
 
-MAX_LINE_LENGTH = 600  # characters of an error or warning; longer messages are shortened
+# characters of an error or warning; a longer message is shortened, and a command in it would no longer work
+MAX_LINE_LENGTH = 2000
 MIN_COLUMNS = 20  # characters, smallest width of a terminal in which tables are readable
 
 

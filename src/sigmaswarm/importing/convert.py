@@ -164,7 +164,9 @@ def complete_recipe(request: Request, guesses: Guesses) -> Recipe:
                 columns = {k: v for k, v in part.columns.items() if k in COLUMNS["truth"]}
                 parts = (*parts, Part(part.table, columns))
         if not parts and role == "gps" and request.gps:
-            parts = guessed.get("truth", ())
+            for part in guessed.get("truth", ()):
+                columns = {k: v for k, v in part.columns.items() if k in COLUMNS["gps"]}
+                parts = (*parts, Part(part.table, columns))
         roles[role] = request.recipe.roles.get(role, parts)
     mine: list[Role] = [role for role in ROLES if request.time and request.home(role) == request.source]
     times = dict.fromkeys(mine, request.time or "")

@@ -113,12 +113,14 @@ def _texts(path: Path, form: str) -> list[Path]:
     """List the text files whose size and line count must be checked here; empty if the format's reader checks them."""
     if path.is_file():
         return [path] if form in _TEXTS and first_bytes(path, 4) not in (b"PAR1", b"PK\3\4") else []
+    tables = _reader("csv")
     inside = (
         path.rglob("*")
         if form in ("kitti", "comma2k19")
-        else (*path.iterdir(), *_reader("csv").files_of_sensors(path))
+        else (*path.iterdir(), *tables.files_of_sensors(path))
     )
-    for file in (files := sorted(file for file in inside if file.suffix.lower() in (".csv", ".tsv", ".txt"))):
+    texts = (".csv", ".tsv", ".txt", *(tables.OTHER_SUFFIXES if form == "csv" else ()))
+    for file in (files := sorted(file for file in inside if file.suffix.lower() in texts)):
         require_regular(file)
     return [file for file in files if file.is_file() and first_bytes(file, 4) != b"PAR1"]
 

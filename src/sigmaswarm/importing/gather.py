@@ -6,6 +6,7 @@ from shlex import quote
 
 import numpy as np
 import polars as pl
+from scipy.sparse.csgraph import connected_components
 
 from sigmaswarm.arrays import Array
 from sigmaswarm.errors import InputError
@@ -32,6 +33,8 @@ MAX_TIMELESS_ROWS = 10
 MIN_PLACEHOLDER_DISTANCE = 10
 # Smallest 5% quantile of the magnitude of a specific force with gravity, relative to its upper quartile
 MIN_FORCE = 0.3
+# Smallest share of the rows of a column in which another column of the same sensor also has a value
+MIN_COMMON_ROWS = 0.5
 
 
 def with_row_numbers(frame: pl.DataFrame, first: int = 0) -> pl.DataFrame:
@@ -104,6 +107,26 @@ class PartColumns:
         columns = {name: whole[name].fill_null(np.nan) for name in whole.columns[1:]}
         time = whole["t"].to_numpy().astype(np.int64)
         return time, {name: column.to_numpy().astype(np.float64) for name, column in columns.items()}
+
+    def separated(self) -> "list[PartColumns]":
+        """Return a part for each group of columns that have values in the same rows; two sensors may share a table.
+
+        The part with the most rows is the first. Columns belong together if half of the rows of one have both.
+        """
+        whole = pl.concat(self.rows) if self.rows else pl.DataFrame({"t": []})
+        known = whole.drop("t").select(pl.all().is_finite().fill_null(False)).cast(pl.Float64).to_numpy()
+        common = known.T @ known  # number of rows with both columns
+        least = np.minimum.outer(np.diag(common), np.diag(common))
+        count, group = connected_components(common >= np.maximum(MIN_COMMON_ROWS * least, 1))
+        names = [[n for n, g in zip(whole.columns[1:], group, strict=True) if g == k] for k in range(count)]
+        pieces = [
+            whole.select("t", *some).filter(pl.any_horizontal(pl.col(some).is_finite())) for some in names
+        ]
+        pieces = sorted(filter(len, pieces), key=len, reverse=True)
+        if len(pieces) < 2:
+            return [self]
+        self.rows = pieces[:1]
+        return [self, *(PartColumns(self.part, self.expressions, [piece]) for piece in pieces[1:])]
 
     def _require_numbers(self, frame: pl.DataFrame, log: Log) -> None:
         texts = {c for e in self.expressions.values() for c in e.numbers if frame.schema[c] == pl.String}

@@ -46,6 +46,8 @@ _OF_TRUTH = re.compile(
     re.IGNORECASE,
 )
 _MAYBE_TRUTH = re.compile(r"ref", re.IGNORECASE)
+# Names of axes in a table named after a sensor
+_AXIS = r"(?:value_|axis_)?([xyz])(?:_value|_axis)?"
 FORCES = re.compile(r"acc", re.IGNORECASE)
 RATES = re.compile(r"gyr|ang(?:ular)?_?(?:vel|rate)|rotation_?rate|rotationrate", re.IGNORECASE)
 PLACES = re.compile(r"gps|gnss|fix|location|position", re.IGNORECASE)
@@ -88,6 +90,14 @@ _SENSOR_NUMBER = (
     "i|instance|index|id|address|serial|"
     "(?:imu|sensor|device|dev|node|unit)(?:_?(?:id|no|nr|number|index|instance|name))?"
 )
+_RECEIVER_NUMBER = (
+    "i|instance|(?:gps|gnss|receiver|antenna)_?(?:id|no|nr|number|index|instance|name)?|(?:sensor|device)_?id"
+)
+# For each role: columns that are filled in the rows of a sensor, names of its number, and the name of the sensor
+_NUMBERED: dict[str, tuple[tuple[str, ...], str, str]] = {
+    "imu": (("ax", "gz"), _SENSOR_NUMBER, "IMU"),
+    "gps": (("lat", "x"), _RECEIVER_NUMBER, "receiver"),
+}
 MAX_SENSORS = 8  # largest number of IMUs in such a table
 MIN_CHANGES = 0.1  # smallest fraction of rows whose sensor differs from that of the previous row
 MAX_WORDS = 20  # largest number of different words in a column of flags
@@ -257,9 +267,9 @@ def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
     called = f"{table} {'_'.join(split_words(table))}"  # the name, and its words in English
     letter = "a" if FORCES.search(called) else "g" if RATES.search(called) else ""
     if letter and not columns.has("lat", "lon"):
-        for axis in "xyz":
-            if axis in columns:
-                columns.names.setdefault(f"{letter}{axis}", columns.names.pop(axis))
+        for name in read_names(frame.columns):
+            if axis := re.fullmatch(_AXIS, name.meaning if name.meaning in {*"xyz"} else name.plain):
+                columns.names.setdefault(f"{letter}{axis[1]}", name)
     turned = "q" in columns and columns.names["q"].plain == "w"  # x, y, z are those of a quaternion
     posed = "x" in columns and columns.names["x"].plain.startswith("pose_")  # a pose is usually an estimate
     turned |= posed and not _RECEIVER.search(table)
@@ -366,8 +376,9 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
     elif role in ("gps", "truth") and columns.has("x", "y") and (fault := degrees_as_meters(columns, role)):
         yield "lat", ColumnExpression("", fault=fault)
         located = True
-    if keep := _with_fix(columns) if role == "gps" else _of_first_sensor(columns) if role == "imu" else None:
-        yield "keep", keep
+    kept = [_of_first_sensor(columns, role)] if role in _NUMBERED else []
+    if kept := list(filter(None, [*kept, _with_fix(columns) if role == "gps" else None])):
+        yield "keep", kept[0] if len(kept) == 1 else _both(*kept)
     skipped = {"lat", "lon"} | ({"x", "y"} if located else set())
     # "heading" is the course of a receiver with one antenna, unless the table also has a course or a std_heading
     heads = role == "gps" and "bearing" in columns and columns.names["bearing"].is_one("heading")
@@ -392,13 +403,19 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
         yield from _std_of_messages(columns.frame.columns)
 
 
-def _of_first_sensor(columns: Columns) -> ColumnExpression | None:
-    """Return the condition of the rows of the first IMU if the rows of several IMUs alternate in a table."""
-    axes = [name.column for what, name in columns.names.items() if what in ("ax", "gz")]
+def _both(first: ColumnExpression, second: ColumnExpression) -> ColumnExpression:
+    texts = filter(None, (first.expression, second.expression))
+    return ColumnExpression(" and ".join(texts), "; ".join(filter(None, (first.note, second.note))))
+
+
+def _of_first_sensor(columns: Columns, role: Role) -> ColumnExpression | None:
+    """Return the condition of the rows of the first sensor if the rows of several sensors alternate in a table."""
+    keys, numbers, several = _NUMBERED[role]
+    axes = [name.column for what, name in columns.names.items() if what in keys]
     rows = columns.frame.drop_nulls(axes)
     for name in read_names(rows.columns) if axes else ():
         cells, column = rows[name.column], quoted_column(name.column)
-        if not name.is_one(_SENSOR_NUMBER) or not (cells.dtype.is_integer() or cells.dtype == pl.String):
+        if not name.is_one(numbers) or not (cells.dtype.is_integer() or cells.dtype == pl.String):
             continue
         cells = cells.drop_nulls()
         sensors = [repr(v) for v in cells.unique().sort()]
@@ -409,8 +426,8 @@ def _of_first_sensor(columns: Columns) -> ColumnExpression | None:
             and all(re.fullmatch(r"\w+|'[\w .:-]*'", s) for s in sensors)
         ):
             one, another = (f"{column} == {sensor}" for sensor in sensors[:2])
-            note = f"the rows of several IMUs alternate, and those with {one} are read"
-            return ColumnExpression(one, f'{note}; for another IMU write --map "imu.keep={another}"')
+            note = f"the rows of several {several}s alternate, and those with {one} are read"
+            return ColumnExpression(one, f'{note}; for another {several} write --map "{role}.keep={another}"')
     return None
 
 

@@ -270,7 +270,9 @@ def _proposal(
             len(of) and (of > 0).all() for of in steps
         ):  # a counter is better than row numbers
             time = _time_of_fixes(logs[path], table, logs[home], places, fixes.get("t", ""))
-        found |= {"imu": {"t": time, **found.get("imu", {})}} if time else {}
+        shared = used["gps"][:2] == (path, table) and "t" not in fixes
+        for role in ("imu", "gps")[: 1 + shared] if time else ():
+            found[role] = {"t": time, **found.get(role, {})}
     return Proposal(tables, found) if found else None
 
 

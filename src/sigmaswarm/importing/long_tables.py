@@ -1,17 +1,20 @@
 """Propose a command that converts a long table, in which a column names the kind of each row."""
 
 import re
+from collections import Counter
 from pathlib import Path
 from shlex import quote
 
 import polars as pl
 
-from sigmaswarm.importing.names import is_time, read_names
+from sigmaswarm.importing.names import is_time, read_name, read_names
 from sigmaswarm.importing.source import Log, first_bytes
 from sigmaswarm.importing.table_columns import column_numbers
 from sigmaswarm.wording import printable
 
 MAX_KINDS = 20
+# Sentences of a board's own; others are those of NMEA 0183, or of the makers of receivers
+_OWN = r"\$(?!PASHR|PUBX|PQTM|PMTK|PTNL|PSTM|PGRM|PSAT|PAIR)(?:P[A-Z]{2,}|[A-Z]*(?:IMU|ACC|GYR)[A-Z]*)"
 MIN_NUMBERS = 6  # smallest count of numbers in a row of an IMU
 
 
@@ -42,6 +45,12 @@ def describe_kinds(log: Log) -> str:
             name = f"'kinds/' + p.item(0, {kinds[0]!r}) + '.csv'"
             parts = f"[p.write_csv({name}) for p in f.partition_by({kinds[0]!r})]"
             command, then = f"{read};os.makedirs('kinds',exist_ok=True);{parts}", "import the folder kinds"
+            placed = (
+                n
+                for n, t in log.tables.items()
+                if {"lat", "lon"} <= {read_name(c).meaning for c in t.columns}
+            )
+            then += next((f" with --gps {quote(other)}" for other in placed if other != table), "")
         there = ", ".join(map(str, frame[kinds[0]].drop_nulls().unique(maintain_order=True)[:4]))
         return f'{table} has rows of several kinds ({there}); run: python -c "{command}", and {then}'
     return ""
@@ -60,14 +69,19 @@ def _is_kind(values: pl.Series) -> bool:
 
 
 def _between_sentences(path: Path) -> str:
-    """Describe rows of numbers between NMEA sentences, and a command that separates them; else ""."""
+    """Describe rows of numbers, or of a board's own, between NMEA sentences, and a command that separates them."""
     lines = first_bytes(path, 65536).decode("utf-8", "replace").split("\n")[:-1] if path.is_file() else []
-    rows = [line for line in lines if "$" not in line and len(re.findall(r"\d+\.?\d*", line)) >= MIN_NUMBERS]
-    sentences = sum(re.match(r"\$[A-Z]{5},", line) is not None for line in lines)
-    if not sentences or len(rows) < 0.2 * len(lines):
+    rows = [line for line in lines if len(re.findall(r"\d+\.?\d*", line)) >= MIN_NUMBERS]
+    sentences = [found[1] for line in lines if (found := re.match(r"\$([A-Z]{4,6}),", line))]
+    kinds = Counter(line.partition(",")[0] for line in rows if "$" in line)
+    own, count = next(((k, n) for k, n in kinds.most_common(1) if re.fullmatch(_OWN, k)), ("", 0))
+    rows = [line for line in rows if line.startswith(f"{own},") or (not own and "$" not in line)]
+    if not sentences or max(count, len(rows)) < 0.2 * len(lines):
         return ""
     name = quote(path.name)
+    what = f"the sentences {own}" if own else "the lines between the NMEA sentences"
+    command = rf"sed -nE 's/^[$]{own[1:]},([^*]*).*$/\1/p' {name}" if own else f"grep -av '[$]' {name}"
     return (
-        f"the lines between the NMEA sentences may be IMU samples ({printable(rows[0], 60)}); write them to a file "
-        f"with: grep -av '[$]' {name} > imu.csv, and import imu.csv with --gps {name}"
+        f"{what} may be IMU samples ({printable(rows[0], 60)}); write them to a file "
+        f"with: {command} > imu.csv, and import imu.csv with --gps {name}"
     )

@@ -21,7 +21,7 @@ _PARTS = _any_of(*PARTS_OF_SECONDS)
 TIME = _any_of(
     "t ts time time_?stamps?(?:_(?:unix|posix|utc))? stamp",
     "secs? seconds seconds_elapsed",
-    "date_?time utime epoch (?:unix|posix)(?:_?time)? utc",
+    "date_?time utime epoch? (?:unix|posix)(?:_?time)? utc",
     *PARTS_OF_SECONDS,
     f"interval (?:time|secs?|seconds|{_PARTS})_since_\\w{{1,20}} since_start",
     "loggingtime logging_time",

@@ -7,6 +7,7 @@ resulting drive correct signs, axes and units of the expressions.
 import math
 import re
 import shlex
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -71,6 +72,7 @@ NO_PLACE = {
     *("v", "vertical", "altitude", "alt", "height", "speed", "vel", "velocity", "time"),
     *("heading", "bearing", "course", "roll", "pitch"),
 }
+_AXIS = r"\W*[xyzXYZ012]\W*(?:[(\[].*)?$"  # axis and unit at the end of a name
 # Actions of repairs that can be written as expressions, in the order of application
 CORRECTED = ("rotate", "gyro", "tilt-rates", "accelerometer")
 # Largest difference from integers of the elements of a rotation that counts as a signed permutation of the axes
@@ -177,9 +179,11 @@ def propose_columns(
     """
     best: tuple[str, dict[str, str]] | None = None
     for table, names in tables.items():
-        meant = [m for m in map(meaning_of, names) if m and m.role == wanted and m.column not in known]
+        read = ((re.sub(_AXIS, "", name), meaning_of(name)) for name in names)
+        meant = [(stem, m) for stem, m in read if m and m.role == wanted and m.column not in known]
+        alike = Counter(stem for stem, _ in meant)
         chosen: dict[str, Meaning] = {}
-        for meaning in sorted(meant, key=lambda m: m.weak):
+        for _, meaning in sorted(meant, key=lambda pair: (pair[1].weak, -alike[pair[0]])):
             chosen.setdefault(meaning.column, meaning)
         found = {column: meaning.expression for column, meaning in chosen.items()}
         if all(m.weak for column, m in chosen.items() if column in ("ax", "ay", "az")):

@@ -233,14 +233,21 @@ def _prefixed(names: Sequence[Name], words: str) -> list[tuple[Name, str]]:
 
 
 def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> ColumnExpression | None:
-    """Find a column that is named like a time and is not always 0, preferably a changing one; else a running clock."""
+    """Find a column that is named like a time and is not always 0, preferably a changing one; else a running clock.
+
+    Dates of an unknown format are refused only if no other column is a time.
+    """
     times = [
         n for n in names if n.meaning == "t" and not (n.unit and n.unit.dimension == "speed")
     ]  # Tempo [km/h]
+    unread: ColumnExpression | None = None
     for name in sorted(times, key=lambda name: frame[name.column].n_unique() < 2):
         numbers = column_numbers(frame[name.column])
-        if not (len(numbers) > 1 and (numbers == 0).all()):
-            return column_time(name, frame, role)
+        if len(numbers) > 1 and (numbers == 0).all():
+            continue
+        if not (found := column_time(name, frame, role)).fault or len(numbers):
+            return found
+        unread = unread or found  # dates of an unknown format
     clocks = [
         n for n in names if n.is_one(CLOCK) and (step_of(frame[n.column]) > 0 or has_words(frame[n.column]))
     ]
@@ -249,7 +256,8 @@ def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> ColumnExp
     dated = [n for n in names if isinstance(frame.schema[n.column], pl.Datetime)]
     if running is None and (len(dated) == 1 or (names and _is_index(names[0], frame))):
         running = dated[0] if len(dated) == 1 else names[0]
-    return None if running is None else column_time(running, frame, role)
+    found = None if running is None else column_time(running, frame, role)
+    return unread if unread and (found is None or found.fault) else found
 
 
 def _is_index(name: Name, frame: pl.DataFrame) -> bool:

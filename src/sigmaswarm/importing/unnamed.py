@@ -18,7 +18,7 @@ from sigmaswarm.importing.time_units import column_time, date_time, step_of
 from sigmaswarm.importing.times import time_of
 from sigmaswarm.importing.units import G, in_si
 
-UNNAMED = re.compile(r"(?:c|.*_)\d+|.*\[\d+\]")
+UNNAMED = re.compile(r"(?:c|v|val|values?|data|d|ch|field|.*_)\d+|.*\[\d+\]", re.IGNORECASE)
 TIMES = ("received", "stamp")  # columns with the times of messages
 CLOCK = re.compile(r"t_?[a-z]{0,4}|time.*", re.IGNORECASE)  # names of times next to a matrix
 POSITIONS = re.compile(
@@ -42,6 +42,7 @@ def columns_by_values(frame: pl.DataFrame, role: Role) -> dict[str, str]:
         return found
     names = [name for name in frame.columns if UNNAMED.fullmatch(name)]
     others = [name for name in frame.columns if name not in (*names, *TIMES) and "." not in name]
+    others = [name for name in others if frame.schema[name] != pl.String or frame[name].n_unique() > 1]
     if len(frame) < 2 or any(not CLOCK.fullmatch(name) for name in others):
         return {}
     values = {name: frame[name].cast(pl.Float64, strict=False).to_numpy() for name in names}

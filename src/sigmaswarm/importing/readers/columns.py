@@ -38,6 +38,7 @@ from sigmaswarm.importing.times import time_of
 from sigmaswarm.wording import list_names, printable, quoted
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")
+OTHER_SUFFIXES = (".dat", ".asc", ".log")
 CHUNK = 100_000
 MAX_BREAK = 10.0  # s, longest time between files that are joined
 
@@ -55,7 +56,7 @@ def _packed(path: Path) -> list[PurePosixPath]:
 def _files(path: Path) -> list[Path]:
     if path.is_dir():
         here = [f for f in path.iterdir() if f.suffix.lower() in SUFFIXES and not is_empty(f)]
-        return sorted(here) or files_of_sensors(path)
+        return sorted(here) or files_of_sensors(path) or tables_of_other_names(path)
     return [path] if path.suffix.lower() in SUFFIXES else []
 
 
@@ -65,6 +66,12 @@ def files_of_sensors(folder: Path) -> list[Path]:
     names = "imu|gps|gnss|rtk|cam|leica|vicon|baro|mag|odom|wheel|state_groundtruth_estimate"
     sensors = [file for file in found if re.fullmatch(rf"(?:{names})\d", file.parent.name)]
     return sorted(file for file in sensors if file.is_file() and file.stat().st_size)
+
+
+def tables_of_other_names(folder: Path) -> list[Path]:
+    """Return the text tables in a folder whose suffix is none of `SUFFIXES`, such as imu.dat."""
+    found = (file for file in folder.iterdir() if file.suffix.lower() in OTHER_SUFFIXES and file.is_file())
+    return sorted(file for file in found if is_table(file))
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
@@ -162,6 +169,8 @@ def log_of_files(
 ) -> Log:
     """Make a log of scanned tables; if ``guessed`` is None, roles are guessed from columns."""
     tables = {name: Table(tuple(rows.collect_schema().names()), kind) for name, rows in scans.items()}
+    # a logger that loses power leaves zero bytes
+    stripped = pl.col(pl.String).str.strip_chars("\0").str.strip_chars()
 
     def batches(wanted: Wanted) -> Iterator[Batch]:
         for number, (table, columns) in enumerate(wanted.items()):
@@ -170,7 +179,11 @@ def log_of_files(
             try:
                 for frame in rows.collect_batches(chunk_size=CHUNK, maintain_order=True):
                     seen += len(frame)
-                    yield table, frame, (number + min(seen / max(size, seen), 1.0)) / len(wanted)
+                    yield (
+                        table,
+                        frame.with_columns(stripped),
+                        (number + min(seen / max(size, seen), 1.0)) / len(wanted),
+                    )
             except POLARS_ERRORS as error:
                 raise broken_table(path, table, error) from None
 
@@ -181,7 +194,6 @@ def log_of_files(
             if table not in scans and (joined := [r for r in remarks if table in r and "are joined" in r]):
                 raise InputError(f"there is no table {quoted(table)}: {joined[0]}; choose the first of them")
         heads = {name: collect(rows, path, name, spread_rows) for name, rows in scans.items()}
-        stripped = pl.col(pl.String).str.strip_chars()
         return guess_roles({name: head.with_columns(stripped) for name, head in heads.items()}, choice.tables)
 
     return Log(path, tables, batches, guess, list(remarks))

@@ -300,10 +300,10 @@ def _titles(line: str, separator: str) -> list[str]:
 
 
 def _are_units(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
-    """Return True if any cell of a line is a known unit, and the line has no more known names than the line above."""
-    units = [parse_unit(c.strip("[]() ")) for c in cells if c.strip()]
-    known = any(u is not None and (u.known or u.text.lower() in COUNTS) for u in units)
-    return known and _meanings(cells) <= _meanings(above)
+    """Return True if any cell of a line is a known unit, and its other cells have no more known names than above."""
+    units = {c: parse_unit(c.strip("[]() ")) for c in cells if c.strip()}
+    known = {c for c, u in units.items() if u is not None and (u.known or u.text.lower() in COUNTS)}
+    return bool(known) and _meanings([c for c in cells if c not in known]) <= _meanings(above)
 
 
 def _meanings(cells: Sequence[str]) -> int:
@@ -311,7 +311,7 @@ def _meanings(cells: Sequence[str]) -> int:
 
 
 def _with_unit(name: str, unit: str) -> str:
-    unit = unit.strip("[]() ")
+    unit = re.sub(r"^[\[(](.*)[\])]$", r"\1", unit.strip())
     return f"{name} [{unit}]" if unit else name
 
 

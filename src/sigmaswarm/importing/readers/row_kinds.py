@@ -22,6 +22,7 @@ NO_FIX: dict[str, str] = {
     "f": "t",
 }
 KIND_CELLS = 2  # the kind is in the first or second cell, perhaps after a time
+_SENSOR = re.compile("acc|gyr|imu", re.IGNORECASE)
 _WORD, _CODE = re.compile(r" *\$?([A-Za-z]\w*)(?= *$|:)"), re.compile(r" *(\d{1,3}|[A-Za-z]\w*) *$")
 
 
@@ -60,8 +61,8 @@ def _words(rows: Sequence[Sequence[str]]) -> set[str]:
 def _codes(rows: Sequence[Sequence[str]], place: int) -> set[str]:
     """Return the codes (words or numbers) in a column if they determine the lengths of the rows; else {}.
 
-    Rows with the same code must have the same length, and at least two codes must have different lengths. A row with
-    only a code and a time is not a separate kind.
+    Rows with the same code must have the same length, and at least two codes must have different lengths, unless one of
+    them names a sensor of an IMU. A row with only a code and a time is not a separate kind.
     """
     sizes: dict[str, set[int]] = {}
     for row in rows:
@@ -71,7 +72,8 @@ def _codes(rows: Sequence[Sequence[str]], place: int) -> set[str]:
         if len(row) > KIND_CELLS:
             sizes.setdefault(code[1], set()).add(len(row))
     known = [*sizes.values()]
-    fits = 1 < len(sizes) <= MAX_KINDS and all(len(of) == 1 for of in known) and len(set.union(*known)) > 1
+    fits = 1 < len(sizes) <= MAX_KINDS and all(len(of) == 1 for of in known)
+    fits = fits and (len(set.union(*known)) > 1 or any(map(_SENSOR.match, sizes)))
     return {*sizes} if fits else set()
 
 
