@@ -941,3 +941,63 @@ def test_a_truth_that_is_named_with_gps_is_read_as_fixes(tmp_path: Path):
     write(tmp_path / "imu" / "imu.csv", {"t": TIME, **IMU})
     write(tmp_path / "ground_truth.csv", {"t": FIXED, "lat": LAT, "lon": LON, "yaw": 0 * FIXED})
     require_same(as_proposed(tmp_path / "imu", gps=tmp_path / "ground_truth.csv"))
+
+
+@pytest.mark.parametrize("name", ["ax", "gz"])
+def test_a_sensor_at_half_the_rate_is_interpolated(tmp_path: Path, name: str):
+    """The table has its values in every second row, next to those of the other sensor."""
+    rows = pl.DataFrame({"t": TIME, **IMU}).with_row_index("row")
+    slow = [pl.when(pl.col("row") % 2 == 0).then(pl.col(n)).alias(n) for n in AXES if n[0] == name[0]]
+    fixes = {"lat": sparse(LAT), "lon": sparse(LON)}
+    rows.with_columns(*slow).drop("row").with_columns(**fixes).write_csv(tmp_path / "log.csv")
+    drive = imported(tmp_path / "log.csv").drive
+    assert len(drive.imu) >= len(TIME) - 1 and drive.imu.az is not None
+    error = np.abs(getattr(drive.imu, name) - np.interp(drive.imu.time, TIME, IMU[name]))
+    assert np.median(error) < 0.05 * np.std(IMU[name])
+
+
+def test_an_optional_axis_of_a_part_of_a_log_leaves_no_row_out(tmp_path: Path):
+    az = pl.Series(IMU["az"]).set(pl.int_range(len(TIME), eager=True) < len(TIME) // 2, None)
+    write(tmp_path / "log.csv", {"t": TIME, **IMU, "az": az, "lat": sparse(LAT), "lon": sparse(LON)})
+    drive = imported(tmp_path / "log.csv").drive
+    assert len(drive.imu) == len(TIME) and drive.imu.az is None
+
+
+def test_angles_of_the_attitude_are_no_rates(tmp_path: Path):
+    angles = {"roll": 0 * TIME, "pitch": 0 * TIME, "yaw": np.degrees(np.cumsum(IMU["gz"]) / 50)}
+    forces = {n: IMU[n] for n in AXES[:3]}
+    write(tmp_path / "log.csv", {"t": TIME, **angles, **forces, "lat": sparse(LAT), "lon": sparse(LON)})
+    seen = inspect_request(Request(tmp_path / "log.csv"))
+    assert not seen.works and "yaw" not in seen.proposal
+
+
+NAMES_OF_AXES = {
+    "raw": ("ax_raw ay_raw az_raw gx_raw gy_raw gz_raw", "lat lon"),
+    "capitals": ("ACCX ACCY ACCZ GYROX GYROY GYROZ", "GPSLAT GPSLON"),
+    "an acronym": ("AccX AccY AccZ GyroX GyroY GyroZ", "GPSLat GPSLong"),
+    "glued words": ("longacc latacc vertacc rollrate pitchrate yawrate", "latitude longitude"),
+}
+
+
+@pytest.mark.parametrize("form", NAMES_OF_AXES)
+def test_other_spellings_of_axes_and_places(tmp_path: Path, form: str):
+    axes, place = (names.split() for names in NAMES_OF_AXES[form])
+    cells = dict(zip([*axes, *place], [*IMU.values(), sparse(LAT), sparse(LON)], strict=True))
+    write(tmp_path / "log.csv", {"t": TIME, **cells})
+    require_same(as_proposed(tmp_path / "log.csv"))
+
+
+@pytest.mark.parametrize("cell", ["\\N", "-", "#N/A", "--", "NULL"])
+def test_marks_of_empty_cells(tmp_path: Path, cell: str):
+    fixes = {
+        n: [cell if v is None else f"{v:.9f}" for v in sparse(p)] for n, p in (("lat", LAT), ("lon", LON))
+    }
+    write(tmp_path / "log.csv", {"t": TIME, **IMU, **fixes})
+    require_same(as_proposed(tmp_path / "log.csv"))
+
+
+def test_two_stamps_of_single_precision_show_no_rate(tmp_path: Path):
+    write(tmp_path / "imu.csv", {"t": (1714557605 + TIME).astype(np.float32).astype(np.float64), **IMU})
+    write(tmp_path / "gps.csv", {"t": 1714557605 + FIXED, "lat": LAT, "lon": LON})
+    with pytest.raises(InputError, match=r'times of the imu are too coarse.*row/100" for 100 Hz'):
+        imported(tmp_path)

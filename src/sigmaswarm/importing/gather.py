@@ -1,6 +1,6 @@
 """Evaluate the expressions of a drive's columns for the batches of a log; leave out and count unusable rows."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from shlex import quote
 
@@ -33,8 +33,8 @@ MAX_TIMELESS_ROWS = 10
 MIN_PLACEHOLDER_DISTANCE = 10
 # Smallest 5% quantile of the magnitude of a specific force with gravity, relative to its upper quartile
 MIN_FORCE = 0.3
-# Smallest share of the rows of a column in which another column of the same sensor also has a value
-MIN_COMMON_ROWS = 0.5
+# Smallest share of the rows of the more frequent of two columns of a sensor in which both have a value
+MIN_COMMON_ROWS = 0.7
 
 
 def with_row_numbers(frame: pl.DataFrame, first: int = 0) -> pl.DataFrame:
@@ -108,23 +108,26 @@ class PartColumns:
         time = whole["t"].to_numpy().astype(np.int64)
         return time, {name: column.to_numpy().astype(np.float64) for name, column in columns.items()}
 
-    def separated(self) -> "list[PartColumns]":
+    def separated(self, required: Collection[str]) -> "list[PartColumns]":
         """Return a part for each group of columns that have values in the same rows; two sensors may share a table.
 
-        The part with the most rows is the first. Columns belong together if half of the rows of one have both.
+        The part with the most rows is the first. Optional columns that belong to no required column stay in it.
         """
         whole = pl.concat(self.rows) if self.rows else pl.DataFrame({"t": []})
-        known = whole.drop("t").select(pl.all().is_finite().fill_null(False)).cast(pl.Float64).to_numpy()
+        names = whole.columns[1:]
+        known = whole.select(pl.col(names).is_finite().fill_null(False)).cast(pl.Float64).to_numpy()
         common = known.T @ known  # number of rows with both columns
-        least = np.minimum.outer(np.diag(common), np.diag(common))
-        count, group = connected_components(common >= np.maximum(MIN_COMMON_ROWS * least, 1))
-        names = [[n for n, g in zip(whole.columns[1:], group, strict=True) if g == k] for k in range(count)]
-        pieces = [
-            whole.select("t", *some).filter(pl.any_horizontal(pl.col(some).is_finite())) for some in names
-        ]
-        pieces = sorted(filter(len, pieces), key=len, reverse=True)
-        if len(pieces) < 2:
+        most = np.maximum.outer(np.diag(common), np.diag(common))
+        group = connected_components(common >= np.maximum(MIN_COMMON_ROWS * most, 1))[1]
+        own = {k: [n for n, g in zip(names, group, strict=True) if g == k] for k in group}
+        sensors = [some for some in own.values() if not {*required}.isdisjoint(some)]
+        if len(sensors) < 2:
             return [self]
+        sensors.sort(key=lambda some: -int(common[names.index(some[0]), names.index(some[0])]))
+        sensors[0] += [n for n in names if not any(n in some for some in sensors)]
+        pieces = [
+            whole.select("t", *some).filter(pl.any_horizontal(pl.col(some).is_finite())) for some in sensors
+        ]
         self.rows = pieces[:1]
         return [self, *(PartColumns(self.part, self.expressions, [piece]) for piece in pieces[1:])]
 

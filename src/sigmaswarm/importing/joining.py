@@ -63,7 +63,7 @@ def join(
     ``recording`` is the number of the recording, counted from 1, if a clock restarts within a table.
     """
     if role == "imu":
-        parts = [piece for part in parts for piece in part.separated()]
+        parts = [piece for part in parts for piece in part.separated(required)]
     (time, values), *others = [_in_order(part, role, recording, say) for part in parts]
     times = (time, *(t for t, _ in others))
     spans = [(t[0] / SECOND, t[-1] / SECOND) if len(t) else EVER for t in times]

@@ -61,8 +61,8 @@ NAMES: tuple[tuple[str, str], ...] = (
     *((f"a{i}", f"(?:{_ACCELERATION})_?{i}") for i in "xyz"),
     *((f"g{i}", f"(?:{_RATE})_?{i}") for i in "xyz"),
     *((axis, f"{turn}_?rate") for turn, axis in TURNS.items()),
-    ("lat", "lat|latitude|gps_coord_x|(?:pos_)?lla_x"),
-    ("lon", "lon|lng|long|longitude|gps_coord_y|(?:pos_)?lla_y"),
+    ("lat", "(?:gps|gnss)?(?:lat|latitude)|gps_coord_x|(?:pos_)?lla_x"),
+    ("lon", "(?:gps|gnss)?(?:lon|lng|long|longitude)|gps_coord_y|(?:pos_)?lla_y"),
     ("ns", "n_s|ns_indicator|(?:lat|latitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ns|n_s)|north_south"),
     ("ew", "e_?w|ew_indicator|(?:lon|lng|longitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ew|e_w)|east_west"),
     ("alt", "alt|altitude|height|elevation|ele|(?:pos_)?lla_z"),
@@ -191,7 +191,7 @@ def split_words(text: str) -> list[str]:
 
 
 def _with_underscores(text: str) -> str:
-    return re.sub("(?<=[a-z])(?=[A-Z])", "_", text)
+    return re.sub("(?<=[a-z])(?=[A-Z])|(?<=GPS|GNS)(?=[A-Z][a-z])", "_", text)
 
 
 def _stated(plain: str, unit: Unit | None) -> str | None:

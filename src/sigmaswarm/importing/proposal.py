@@ -62,6 +62,9 @@ _ESTIMATES = {
     "pred",
     "cmd",
 }
+_VERSIONS = {"raw", "filt", "lp", "calib", "cal", "corr", "corrected"}  # last words that do not change a name
+_GLUED = r"\b(long|lat|vert|fwd|inline)(acc[a-z]*)"
+_ATTITUDE = {"roll", "pitch", "yaw"}
 ACCURACY = {"hacc", "accuracy", "eph", "sigma", "std", "stdev"}
 # Words in the names of positions in which "long" is the longitude
 PLACE = {"long", "gps", "gnss", "ins", "pos", "position"}
@@ -109,7 +112,11 @@ def meaning_of(name: str) -> Meaning | None:
         if len(words) > count and words[-1] != "turn" and (found := unit_of(words[-count:])) and found.known:
             words, unit = words[:-count], found
             break
-    if len(words) > 1 and re.fullmatch("[agw][xyz]", words[-1]) and _ESTIMATES.isdisjoint(words):  # bosch_ax
+    alone = len(words) < 2  # the import itself recognizes ax
+    while len(words) > 1 and words[-1] in _VERSIONS:
+        words = words[:-1]
+    words = re.sub(_GLUED, r"\1 \2", " ".join(words)).split()  # longacc
+    if not alone and re.fullmatch("[agw][xyz]", words[-1]) and _ESTIMATES.isdisjoint(words):  # bosch_ax
         words = [*words[:-1], "acc" if words[-1][0] == "a" else "gyro", words[-1][1]]
     if unit and unit.dimension in ("rate", "acceleration", "length", "angle"):
         column_text = in_si(unit, column_text)
@@ -181,6 +188,8 @@ def propose_columns(
     for table, names in tables.items():
         read = ((re.sub(_AXIS, "", name), meaning_of(name)) for name in names)
         meant = [(stem, m) for stem, m in read if m and m.role == wanted and m.column not in known]
+        if {read_name(name).plain for name in names} >= _ATTITUDE:  # three angles, not rates
+            meant = [(stem, m) for stem, m in meant if not (m.weak and m.column in AXES[3:])]
         alike = Counter(stem for stem, _ in meant)
         chosen: dict[str, Meaning] = {}
         for _, meaning in sorted(meant, key=lambda pair: (pair[1].weak, -alike[pair[0]])):

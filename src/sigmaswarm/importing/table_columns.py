@@ -81,7 +81,7 @@ PLACEHOLDERS = (
 # Smallest magnitude of placeholders such as 1e38 and the largest numbers of 32 and 64 bits; measurements in any unit
 # are smaller
 MIN_HUGE = 1e15
-NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-", "invalid", *("*" * n for n in range(1, 20)))
+NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-", "\\n", "invalid", *("*" * n for n in range(1, 20)))
 DIMENSIONS: dict[str, UnitDimension] = {
     **dict.fromkeys(("ax", "ay", "az"), "acceleration"),
     **dict.fromkeys(("gx", "gy", "gz"), "rate"),

@@ -57,6 +57,7 @@ MIN_WALK, MIN_GROWTH = 0.3, 1.5
 # A stamp is uneven if its number of rows or its step differs from the usual value by more than this fraction
 MAX_LOST = 0.2
 MAX_UNEVEN_SHARE = 0.1  # if a larger fraction of stamps is uneven, rows are not spread by stamp
+MIN_STAMPS = 5  # smallest number of stamps that show the number of rows of a stamp
 # Smallest deviation of the steps of stamps, relative to a step, that rounding does not cause
 MIN_STEP_VARIATION = 0.005
 # Relative to the usual step of stamps: longest step without a pause, window in which rows have a constant rate, and
@@ -270,10 +271,11 @@ def spread_stamps(
     if shared < 0.1:
         return time, ""
     lost, begin = int(np.count_nonzero(steps == 0)), f"{time[0] / SECOND:.10g} + " if time[0] else ""
+    rate, example = (SECOND / step, "") if len(first) >= MIN_STAMPS else (100, " for 100 Hz")
     raise InputError(
         f"{where}: {lost} of {len(time)} rows ({shared:.0%}) repeat the previous time, so the times of the {role} are "
         f"too coarse; specify a finer time with --map {role}.t=..., or, if the rate is constant, --map "
-        f'"{role}.t={begin}row/{SECOND / step:.4g}"'
+        f'"{role}.t={begin}row/{rate:.4g}"{example}'
     )
 
 
@@ -295,7 +297,7 @@ def _by_stamp(stamps: Nanoseconds, sizes: NDArray[np.intp]) -> Nanoseconds | Non
     uneven = np.abs(apart - length) > MAX_LOST * length
     inner = sizes[1:-1] if len(sizes) > 3 else sizes
     odd = np.abs(inner - usual) > max(1.0, MAX_LOST * usual)
-    if usual < 2 or max(np.mean(odd), np.mean(uneven)) > MAX_UNEVEN_SHARE:
+    if usual < 2 or len(sizes) < MIN_STAMPS or max(np.mean(odd), np.mean(uneven)) > MAX_UNEVEN_SHARE:
         return None
     lengths = np.append(np.where(uneven, np.minimum(apart, length), apart), length)
     # The first and last stamp, and stamps next to a pause, may have only a part of their rows.
