@@ -236,9 +236,8 @@ def _larger_drifts(record: "TuningRecord", proposed: tuple[str, float] | None = 
 
 def _other_part(folders: Sequence[Path], record: "TuningRecord") -> tuple[str, float] | None:
     """Return name and duration (s) of the other part of the drive if the filter was tuned on one part of it."""
-    from sigmaswarm.cli.whole_drive import description_of
     from sigmaswarm.drives.description import cut_of
-    from sigmaswarm.drives.split import name_of_other
+    from sigmaswarm.drives.split import description_of, name_of_other
 
     if len(folders) != 1:
         return None

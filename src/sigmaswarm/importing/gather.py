@@ -121,7 +121,8 @@ class PartColumns:
         group = connected_components(common >= np.maximum(MIN_COMMON_ROWS * most, 1))[1]
         own = {k: [n for n, g in zip(names, group, strict=True) if g == k] for k in group}
         sensors = [some for some in own.values() if not {*required}.isdisjoint(some)]
-        if len(sensors) < 2:
+        empty = any(not common[k, k] for k, name in enumerate(names) if name in required)
+        if len(sensors) < 2 or empty:
             return [self]
         sensors.sort(key=lambda some: -int(common[names.index(some[0]), names.index(some[0])]))
         sensors[0] += [n for n in names if not any(n in some for some in sensors)]
