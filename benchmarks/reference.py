@@ -1,4 +1,4 @@
-"""Evaluate truth that is computed from the fixes of a good receiver: errors, coverage, and tuning with this truth.
+"""Evaluate truth that is computed from the fixes of a reference receiver: errors, coverage, and tuning with this truth.
 
 A simulated car has a cheap receiver and an RTK receiver (f9p-rtk, with outages, and periods of float solutions with
 correlated errors). `sigmaswarm.reference` computes truth from the RTK fixes, which is compared with the simulator's

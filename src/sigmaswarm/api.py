@@ -68,8 +68,8 @@ def import_log(
     Warns
     -----
     SigmaswarmWarning
-        If ``say`` is not given, for each note, for example about an assumption, or about times that only the IMU or
-        only the fixes cover.
+        For each note, for example about an assumption, or about times that only the IMU or only the fixes cover, if
+        ``say`` is not given.
     """
     from sigmaswarm.importing.convert import import_drive
     from sigmaswarm.importing.opening import request_of

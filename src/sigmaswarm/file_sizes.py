@@ -40,7 +40,9 @@ def require_regular(path: Path) -> None:
     except OSError:
         return  # reading the file raises an error with the reason
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
-        raise InputError(f"{path}: is not a regular file; copy its content into a file, and name this file")
+        raise InputError(
+            f"{path}: is not a regular file; copy its content into a regular file, and specify that file"
+        )
 
 
 def require_text(path: Path, shown_as: Path | None = None) -> tuple[bytes, int]:
@@ -54,7 +56,7 @@ def require_text(path: Path, shown_as: Path | None = None) -> tuple[bytes, int]:
     with path.open("rb") as file:
         head = file.read(8)
         if packed := next((kind for first, kind in _PACKED.items() if head.startswith(first)), None):
-            raise InputError(f"{shown}: is compressed ({packed}); unpack it, and name the unpacked file")
+            raise InputError(f"{shown}: is compressed ({packed}); unpack it, and specify the unpacked file")
         file.seek(0)
         begun, lines = 0, 0  # number of bytes since the end of the last line, number of lines
         while block := file.read(MAX_LINE_BYTES):

@@ -1,4 +1,4 @@
-"""Compute truth with standard deviations: the fixes of a good receiver, smoothed with the drive's IMU.
+"""Compute truth with standard deviations: the fixes of a reference receiver, smoothed with the drive's IMU.
 
 The smoother's standard deviations are multiplied by a factor that is determined from the errors at hidden fixes. The
 variance of a fix is added, since errors of fixes are correlated: the mean of many fixes is no more accurate than one
@@ -76,7 +76,7 @@ def reference(
     progress: Callable[[Progress], None] | None = None,
     **options: Unpack[ReferenceOptions],
 ) -> Drive:
-    """Compute truth from the fixes of a good receiver (RTK) on the same vehicle, and from the drive's IMU.
+    """Compute truth from the fixes of a reference receiver (RTK) on the same vehicle, and from the drive's IMU.
 
     A filter is tuned without truth on these fixes, and its estimates are smoothed. Float solutions, and fixes with a
     stated standard deviation above ``accuracy``, are omitted, since their errors are correlated. In the resulting gaps,
@@ -87,20 +87,20 @@ def reference(
     drive : Drive
         The drive; its fixes are not used, and its truth is replaced.
     fixes : path, Drive or Gps
-        Fixes of the good receiver: a log in any format that can be imported (RTKLIB, NMEA, UBX, CSV ...), a drive's
-        folder, or a `Gps` in the drive's local frame. From RTKLIB, NMEA and UBX only fixed solutions are used.
+        Fixes of the reference receiver: a log in any format that can be imported (RTKLIB, NMEA, UBX, CSV ...), a
+        drive's folder, or a `Gps` in the drive's local frame. From RTKLIB, NMEA and UBX only fixed solutions are used.
     executor, progress
         See `tune`.
     lever_arm : (float, float, float), optional
-        Vector from the IMU to the good receiver's antenna, m forward, left and up; by default 0.
+        Vector from the IMU to the reference receiver's antenna, m forward, left and up; by default 0.
     offset : float
         Time to add to the fixes' times (s), so that they are on the drive's clock; 0 by default.
     accuracy : float
         Largest standard deviation of the truth per axis, m; rows with a larger standard deviation are omitted. 0.1 by
         default.
     fix_std : float, optional
-        Lower limit of the standard deviation of a fix, m per axis; also used for fixes without a stated standard
-        deviation.
+        Lower limit of the fixes' stated standard deviations, m per axis; smaller values are raised to it. If the fixes
+        state none, it is the standard deviation of all fixes.
     seed : int
         Seed of the tuning, and of the windows of hidden fixes; 0 by default.
 
@@ -116,7 +116,7 @@ def reference(
         If the fixes can't be read, have no common time with the drive, state no accuracy, or are too few, or if the
         standard deviation of the truth exceeds ``accuracy`` at all times.
     AlignmentError
-        If the car hardly moves while the good receiver has fixes.
+        If the car hardly moves while the reference receiver has fixes.
     """
     chosen = _Options(**options)
     log, name = _log(fixes, drive, chosen.offset)
@@ -169,10 +169,11 @@ def _smoothed(
 def _tuned(
     receiver: Drive, seed: int, executor: Executor | None, progress: Callable[[Progress], None] | None
 ) -> FilterParameters:
-    """Tune the default filter, without ``standstill``, on the fixes of the more accurate receiver.
+    """Tune the default filter, without ``standstill``, on the fixes of the reference receiver.
 
-    Fixes with errors of a centimeter would make the noise of the standstill constraint very small. One wrongly detected
-    standstill in an outage would move the track by meters, while the covariance stays small.
+    With ``standstill``, a tuning on fixes with errors of a centimeter would choose a very small noise for the
+    standstill constraint. One wrongly detected standstill in an outage would move the track by meters, while the
+    covariance stays small.
     """
     suggestion = suggest_filter([receiver])
     use = tuple(option for option in suggestion.use if option != "standstill")

@@ -194,7 +194,9 @@ def test_the_split_that_leaves_out_disturbed_fixes_leads_to_a_tuning_and_an_eval
 ):
     write_drive(disturbed(start, end), "logs/car")
     said = sigmaswarm("doctor", "logs/car").out
-    found = re.search(r"leave them out: sigmaswarm (split logs/car --at [-\d. ]+ --out parts)\n", said)
+    found = re.search(
+        r"cut this part out of the drive: sigmaswarm (split logs/car --at [-\d. ]+ --out parts)\n", said
+    )
     assert found, said
     steps = [found[1]]
     while not steps[0].startswith("tune"):

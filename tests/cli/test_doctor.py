@@ -302,7 +302,7 @@ def test_a_repaired_copy_is_proposed_in_a_free_folder(sigmaswarm, good, sick: Pa
 def test_a_remedy_can_be_pasted(here: Path, capsys: pytest.CaptureFixture[str]):
     command = split_command(-3.0, 40.0)
     about = "gps-disturbed", "warning", "multipath", "gps.csv", (3.0, 40.0), 0.99
-    found = Finding(*about, f"leave them out: {command}", command=command)
+    found = Finding(*about, f"cut this part out of the drive: {command}", command=command)
     (here / "parts").mkdir()
     (here / "parts" / "a").touch()
     print_diagnosis(Output(verbose=False), Diagnosis("monday", (found,)), Path("my drives/monday"))

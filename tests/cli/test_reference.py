@@ -1,4 +1,4 @@
-"""`sigmaswarm reference`: a drive with truth from a good receiver, and mistakes in one line."""
+"""`sigmaswarm reference`: a drive with truth from a reference receiver, and mistakes in one line."""
 
 import json
 from dataclasses import replace

@@ -579,7 +579,8 @@ def test_the_options_follow_from_the_log():
     )
     velocity = simulated("icm-20602")  # receiver with speed, course and correlated errors
     few = ". With 250 or more training fixes, tune also uses fix-error"
-    lasting = f"{few}, since consecutive fixes differ by less than the receiver's error"
+    lasting = f"{few}, since the scatter from fix to fix is well below the receiver's standard deviation"
+    lasting += ", so the fix errors are probably correlated"
     may = ". To add velocity (speed and course of the receiver), write --use "
     may += "lateral standstill robust fix-error velocity"
     assert found_of(velocity, "use") == six + tilts + lasting + may
@@ -588,7 +589,7 @@ def test_the_options_follow_from_the_log():
     velocity = replace(velocity, truth=None)
     assert found_of(velocity, "use") == six + tilts + lasting + may
     part = clip(velocity, end=float(velocity.gps.time[200]))
-    assert few in found_of(part, "use") and "since the fixes differ" not in found_of(part, "use")
+    assert few in found_of(part, "use") and "since the scatter" not in found_of(part, "use")
     assert velocity.gps.speed is not None
     knots = replace(velocity, gps=replace(velocity.gps, speed=velocity.gps.speed / 0.514444))
     assert found_of(knots, "use") == six + tilts + lasting

@@ -142,7 +142,7 @@ def test_a_truth_shows_the_delay_of_noisy_fixes(moved: float):
     blind, clock = gather(replace(late, truth=None)).clock, gather(shifted(late, moved, move=3e4)).clock
     assert clock.std < 0.8 * blind.std
     assert abs(clock.delay - 0.6) < 2 * clock.std
-    assert gather(shifted(late, 18.0)).clock == blind  # a truth with a wrong clock gives no evidence
+    assert gather(shifted(late, 18.0)).clock == blind  # truth with a wrong clock gives no evidence
 
 
 def stating(drive: Drive, std: float) -> Drive:

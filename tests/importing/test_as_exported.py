@@ -386,7 +386,9 @@ def test_the_unit_of_a_time_of_week_follows_from_its_size(tmp_path: Path):
 def test_small_steps_of_whole_numbers_are_no_ms(tmp_path: Path):
     """Hundredths of a second at 50 Hz have steps of 2; numbers of rows have steps of 1."""
     write(tmp_path, clock=lambda t: np.round(t * 20).astype(int))
-    with pytest.raises(InputError, match="steps of 1 may be ms, hundredths of a second, or rows"):
+    with pytest.raises(
+        InputError, match="increases by 1 per row, so it may count ms, hundredths of a second, or rows"
+    ):
         imported(tmp_path)
     write(tmp_path, clock=lambda t: np.round(t * 60).astype(int))
     with pytest.raises(InputError, match=r'"t\*1e-2" for 33.33 Hz'):
@@ -1088,7 +1090,7 @@ def test_rows_without_a_fix_are_no_missing_fixes(tmp_path: Path):
     fixes = {n: np.where(lost, np.nan, v) for n, v in FIXES.items()}
     write(tmp_path, gps=fixes, gps_clock=lambda t: 0 * t)
     notes = " / ".join(imported(tmp_path, maps=[f"gps.t=row/{1 / (time[1] - time[0]):g}"]).notes)
-    assert "since a cell is empty" in notes and "much longer than the adjacent steps" not in notes
+    assert "since a cell is empty" in notes and "much longer than the distances before and after" not in notes
 
 
 def test_fixes_that_are_corrected_each_second_are_not_interpolated(tmp_path: Path):
@@ -1122,7 +1124,7 @@ def test_missing_fixes_with_times_from_row_numbers_are_named(tmp_path: Path, beg
     write(tmp_path, gps={n: v[kept] for n, v in FIXES.items()}, gps_clock=lambda t: 0 * t[kept])
     rate = 1 / (time[1] - time[0])
     notes = " / ".join(imported(tmp_path, maps=[f"gps.t=row/{rate:g}"]).notes)
-    assert ("much longer than the adjacent steps" in notes) == (end > begin)
+    assert ("much longer than the distances before and after" in notes) == (end > begin)
     assert "gps: gps.csv: times from row numbers do not show gaps" in notes
 
 

@@ -605,7 +605,7 @@ def test_a_prefix_that_imu_and_places_share_means_nothing(tmp_path: Path, prefix
 def test_places_behind_a_shared_prefix_need_the_imu_and_degrees(
     tmp_path: Path, prefix: str, names: str, outside: str
 ):
-    """A filter's output, a truth and positions in meters have such names, too; and one name without the prefix."""
+    """A filter's output, truth and positions in meters have such names, too; and one name without the prefix."""
     table = slow_and_fast()
     places = dict(zip(names.split(), (table.pop("lat"), table.pop("lon")), strict=True))
     if (prefix, names, outside) == ("Car.", "lat lon", ""):

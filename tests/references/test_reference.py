@@ -1,4 +1,4 @@
-"""Truth from the fixes of a good receiver, compared with the simulator's truth; rejected input."""
+"""Truth from the fixes of a reference receiver, compared with the simulator's truth; rejected input."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -52,7 +52,7 @@ class ImportOptions:
     gps
         Log of the fixes, if SOURCE does not contain them.
     truth
-        Log of the truth or of a good receiver's fixes, if SOURCE does not contain them.
+        Log of the truth or of a reference receiver's fixes, if SOURCE does not contain them.
     odometer
         Log of the wheel speed, if SOURCE does not contain it.
     map

@@ -1,4 +1,4 @@
-"""Print the result of a command: result, problems, details (only with ``--verbose``), next commands."""
+"""Print the output of a command: result, problems, details (only with ``--verbose``), next commands."""
 
 from collections import Counter
 from io import StringIO
@@ -35,7 +35,7 @@ class Remark(NamedTuple):
 
 
 class Output:
-    """Print the result of a command; only this class decides what is printed without ``--verbose``.
+    """Print the output of a command; only this class decides what is printed without ``--verbose``.
 
     ``silent``: print nothing, for the option ``--json``.
     """
@@ -54,7 +54,11 @@ class Output:
             print_lines(_drawn(line, self._verbose))
 
     def details(self, name: str, *lines: object) -> None:
-        """Print lines only with ``--verbose``; ``name``: a noun that is counted, or "the" and a noun."""
+        """Print lines only with ``--verbose``.
+
+        ``name`` describes the lines in the list of hidden details: a singular noun, printed with the number of lines
+        ("3 notes"), or "the" and a noun, printed as it is ("the recipe").
+        """
         if self._verbose:
             self.show(*lines)
         else:

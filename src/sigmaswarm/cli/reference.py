@@ -21,18 +21,19 @@ class ReferenceOptions:
     Attributes
     ----------
     fixes
-        Log of the good receiver (RTKLIB, NMEA, UBX, CSV, ...), or a drive folder. RTK float solutions are left out.
+        Log of the reference receiver (RTKLIB, NMEA, UBX, CSV, ...), or a drive folder. RTK float solutions are left
+        out.
     out
         Folder of the new drive.
     lever_arm
-        Vector from the IMU to the good receiver's antenna: forward,left,up in m; by default 0,0,0.
+        Vector from the IMU to the reference receiver's antenna: forward,left,up in m; by default 0,0,0.
     offset
-        Seconds to add to the good receiver's times.
+        Seconds to add to the reference receiver's times.
     accuracy
         Largest standard deviation per axis, m. Fixes and truth with a larger standard deviation are left out.
     fix_std
-        Minimum standard deviation of the good receiver's fixes per axis, m; also used for fixes without a standard
-        deviation.
+        Lower limit of the fixes' stated standard deviations, m per axis; smaller values are raised. If the log states
+        none, all fixes have this standard deviation.
     seed
         Seed of the smoother's tuning, and of the choice of fixes that are hidden to test the smoother.
     """
@@ -56,11 +57,11 @@ def reference(
     *,
     options: Annotated[ReferenceOptions, FIELDS],
 ) -> None:
-    """Compute truth from a good receiver (RTK) on the same vehicle.
+    """Compute truth from a reference receiver (RTK) on the same vehicle.
 
-    A smoother fuses the good receiver's fixes with the drive's IMU. The new drive has a truth.csv at the IMU's times,
-    with standard deviations. The truth has gaps where its standard deviation exceeds --accuracy, for example in long
-    outages of the good receiver.
+    A smoother fuses the reference receiver's fixes with the drive's IMU. The new drive has a truth.csv at the IMU's
+    times, with standard deviations. The truth has gaps where its standard deviation exceeds --accuracy, for example in
+    long outages of the reference receiver.
 
     For example:
 

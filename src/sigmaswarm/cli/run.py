@@ -79,7 +79,8 @@ def run(
     reset; --smooth smooths the parts before and after a reset separately.
 
     A filter bank adapts its parameters to changes of sensors or surroundings. --bank also writes NAME.swarm.csv, a log
-    of the bank with one row per second, and NAME.swarm.toml, a filter with the bank's mean parameters at the end.
+    of the bank with one row per second, and NAME.swarm.toml, a filter with the bank's mean parameters in
+    the last minute of the drive.
 
     For example:
 

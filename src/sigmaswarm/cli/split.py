@@ -152,7 +152,8 @@ def _next_steps(parts: "Sequence[sigmaswarm.Drive]", out: Path, *, own: bool) ->
     failed = [isinstance(find_start(part), StartFailure) for part in chosen]
     if not named and not failed[0] and (failed[1] or too_short_for_outages(chosen[1])):
         again = f"sigmaswarm split {train} --out {_free(out)}"
-        return [f"next: {again}    (the other part is too short for an evaluation)"]
+        why = "the other part can't be evaluated: it is too short, or no filter can start on it"
+        return [f"next: {again}    ({why})"]
     if any(failed) or any(map(has_unrepairable, diagnoses)) or (serious and not own):
         return [f"next: sigmaswarm doctor {train} {test}"]
     if all(short):

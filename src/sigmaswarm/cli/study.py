@@ -50,9 +50,9 @@ def study(*, out: Path, options: Annotated[StudyOptions, FIELDS] = StudyOptions(
     Each trial tunes on a random 70% of the drives and evaluates all methods on the other drives. The methods are:
 
     - IMU only, raw GPS, and a constant-velocity filter without an IMU;
-    - three filters, each with two manual parameter sets: EKF, adaptive UKF, UKF;
+    - EKF, adaptive UKF and UKF, each with two parameter sets: Q = R = I, and noise from data sheets;
     - the UKF with the paper's optimum, and the paper's PSO-UKF;
-    - three filters tuned with the budget of the PSO-UKF: EKF, adaptive UKF, planar8;
+    - EKF, adaptive UKF and planar8, each tuned with the budget of the PSO-UKF;
     - the default filter of `tune`.
 
     PSO-UKF is tuned under two protocols. With the protocol "paper", the cost is the distance from the fixes, and

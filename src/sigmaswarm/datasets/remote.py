@@ -84,7 +84,11 @@ class Assignment:
             self.owners = assign_drives(self.sizes, self.workers, self.owners)
 
     def _usable_workers(self) -> dict[str, int]:
-        """Return the workers with the client's software versions; at the start, raise an error if a version differs."""
+        """Return the workers whose software versions are those of the client.
+
+        Raise an error for a worker with other versions if no worker has been used yet; later, warn and leave this
+        worker out.
+        """
         present = self.cluster.workers()
         new = [address for address in present if address not in {*self.workers, *self._refused}]
         for address, error in self.cluster.version_errors(new).items():

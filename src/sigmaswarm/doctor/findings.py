@@ -59,7 +59,7 @@ CONSEQUENCES = {
     "odometer-unit": "a filter with --use odometer follows a wrong speed",
     "reverse-start": "a filter starts with a heading that is wrong by 180 deg",
     "speed-unit": "a filter with --use velocity follows a wrong speed",
-    "time-jump": "a filter predicts motion for hours without samples",
+    "time-jump": "a filter predicts the motion for more than an hour for which there are no IMU samples, or no fixes",
     "time-unit": "the time steps of a filter are wrong by this factor",
     "truth-clock": "errors relative to this truth, and filters that are tuned with it, are wrong",
     "unseen-motion": "a fault of axes, units or clocks, which would make the filter useless, cannot be seen",

@@ -239,7 +239,10 @@ def _state_noise(drive: Drive, std: float) -> Drive:
 
 
 def _velocity(drive: Drive, factor: float, convention: float) -> Drive:
-    """Multiply the speed by a factor; convert the course from number 1, 2, ... of `CONVENTIONS`, or not at all (0)."""
+    """Multiply the speed by a factor, and convert the course from a convention.
+
+    ``convention``: its number in `CONVENTIONS`, counted from 1; 0 leaves the course unchanged.
+    """
     speed, course = drive.gps.speed, drive.gps.course
     if speed is None or course is None:
         return drive

@@ -250,9 +250,10 @@ def _multiply(matrix: Array, vector: Array, product: Array) -> None:
 
 @cached(error_model="numpy")
 def _equations_of(fix: Array, way: Array, fit: Array, c: float, s: float, rows: Array) -> None:
-    """Set rows (2, 6), the equations of a fix in the directions forward and left of a heading with cosine c and sine s.
+    """Set rows (2, 6): the equations of a fix along a heading (forward) and perpendicular to it (left).
 
-    The columns of the position (forward, left) are not set, since they are those of the identity matrix.
+    ``c``, ``s``: cosine and sine of the heading. The columns of the position (forward, left) are not set, since they
+    are those of the identity matrix.
     """
     v, slope = fit[SPEED], fit[SLOPE]
     x, y = fix[X] - fit[EAST], fix[Y] - fit[NORTH]

@@ -1,4 +1,7 @@
-"""Artificial GPS outages: time windows, in rows of start and end (s), in which fixes are hidden from a filter."""
+"""Artificial GPS outages: time windows in which fixes are hidden from a filter.
+
+An array of windows has the shape (k, 2): start and end, s.
+"""
 
 import numpy as np
 from numpy.typing import ArrayLike

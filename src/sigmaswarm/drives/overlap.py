@@ -112,7 +112,10 @@ def overlap_of(drive: Landmarks, others: Iterable[Landmarks]) -> Overlap:
 
 
 def known_overlap(drive: Landmarks, others: Sequence[Landmarks]) -> Overlap | None:
-    """Return `overlap_of`; None (unknown) if no overlap is found but parts of some other drives can't be recognized."""
+    """Return the result of `overlap_of`, or None if the overlap is unknown.
+
+    It is unknown if no overlap is found, but another drive has too few landmarks to recognize its parts.
+    """
     overlap = overlap_of(drive, others)
     recognizes_parts = all(max(len(other.fixes), len(other.rates)) >= MIN_MATCHES for other in others)
     return overlap if overlap or recognizes_parts else None

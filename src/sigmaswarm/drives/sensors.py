@@ -39,6 +39,12 @@ drives, on one of them to 1319 m. With 300 and 600 fixes, fix-error did not chan
 position error by 3 to 6%.
 """
 
+LASTING_ERRORS = (
+    "the scatter from fix to fix is well below the receiver's standard deviation, so the fix errors are probably "
+    "correlated"
+)
+"""Reason for the option fix-error; see `has_lasting_errors`."""
+
 MAX_RATE_RATIO = 1.5  # largest ratio of the sampling rates of two drives with the same sensors
 MAX_ANGLE = 10.0  # deg, largest angle between the mountings of two drives with the same mounting
 
@@ -146,8 +152,8 @@ def stated_std(drive: Drive) -> tuple[float, float] | None:
 def receiver_std(drive: Drive) -> tuple[float, float]:
     """Return the standard deviation of the fixes of a drive's receiver, m east and north.
 
-    If the receiver states no standard deviation, the result is the white noise of the fixes, or, if this noise is
-    small, `UNSTATED_GPS_STD`.
+    If the receiver states no standard deviation, the result is that of the white noise of the fixes or, if this
+    noise is small or hidden by motion, `UNSTATED_GPS_STD`.
     """
     if stated := stated_std(drive):
         return stated

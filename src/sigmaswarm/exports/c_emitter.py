@@ -38,7 +38,7 @@ class Emitter:
     translation : callable
         Class that translates a function, for example `c_functions.Function`.
     rows : dict
-        Rows of the kernel by name: C text, a number, or None if the C code does not contain the row.
+        Rows of the kernel array by name: C text, a number, or None if the C code does not contain the row.
     states : sequence of str
         C names of the filter's states.
     settings : dict

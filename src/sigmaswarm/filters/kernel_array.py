@@ -117,7 +117,8 @@ class KernelSums:
     numbers : (n_sums, n_passes, n_sets)
         In the order of `layout.SUMS`; NaN if a set failed.
     failed : bool (n_passes, n_sets)
-        True if P was not positive definite, a state or sum is not finite, or the set is not `KernelArray.plausible`.
+        True if P was not positive definite, if a state or sum was not finite, or if the set is implausible (see
+        `KernelArray.plausible`).
     """
 
     numbers: Array

@@ -79,7 +79,7 @@ def assemble(
     if recipe.gps_from_truth:
         if truth is None:
             raise InputError(
-                f"{name}: --gps-from-truth needs a truth, but the log contains none; add another log with --truth"
+                f"{name}: --gps-from-truth needs truth, but the log contains none; add another log with --truth"
             )
         seconds["gps"], gps = _made_fixes(truth, *recipe.gps_from_truth)
     wheels = Odometer(seconds["odometer"], values["odometer"]["speed"]) if "odometer" in values else None
@@ -145,7 +145,7 @@ def missing_columns(recipe: Recipe) -> Iterator[str]:
 def _as_digits(seconds: Mapping[Role, Array], gathered: Mapping[Role, Sequence[PartColumns]]) -> str:
     """Return a remedy if the times of one table are digits hhmmss that were read as seconds; otherwise "".
 
-    The tables then overlap in time only after conversion of the digits.
+    In this case the tables overlap in time only if the digits are converted to seconds.
     """
     pairs: tuple[tuple[Role, Role], ...] = (("gps", "imu"), ("imu", "gps"))
     for role, other in pairs:
@@ -440,7 +440,11 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
 
 
 def _held_course(vx: Array, vy: Array) -> Array:
-    """Return the course (n,), rad; slow rows repeat the last course at speed or, before it, the first one."""
+    """Return the course (n,), rad.
+
+    A row below `MIN_SPEED` has the course of the last faster row before it or, if there is none, of the first faster
+    row; 0 if no row is faster.
+    """
     moving = np.hypot(vx, vy) > MIN_SPEED
     if not moving.any():
         return np.zeros(len(vx))

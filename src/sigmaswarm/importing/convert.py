@@ -222,7 +222,8 @@ def guessed_counter(request: Request, guesses: Guesses) -> Counter:
 def faults_left(request: Request, recipe: Recipe, logs: Mapping[Path, Log], guesses: Guesses) -> list[str]:
     """Return the faults of guessed columns, except for columns that the user has mapped or omitted.
 
-    The remedy for angular rates with an unknown unit is the unit that agrees with the course of the fixes.
+    If the unit of angular rates is unknown, the remedy in the message names the unit that agrees with the course of the
+    fixes.
     """
     stated = {entry.partition("=")[0].strip() for entry in request.maps}
     left: list[str] = []

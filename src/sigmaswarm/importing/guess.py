@@ -308,7 +308,9 @@ def _truths_of_columns(
         both = " and ".join(columns.names[what].column for what in pair)
         if any(_MAYBE_TRUTH.match(columns.names[what].column) for what in pair):
             maps = " ".join(quote(f"truth.{what}={columns.text(what)}") for what in pair)
-            notes.append(f"{both} are not used, since they may be setpoints; for a truth write --map {maps}")
+            notes.append(
+                f"{both} are not used, since they may be setpoints; if they are the truth, write --map {maps}"
+            )
         elif _repeats_fixes(columns, found[table], pair):
             notes.append(f"{both} are not used as truth, since they repeat the positions of the fixes")
         else:
@@ -338,7 +340,7 @@ def _candidates(
     """List the tables that fit each role.
 
     If a table has latitude and longitude, tables with only x, y are not fixes. ``truths``: tables in which the names of
-    some columns mark a truth. ``chosen_truth``: the user's table of the truth.
+    some columns mark truth. ``chosen_truth``: the user's table of the truth.
     """
     forces = {t for t, c in found.items() if c.has("ax", "ay")}
     rates = {t for t, c in found.items() if "gz" in c}

@@ -77,7 +77,7 @@ def join(
             say(f"{role}: {rows_left_out(left)}, since not all tables of the sensor cover their times")
         if not inside.any():
             raise InputError(
-                f"{role}: no row of the first table is within the times of another table; {RECIPE}"
+                f"{role}: no row of the first table lies within the time span of another table; {RECIPE}"
             )
         time, values = time[inside], {k: v[inside] for k, v in values.items()}
         at, known_at = ((t - other_time[0]) / SECOND for t in (time, other_time))

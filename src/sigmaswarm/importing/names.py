@@ -243,7 +243,10 @@ def read_names(columns: Sequence[str]) -> list[Name]:
 
 
 def _one_sensor(names: list[Name]) -> list[Name]:
-    """Keep one family of names for the specific force and one for the rates; interpret names of `_TOTAL` and `_MPU`."""
+    """If several groups of columns may be the specific force or the rates, keep one group for each.
+
+    Interpret the names in `_TOTAL` (Physics Toolbox) and `_MPU` (Arduino sketches).
+    """
     plains = {n.plain for n in names}
     forces = {n.plain for n in names if n.meaning in _AXES[:3] and not _family(n)}
     if plains >= _TOTAL and forces <= {*_AXES[:3]}:  # ax, ay, az are then without gravity

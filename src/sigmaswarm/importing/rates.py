@@ -1,4 +1,4 @@
-"""Find the unit of angular rates without a stated unit from the course changes of the fixes."""
+"""If the unit of angular rates is not stated, find it by a comparison with the changes of the fixes' course."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -127,10 +127,11 @@ def turn_ratio(drive: Drive) -> tuple[float, float]:
 
 
 def _fitted(measured: Array, turns: Array, lasted: Array) -> tuple[float, float]:
-    """Fit measured angles (n, axes) to turns (n,), rad; return explained fraction and factor, 0 and 0 for few turns.
+    """Regress the turns of the course (n,) on the measured angles (n, axes), rad.
 
-    ``lasted`` (n,): durations, s. The axes have different biases, so angles proportional to the duration are removed;
-    otherwise the fit would cancel the biases by a combination of the axes with large factors.
+    Return the explained fraction of the variance, and the norm of the coefficients; 0 and 0 if the turns are few or
+    small. ``lasted`` (n,): durations, s. The axes have different biases, so angles proportional to the duration are
+    removed; otherwise the fit would cancel the biases by a combination of the axes with large factors.
     """
     share, ratio = 0.0, 0.0
     for _ in range(4):

@@ -80,7 +80,8 @@ def gaps_by_distance(drive: Drive) -> str:
         return ""
     lost = float(np.sum(np.abs(inner[gaps]) / usual[gaps] - 1))
     return (
-        f"gps: {count_of(len(gaps), 'step')} from fix to fix, for example after fix {gaps[0] + NEIGHBORS + 1}, "
-        f"{'is' if len(gaps) == 1 else 'are'} much longer than the adjacent steps, so about {lost:.0f} fixes are "
-        "probably missing, and later times from row numbers are too early; map the receiver's time as gps.t instead"
+        f"gps: {count_of(len(gaps), 'distance')} between successive fixes, for example after fix "
+        f"{gaps[0] + NEIGHBORS + 1}, {'is' if len(gaps) == 1 else 'are'} much longer than the distances before and "
+        f"after, so about {lost:.0f} fixes are probably missing. The times are computed from row numbers and are too "
+        "early after each gap; map the receiver's time as gps.t instead"
     )

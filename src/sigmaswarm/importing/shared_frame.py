@@ -1,4 +1,4 @@
-"""Compare axes and origin of a truth in meters with those of the fixes."""
+"""Compare axes and origin of truth in meters with those of the fixes."""
 
 from collections.abc import Mapping, Sequence
 
@@ -28,7 +28,7 @@ MIN_FIXES = 10  # smallest number of fixes at times of the truth
 def require_same_axes(
     seconds: Mapping[Role, Array], truth: Values, gps: Values, parts: Sequence[Part]
 ) -> str:
-    """Refuse a truth whose x and y are not m east and north, but exchanged, rotated, or in another unit.
+    """Refuse truth whose x and y are not m east and north, but exchanged, rotated, or in another unit.
 
     With fixes z and truth w, as complex numbers minus their means, wrong axes or units give z = a w with a factor a
     other than 1, or z = a conj(w). If a clock offset explains the difference, return a message with the offset;
@@ -98,7 +98,7 @@ def _combined(size: float, one: float, x: str, other: float, y: str) -> str:
 
 
 def _true(seconds: Mapping[Role, Array], truth: Values, lag: float = 0.0) -> tuple[NDArray[np.bool_], Array]:
-    """Return a mask of the fixes that have a truth ``lag`` s later, and this truth (m, 2)."""
+    """Return a mask of the fixes for which the truth ``lag`` s later is known, and this truth (m, 2)."""
     time = seconds["gps"] + lag
     inside = (time >= seconds["truth"][0]) & (time <= seconds["truth"][-1])
     return inside, np.column_stack([np.interp(time[inside], seconds["truth"], truth[n]) for n in ("x", "y")])

@@ -41,7 +41,7 @@ def time_of_ticks(text: str, rate: float) -> str:
 
 
 def rates_by_clock(samples: Mapping[str, pl.DataFrame]) -> dict[str, TickRate]:
-    """Return the rates of counters, by the text of the column, from tables that also have a known clock."""
+    """Return the tick rates of counters in tables that also have a known clock; keys are the quoted column names."""
     found: dict[str, TickRate] = {}
     for table, frame in samples.items():
         names = [n for n in read_names(frame.columns) if n.meaning == "t" or n.is_one(CLOCK)]

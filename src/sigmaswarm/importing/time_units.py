@@ -191,7 +191,8 @@ def time_of_numbers(values: pl.Series, text: str, role: Role) -> ColumnExpressio
     unit = (*dated, *likely, "s")[0]
     if role == "imu" and not dated and unit == "ms" and step < MIN_COUNT_STEP:
         rates = ", ".join(f'"{text}*1e-{k}" for {10**k / step:.4g} Hz' for k in (3, 2))
-        message = f"column {quoted(column)}: steps of {step:g} may be ms, hundredths of a second, or rows"
+        what = f"column {quoted(column)} increases by {step:g} per row"
+        message = f"{what}, so it may count ms, hundredths of a second, or rows"
         return ColumnExpression(
             "", fault=f'{message}; specify the unit with --time: {rates}, or "{text}/100" for 100 rows per s'
         )

@@ -89,8 +89,10 @@ def unwrap(
 ) -> tuple[Nanoseconds, int, str]:
     """Unwrap a counter that wrapped; return the times, its period, ns, and a sentence; 0 and "" for other clocks.
 
-    ``tick``: unit of the counter, s; 0 if it is unknown. ``parts``: True if the user chose one of several recordings,
-    whose durations may be equal. Refuse a decimal counter that wraps too fast for the rate of the rows.
+    ``tick``: unit of the counter, s; 0 if it is unknown. ``parts``: True if the user chose one of several recordings.
+    Recordings may have equal durations, so a clock that starts at 0 and goes back by a minute or by 10, 100, ... s is
+    then always taken as restarted, not as wrapped. Raise `InputError` if a counter with a period of 1, 10, 100, ... s
+    wraps after fewer than 15 of its usual steps.
     """
     steps = np.diff(time)
     ahead = steps[steps > 0]
@@ -261,8 +263,8 @@ def spread_stamps(
     if coarse and (not even or _lost(late[first] / step, apart, length)):
         fine = _by_stamp(time[first], sizes)
         if fine is not None:
-            spread = f"are spread evenly over the {length / SECOND:.4g} s of their stamp"
-            return fine, f"the stamps are coarse and the rate is not constant; rows {spread}"
+            spread = f"rows with the same stamp are spread evenly over the {length / SECOND:.4g} s after this stamp"
+            return fine, f"the stamps are coarse and the rate is not constant; {spread}"
     if even:
         edge = np.minimum(high, (high + low + length) / 2) if coarse else low
         fine = np.maximum.accumulate(time + np.round(edge - late).astype(np.int64))
@@ -361,7 +363,7 @@ def sorted_times(
 
 
 def require_likely(time: Nanoseconds, role: Role, where: str, text: str) -> None:
-    """Refuse times whose steps are impossible for a car's sensor, so that their unit cannot be seconds."""
+    """Refuse times whose steps, read as seconds, are impossible for a car's sensor: their unit is not seconds."""
     step = float(np.median(np.diff(time))) / SECOND if len(time) > 2 else MIN_STEP * 2
     if MIN_STEP / 2 < step < 4 * MAX_STEP[role]:
         return

@@ -49,9 +49,9 @@ class Displacements:
     def update(self, begin: DisplacementStart, rows: Array, stop: int, moved: Array, noise: Array) -> bool:
         """Update with a displacement that ends before step ``stop``; return False if it was rejected.
 
-        ``rows``, (N_KEPT, columns), changes in place. ``moved``, (2,) in m, is forward and left in the body frame at
-        the start; ``noise`` is its covariance, (2, 2), m2. A displacement is rejected if its NIS is too large, if the
-        update would increase the residual, or if the covariance would not be positive definite.
+        ``rows``, (N_KEPT, columns), is modified in place. ``moved``, (2,), m, is the displacement forward and left, in
+        the body frame at its start; ``noise`` is its covariance, (2, 2), m2. A displacement is rejected if its NIS is
+        too large, if the update would increase the residual, or if the covariance would not be positive definite.
         """
         x0, p0 = self._state(begin.rows)
         x1, p1 = self._state(rows)

@@ -61,9 +61,10 @@ def comparison_table(comparison: Comparison) -> Table:
 
 
 def comparison_figure(comparison: Comparison) -> Figure:
-    """Draw the training cost over the evaluations, with quartiles, and the cost of every run.
+    """Draw the lowest training cost so far against the number of evaluations, and the final cost of every run.
 
-    If there are held-out drives, the cost of a run is its cost on these drives.
+    The first chart shows the median and the quartiles over the seeds. If there are held-out drives, the cost of a run
+    is its cost on these drives.
     """
     last = "held_out_cost" if "held_out_cost" in comparison.measures else "cost"
     contenders = comparison.contenders

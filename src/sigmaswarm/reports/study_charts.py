@@ -102,7 +102,7 @@ def quantile_chart(
     *,
     all_rows: bool = False,
 ) -> Chart | None:
-    """Draw boxes over the drives (quartiles; whiskers: 5th and 95th percentiles) on a logarithmic scale.
+    """Draw box plots over drives (box: quartiles; whiskers: 5th and 95th percentiles) with a logarithmic axis.
 
     If ``all_rows`` is True, methods without this measure have empty rows.
     """

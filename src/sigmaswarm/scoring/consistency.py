@@ -182,7 +182,8 @@ VERDICTS: dict[Kind, str] = {
     "consistent": "is consistent: the errors of its predictions agree with its standard deviations",
     "optimistic_position": (
         "is overconfident about its position: the standard deviations are {nees_size}. NIS does not show this, since "
-        "the predictions contain errors of the fixes, which cancel in the innovations"
+        "the predictions contain the same slowly changing errors as the fixes, and these errors cancel in the "
+        "innovations"
     ),
     "unknown": f"had too few fixes to determine its consistency, which needs more than {2 * LAGS}",
 }

@@ -326,7 +326,8 @@ def evaluate(
 ) -> Evaluation:
     """Compare a tuned filter with the baseline, raw GPS, fixes alone and IMU only: see `sigmaswarm.evaluate`.
 
-    ``seen``: landmarks of the training drives, by which these drives, their copies and their parts are recognized.
+    ``seen``: positions and yaw rates of the training drives (see `drives.overlap`), by which these drives, their copies
+    and their parts are recognized.
     ``cluster``: Dask cluster whose workers read the drives and run the filters; ``drives`` may then be paths or URLs.
     ``options``: attributes of `EvaluationOptions`.
     """

@@ -201,7 +201,8 @@ def with_outliers(
     rng : numpy.random.Generator
         Generator that draws the first fix, the length and the direction of each burst from uniform distributions.
     share : float
-        Smallest fraction of outliers among the fixes, in [0, 0.5]; the last burst may increase it.
+        Minimum fraction of outliers among the fixes, in [0, 0.5]; with the last burst the fraction may exceed this
+        minimum.
     offset : float
         Size of the error, m.
     length : (float, float)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.sensors import LogProperties, enough_for_fix_error, log_properties
+from sigmaswarm.drives.sensors import LASTING_ERRORS, LogProperties, enough_for_fix_error, log_properties
 from sigmaswarm.drives.suggestion import suggest_filter
 from sigmaswarm.errors import SigmaswarmWarning
 from sigmaswarm.filters.custom.log import Log
@@ -34,9 +34,10 @@ to the training roads: on a drive of another car, its position RMSE was 3.6 time
 increase the heading error of planar8 by 5% (ten cases).
 """
 FIX_ERROR_OBJECTIVE = "innovation-t + 0.2 truth-pose + 0.2 nees"
-"""Objective with truth and fix-error: mainly the likelihood, since a drive has few independent position errors.
+"""Default objective with truth if the filter estimates correlated fix errors (option ``fix-error``).
 
-With a larger weight of truth-pose, the filter overfits to the errors of the training drive.
+It is mainly the likelihood, since a drive has few independent position errors. With a larger weight of truth-pose, the
+filter overfits to the errors of the training drive.
 """
 PRIOR_WITH_TRUTH = 0.3
 """Weight of the priors with `FIX_ERROR_OBJECTIVE`.
@@ -91,7 +92,7 @@ def default_filter_options(
         because = f". {suggestion.model} suits the logs" * other + f", since {suggestion.because}"
         if model == suggestion.model and _needs_fix_error(model, options, drives):
             use.append("fix-error")
-            because += ", and consecutive fixes differ by less than the receiver's error"
+            because += f", and {LASTING_ERRORS}"
         if drives and all(log_properties(drive).heading for drive in drives):
             because += f". To use the heading, write --use {' '.join((*use, 'heading'))}"
     described = _described(model, use) + (", as given" if "model" in options else "")

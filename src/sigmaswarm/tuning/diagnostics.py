@@ -241,10 +241,11 @@ def _drifts(
 
 
 def confirmed_std(like: FilterParameters, std: float, scorer: AnyBatchScorer) -> StdCheck | None:
-    """Compare the baseline's drifts with a standard deviation of the fixes (m per axis) and with the assumed one.
+    """Run the baseline with ``std`` and with the assumed standard deviation of the fixes, and compare the drifts.
 
-    ``like`` determines the model and the options of the baseline. Return None if the drifts with ``std`` are unknown
-    or, in the geometric mean over the lengths of the outages, not clearly smaller (`MAX_CONFIRMED_RATIO`).
+    ``std``: m per axis. ``like`` determines the model and the options of the baseline. Return None if the drifts are
+    unknown. Also return None if the ratio of the drift with ``std`` to the drift with the assumed value, as a geometric
+    mean over the lengths of the outages, is above `MAX_CONFIRMED_RATIO`.
     """
     some = scorer.subset(range(min(len(scorer.dataset), MAX_NAMED_DRIVES)))
     found: dict[float, list[float]] = {}

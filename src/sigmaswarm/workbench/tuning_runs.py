@@ -1,4 +1,4 @@
-"""Tuning runs in threads of the server; a killed run can be resumed from its folder."""
+"""Start tuning runs in threads of the server; if the server is killed, a run can be resumed from its folder."""
 
 import threading
 import time

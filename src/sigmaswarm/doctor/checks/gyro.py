@@ -118,10 +118,11 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _whole_gain(evidence: Evidence) -> float:
-    """Return the ratio of the course's turns to the gyro's turns, fitted without a bias to the total turns of windows.
+    """Return the ratio of the course's turns to the gyro's turns.
 
-    `fit_yaw` removes a straight line from each window. In steady circles little of the turn remains, so lever arm and
-    slip have the effect of a scale error.
+    It is a least-squares fit, without a bias, to the turn from the first to the last fix of each window. `fit_yaw`
+    removes a straight line from each window. In steady circles little of the turn remains, so lever arm and slip have
+    the effect of a scale error.
     """
     imu, course, yaw, fit = evidence.drive.imu, evidence.course, evidence.yaw, evidence.yaw_fit
     assert course is not None and fit is not None
@@ -227,7 +228,10 @@ def _force_and_rates(evidence: Evidence) -> tuple[Array, Array] | None:
 
 
 def _follows(time: Array, force: Array, rates: Array) -> list[RateMatch | None]:
-    """Find the rates that the force's direction follows in roll and in pitch; None for an unclear rate."""
+    """For roll and for pitch, find the rate that best explains the changes of the specific force's direction.
+
+    The rate is gx or gy with a sign; None if this is not clear.
+    """
     fits = _regressions(time, force, rates, LAG)
     roll, pitch = [factors / std for factors, std in fits] or [np.zeros(2), np.zeros(2)]
     return [_clear(roll), _clear(-pitch)]

@@ -94,8 +94,8 @@ def check_stated_heading(evidence: Evidence) -> Iterator[Finding]:
         return
     stated, right = math.degrees(drive.heading), math.degrees(seen) % 360.0
     what = (
-        f"heading_deg = {stated:g} differs by {math.degrees(offset):+.0f} deg from the heading that the course until "
-        f"t = {start.time:.0f} s shows"
+        f"heading_deg = {stated:g} differs by {math.degrees(offset):+.0f} deg from the initial heading computed "
+        f"from the gyro and the course of the fixes until t = {start.time:.0f} s"
     )
     if abs(wrap_angle(math.pi / 2 - drive.heading - seen)) < max(MIN_STATED_OFFSET, std):
         what += ", as if heading_deg were clockwise from north"

@@ -77,7 +77,7 @@ def check_mirrored(evidence: Evidence) -> Iterator[Finding]:
         south = '"gps.lat=-(COLUMN_OF_LAT)" if it was south of the equator'
         signs = " ".join(f'"imu.{name}=-(COLUMN_OF_{name.upper()})"' for name in ("ay", "gx", "gz"))
         remedy = f"import {west}, {south}, or {signs} if the coordinates are correct and the IMU's axes are left-handed"
-    # Otherwise there is no repair: a truth may be mirrored too, and the exchange changes the scale of degrees.
+    # Otherwise there is no repair: the truth may be mirrored too, and the exchange changes the scale of degrees.
     repair = Repair("exchange-fixes", ()) if drive.frame == "enu" and drive.truth is None else None
     where = f"gps.csv, {first}, {second}"
     yield Finding("mirrored-fixes", "serious", what, where, evidence.span, 0.99, remedy, repair)

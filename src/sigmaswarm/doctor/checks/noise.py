@@ -83,7 +83,7 @@ def _disturbed(evidence: Evidence) -> Iterator[Finding]:
     command = split_command(start, end)
     remedy = (
         f"{NO_ACTION} with the default filter of tune (robust), which reduces the weight of such fixes; for "
-        f"other filters, leave them out: {command}"
+        f"other filters, cut this part out of the drive: {command}"
     )
     where, span = "gps.csv, positions", (start, end)
     yield Finding(
@@ -118,9 +118,9 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         large = stated > MAX_SCATTER_RATIO * scatter
         otherwise = ", or their stated standard deviation is too large" if large else ""
         what = (
-            f"the errors of the fixes are correlated{otherwise}. The standard "
-            f"deviation of the fixes per axis is {noise:.2g} m from fix to fix and {scatter:.2g} m about a smooth path "
-            f"of ten seconds; a standard deviation of {stated:.2g} m is stated. Averaging hardly reduces correlated "
+            f"the errors of the fixes are correlated{otherwise}. Per axis, the standard deviation of the white noise "
+            f"from fix to fix is {noise:.2g} m, and that of the residuals from smooth paths fitted over ten seconds is "
+            f"{scatter:.2g} m; the stated standard deviation is {stated:.2g} m. Averaging hardly reduces correlated "
             "errors. If there is no truth, neither the stated standard deviation nor a filter's error can be checked"
         )
         remedy = (

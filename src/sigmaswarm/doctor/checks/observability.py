@@ -10,7 +10,12 @@ from sigmaswarm.doctor.clock_search import MAX_OFFSET
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding
 from sigmaswarm.drives.alignment import REPAIR_FINDINGS, StartFailure, find_start
-from sigmaswarm.drives.sensors import FIXES_FOR_FIX_ERROR, has_lasting_errors, stated_std_quantiles
+from sigmaswarm.drives.sensors import (
+    FIXES_FOR_FIX_ERROR,
+    LASTING_ERRORS,
+    has_lasting_errors,
+    stated_std_quantiles,
+)
 from sigmaswarm.drives.split import part_of
 from sigmaswarm.wording import count_of
 
@@ -59,8 +64,8 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
     moving = course.moving
     interval = float(np.median(np.diff(course.time)))
     shown = (
-        f"The course is known only while the car is faster than {course.slowest:.1f} m/s, "
-        f"which is {np.count_nonzero(moving) * interval:.0f} of {np.ptp(course.time):.0f} s"
+        f"The course is known only while the car is faster than {course.slowest:.1f} m/s: "
+        f"during {np.count_nonzero(moving) * interval:.0f} of {np.ptp(course.time):.0f} s"
     )
     if fit is None:
         return f"{shown}. No part is long enough to compare the course with the gyro", REMEDY
@@ -111,7 +116,7 @@ def check_use(evidence: Evidence) -> Iterator[Finding]:
     if (drive.truth is None or chosen.model == "tilted12") and has_lasting_errors(drive):
         what += f". With {FIXES_FOR_FIX_ERROR} or more training fixes, tune also uses fix-error"
         enough = len(drive.gps) >= FIXES_FOR_FIX_ERROR
-        what += ", since consecutive fixes differ by less than the receiver's error" if enough else ""
+        what += f", since {LASTING_ERRORS}" if enough else ""
         use += ("fix-error",) * enough
     if may:
         added = " and ".join(f"{name} ({meaning})" for name, meaning in may.items())

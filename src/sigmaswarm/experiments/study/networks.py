@@ -116,7 +116,7 @@ def training_drives(design: Design, trial: int, minutes: float) -> TrainingDrive
         raise InputError(
             f"trial {trial} has too little data to train networks, which need {MIN_DRIVES_TO_SPLIT} drives of "
             f"{MIN_DRIVING_TIME:g} s after the start of the filter, or one drive of {MIN_TIME_OF_ONLY_DRIVE:g} s; "
-            "add drives, or the maneuver urban"
+            'add drives or, if the drives are simulated, add "urban" to maneuvers'
         )
     count = len(chosen) - len(chosen) // MIN_DRIVES_TO_SPLIT
     return TrainingDrives(tuple(chosen[:count]), tuple(chosen[count:]), driven)

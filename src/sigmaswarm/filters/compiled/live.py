@@ -106,8 +106,9 @@ N_RECORD = S_MEANS.stop
 TAKEN, IGNORED, LEFT_OUT = 1, 0, -1
 """Results for a fix or an odometer reading.
 
-IGNORED: repeated data, a fix that is not after the filter's start or waits for confirmation, or a reading of a filter
-without odometer. LEFT_OUT: too late, no free row, time or speed not finite, or a reading whose time is far ahead.
+IGNORED: repeated data; a fix at or before the start of the filter; a fix whose time a second fix must confirm; an
+odometer reading, if the filter does not use an odometer. LEFT_OUT: a measurement that is too late, whose buffer is
+full, or whose time or speed is not finite; or an odometer reading whose time is far ahead.
 """
 DUE = 2  # result of a sample: used, and the divergence monitor is due
 

@@ -1,9 +1,10 @@
 """Loops over lanes, emitted as vector instructions of LLVM.
 
-Numba would infer the types of several thousand lines, which takes half a minute or more. Since all numbers in kernels
-are doubles, each loop over lanes is emitted directly, as a separate function of the array of rows and of the few
-numbers that all lanes share. The name of this function contains a hash of its text, so all callers use the same
-function and get identical results.
+If Numba compiled these loops, it would have to infer the types of several thousand lines, which takes half a minute or
+more. Since all numbers in kernels are doubles, each loop over lanes is instead converted directly to LLVM instructions.
+It becomes a separate function, whose arguments are the array of rows and a tuple of the scalars that have the same
+value in all lanes. The name of this function contains a hash of its text, so all callers use the same function and get
+identical results.
 
 The body of a loop over lanes must not contain branches. It may contain assignments to names and to ``w.XX`` or
 ``w[row]`` with a row number known at compilation, elements of tuples, arithmetic, comparisons, ``&``, ``|``, ``a if

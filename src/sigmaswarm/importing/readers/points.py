@@ -23,7 +23,7 @@ def with_points(rows: pl.LazyFrame) -> pl.LazyFrame:
     """Replace each column of points by two columns of numbers: longitude and latitude, or x and y in m.
 
     A new name is the old name with the axis in place of a word for points: gt_geom becomes gt_x and gt_y. The names are
-    the axes alone if the table has only one column of points, this column is not a truth, and the new names would have
+    the axes alone if the table has only one column of points, this column is not truth, and the new names would have
     no meaning.
     """
     schema = rows.collect_schema()
