@@ -62,8 +62,9 @@ def require_text(path: Path, shown_as: Path | None = None) -> tuple[bytes, int]:
         while block := file.read(MAX_LINE_BYTES):
             first, last = block.find(b"\n"), block.rfind(b"\n")
             if begun + (len(block) if first < 0 else first) > MAX_LINE_BYTES:
-                what = f"is longer than {MAX_LINE_BYTES} bytes, so the file is damaged; copy it again"
-                raise InputError(f"{shown}, row {lines + 1}: {what}")
+                what = f"is longer than {MAX_LINE_BYTES} bytes"
+                why = "so the file is probably damaged or not a table; copy it again"
+                raise InputError(f"{shown}, row {lines + 1}: {what}, {why}")
             begun = begun + len(block) if last < 0 else len(block) - last - 1
             lines += block.count(b"\n")
         file.seek(0)
