@@ -24,8 +24,8 @@ RESIDUAL_LIMITS = (0.5, 1.2)
 MAGNITUDE_LIMITS = (0.3, 1.0)
 # smallest ratio of a rotation to its standard deviation, to report or to repair the rotation
 REPORT_RATIO, REPAIR_RATIO = 2.5, 3.5
-# smallest ratio to repair a rotation about the vertical that only one of the two axes shows
-RATIO_OF_ONE_AXIS = 6.0
+# smallest ratio of a serious rotation about the vertical, and of one that only one of the two axes shows
+SERIOUS_RATIO = 6.0
 WRONG_SCALE = 0.4  # smallest reported relative error of the scale
 MIN_ACCELERATION_SPREAD = 0.4  # m/s2, smallest spread of the acceleration that determines its scale
 WHERE = "imu.csv, ax, ay"
@@ -75,11 +75,12 @@ def _size(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
     if abs(angle) >= max(MOUNTING_LIMITS[0], REPORT_RATIO * std):
         # With six axes, the check of the mounting reports the rotation, with its own confidence.
         six = evidence.mounting is not None and np.array_equal(mount.axes, np.eye(2))
-        ratio = REPAIR_RATIO if all(mount.known) else RATIO_OF_ONE_AXIS
+        ratio = REPAIR_RATIO if all(mount.known) else SERIOUS_RATIO
         # a rotation does not explain an axis whose scale differs from 1
         fits = all(abs(scale - 1) < 3 * off + DIAGONAL_TOLERANCE for scale, off in mount.scale)
         clear = abs(angle) >= ratio * std and fits and not six
-        severity = ("serious" if abs(angle) > MOUNTING_LIMITS[1] else "warning") if clear else "note"
+        grave = abs(angle) > max(MOUNTING_LIMITS[1], SERIOUS_RATIO * std)
+        severity = ("serious" if grave else "warning") if clear else "note"
         # the x axis points to this side
         degrees, side = math.degrees(angle), "left" if angle > 0 else "right"
         what = (
