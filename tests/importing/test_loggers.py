@@ -1001,3 +1001,30 @@ def test_two_stamps_of_single_precision_show_no_rate(tmp_path: Path):
     write(tmp_path / "gps.csv", {"t": 1714557605 + FIXED, "lat": LAT, "lon": LON})
     with pytest.raises(InputError, match=r'times of the imu are too coarse.*row/100" for 100 Hz'):
         imported(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["gap", "scattered"])
+def test_rows_in_which_the_gyro_has_no_value_are_left_out(tmp_path: Path, kind: str):
+    """A gyro with missing values is no slower sensor, whose samples could be interpolated."""
+    imu, gps = DRIVE.imu, DRIVE.gps
+    middle = float(np.mean(imu.time))
+    gone = np.abs(imu.time - middle) < 0.35 * np.ptp(imu.time)
+    if kind == "scattered":
+        gone = np.random.default_rng(0).uniform(size=len(imu.time)) < 0.35
+    table = pl.DataFrame({"t": imu.time, "ax": imu.ax, "ay": imu.ay, "gz": np.where(gone, np.nan, imu.gz)})
+    table.with_columns(pl.col("gz").fill_nan(None)).write_csv(tmp_path / "imu.csv")
+    pl.DataFrame({"t": gps.time, "x": gps.x, "y": gps.y}).write_csv(tmp_path / "gps.csv")
+    got = imported(tmp_path)
+    np.testing.assert_allclose(
+        got.drive.imu.time, imu.time[~gone] - imu.time[0] + got.drive.imu.time[0], atol=1e-6
+    )
+    assert any("since a cell is empty" in note for note in got.notes)
+
+
+def test_settings_in_a_json_file_do_not_hide_tables(tmp_path: Path):
+    pl.DataFrame({"t": DRIVE.imu.time, "ax": DRIVE.imu.ax, "ay": DRIVE.imu.ay, "gz": DRIVE.imu.gz}).write_csv(
+        tmp_path / "imu.dat"
+    )
+    pl.DataFrame({"t": DRIVE.gps.time, "x": DRIVE.gps.x, "y": DRIVE.gps.y}).write_csv(tmp_path / "gps.dat")
+    (tmp_path / "settings.json").write_text('{"device": "x", "rate": 100}')
+    assert len(imported(tmp_path).drive.imu) == len(DRIVE.imu)

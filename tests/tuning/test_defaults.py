@@ -171,7 +171,7 @@ def test_the_default_adds_fix_error_if_the_scatter_is_less_than_stated():
         return default_filter_options(options, drives)[0]["use"]
 
     assert chosen_for([lasting]) == (*used, "fix-error")
-    assert default_filter_options({}, [lasting])[1].endswith("fixes differ by less than the receiver's error")
+    assert default_filter_options({}, [lasting])[1].endswith("so the fix errors are probably correlated")
     assert chosen_for([lasting, replace(lasting, truth=truth)]) == (*used, "fix-error")
     assert chosen_for([replace(lasting, truth=truth)]) == used
     assert chosen_for([replace(lasting, truth=truth)], objective="innovation-t") == (*used, "fix-error")

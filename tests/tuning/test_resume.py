@@ -265,7 +265,7 @@ def test_the_error_names_a_number_of_drive_toml_that_changed(tmp_path: Path):
     interrupted(DRIVES, tmp_path / "out", 8, **OPTIONS)
     stated = [DRIVES[0], replace(DRIVES[1], metadata={**DRIVES[1].metadata, "gps_std_m": 7.0})]
     message = refusal(stated, tmp_path / "out", resume=True, **OPTIONS)
-    assert "but this command has d1.stated.gps_std_m = 7.0; " in message
+    assert "but this command has drive d1.stated.gps_std_m = 7.0; " in message
     assert "its drives or options differ; choose another" in refusal(stated, tmp_path / "out", **OPTIONS)
 
 

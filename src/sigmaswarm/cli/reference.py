@@ -32,8 +32,8 @@ class ReferenceOptions:
     accuracy
         Largest standard deviation per axis, m. Fixes and truth with a larger standard deviation are left out.
     fix_std
-        Lower limit of the fixes' stated standard deviations, m per axis; smaller values are raised. If the log states
-        none, all fixes have this standard deviation.
+        Minimum standard deviation of the reference receiver's fixes, m per axis; also used for fixes without a standard
+        deviation.
     seed
         Seed of the smoother's tuning, and of the choice of fixes that are hidden to test the smoother.
     """

@@ -9,6 +9,7 @@ import polars as pl
 from scipy.sparse.csgraph import connected_components
 
 from sigmaswarm.arrays import Array
+from sigmaswarm.drives.tables import Mask
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import SECOND, Nanoseconds
 from sigmaswarm.importing.expressions import (
@@ -33,8 +34,15 @@ MAX_TIMELESS_ROWS = 10
 MIN_PLACEHOLDER_DISTANCE = 10
 # Smallest 5% quantile of the magnitude of a specific force with gravity, relative to its upper quartile
 MIN_FORCE = 0.3
-# Smallest share of the rows of the more frequent of two columns of a sensor in which both have a value
+# Smallest share of the rows of a column of a sensor in which another column of this sensor has a value
 MIN_COMMON_ROWS = 0.7
+MAX_ROW_STEPS = 3.0  # largest step between the rows of a slower sensor, in median steps
+
+
+def _is_every_nth(known: Mask) -> bool:
+    """Return True if a column has values in every n-th row, n > 1, also if single values are missing."""
+    steps = np.diff(np.flatnonzero(known))
+    return len(steps) > 0 and 1 < float(np.median(steps)) >= float(steps.max()) / MAX_ROW_STEPS
 
 
 def with_row_numbers(frame: pl.DataFrame, first: int = 0) -> pl.DataFrame:
@@ -117,8 +125,13 @@ class PartColumns:
         names = whole.columns[1:]
         known = whole.select(pl.col(names).is_finite().fill_null(False)).cast(pl.Float64).to_numpy()
         common = known.T @ known  # number of rows with both columns
-        most = np.maximum.outer(np.diag(common), np.diag(common))
-        group = connected_components(common >= np.maximum(MIN_COMMON_ROWS * most, 1))[1]
+        rows = np.diag(common)
+        steady = np.array([_is_every_nth(column > 0) for column in known.T], dtype=np.bool_)
+        sparser = np.where(np.less.outer(rows, rows), steady[:, None], steady)
+        most, fewest = np.maximum.outer(rows, rows), np.minimum.outer(rows, rows)
+        # a column with gaps belongs to the sensor of the other column; one in every n-th row may be a slower sensor
+        shared = np.where(sparser, most, fewest)
+        group = connected_components(common >= np.maximum(MIN_COMMON_ROWS * shared, 1))[1]
         own = {k: [n for n, g in zip(names, group, strict=True) if g == k] for k in group}
         sensors = [some for some in own.values() if not {*required}.isdisjoint(some)]
         empty = any(not common[k, k] for k, name in enumerate(names) if name in required)

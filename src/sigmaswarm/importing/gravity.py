@@ -59,11 +59,13 @@ def wrong_scale(imu: Imu, parts: Sequence[Part], rates: Mapping[str, str]) -> li
     def add(texts: Mapping[str, str], what: str, form: str) -> None:
         units = {text: read_name(text.strip("`")).unit for text in texts.values()}
         dimension = DIMENSIONS[next(iter(texts))]
-        scaled = {
-            name: in_si(unit, text)
-            if (unit := units[text]) and unit.dimension == dimension
-            else form.format(text)
+        stated = {
+            name: in_si(unit, text) if (unit := units[text]) and unit.dimension == dimension else text
             for name, text in texts.items()
+        }
+        # if the stated unit is already that of SI, it is wrong
+        scaled = {
+            name: form.format(text) if stated[name] == text else stated[name] for name, text in texts.items()
         }
         maps = " ".join(f'"imu.{name}={text}"' for name, text in scaled.items())
         scale = f"so their scale is wrong; specify it, for example --map {maps}"

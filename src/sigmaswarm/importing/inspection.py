@@ -261,9 +261,18 @@ def _proposal(
         rate = _rate(rows, found[role].get("t", known.get("t"))) or 0.0
         found[role] = {name: text.replace(RATE, f"{rate:.6g}") for name, text in found[role].items()}
     path, table, known, _ = used["imu"]
+    home, places, *_ = used["gps"]
+    # columns that are mapped by hand belong to the only table
+    table, places = table or _only(first[path]), places or _only(first[home])
     imu, fixes = {**known, **found.get("imu", {})}, {**used["gps"][2], **found.get("gps", {})}
-    rows, (home, places, *_) = first[path].get(table, pl.DataFrame()), used["gps"]
-    if {"ax", "gz"} <= imu.keys() and "t" not in imu and time_of_rows(rows, "imu", {}, "imu") is None:
+    rows = first[path].get(table, pl.DataFrame())
+    if (
+        table
+        and places
+        and {"ax", "gz"} <= imu.keys()
+        and "t" not in imu
+        and time_of_rows(rows, "imu", {}, "imu") is None
+    ):
         time = rising_time(rows, "imu")
         steps = [column_numbers(values).diff().drop_nulls() for values in rows]
         if not time and not any(
@@ -274,6 +283,10 @@ def _proposal(
         for role in ("imu", "gps")[: 1 + shared] if time else ():
             found[role] = {"t": time, **found.get(role, {})}
     return Proposal(tables, found) if found else None
+
+
+def _only(tables: Mapping[str, pl.DataFrame]) -> str:
+    return next(iter(tables)) if len(tables) == 1 else ""
 
 
 def _time_of_fixes(log: Log, table: str, fixes: Log, places: str, time: str) -> str:

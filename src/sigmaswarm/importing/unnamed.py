@@ -13,7 +13,7 @@ from sigmaswarm.importing.expressions import time_expression
 from sigmaswarm.importing.names import read_name, read_names
 from sigmaswarm.importing.quantities import MAX_QUARTILE_RATIO, PER_G, RATE
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.table_columns import AXES, column_numbers, median_of, quoted_column
+from sigmaswarm.importing.table_columns import AXES, median_of, quoted_column
 from sigmaswarm.importing.time_units import column_time, date_time, step_of
 from sigmaswarm.importing.times import time_of
 from sigmaswarm.importing.units import G, in_si
@@ -64,7 +64,8 @@ def columns_by_units(frame: pl.DataFrame, role: Role) -> dict[str, str]:
     units = {name.column: name.unit for name in read_names(frame.columns) if name.unit is not None}
     kinds = {dimension: [n for n, u in units.items() if u.dimension == dimension] for dimension in _OF_AXES}
     if role == "gps":
-        angles = {n: column_numbers(frame[n]).to_numpy() for n, u in units.items() if u.dimension == "angle"}
+        names = [n for n, u in units.items() if u.dimension == "angle" and frame.schema[n].is_numeric()]
+        angles = {n: frame[n].cast(pl.Float64).to_numpy() for n in names}
         return {what: quoted_column(name) for what, name in _place(angles).items()}
     if any(len(names) != 3 for names in kinds.values()):
         return {}

@@ -138,7 +138,7 @@ def _difference(key: str, saved: Any, wanted: Any) -> tuple[str, str]:
     if key in DRIVES:
         for old, new in _same_drives(saved, wanted):
             if old != new:
-                return _difference(printable(new["name"]), old, new)
+                return _difference(f"drive {printable(new['name'])}", old, new)
     if isinstance(saved, dict) and isinstance(wanted, dict) and key not in ("data", "model"):
         old, new = cast(dict[str, Any], saved), cast(dict[str, Any], wanted)
         inner = next(k for k in sorted(old.keys() | new.keys()) if old.get(k) != new.get(k))

@@ -13,7 +13,8 @@ from typing import Any, cast
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.readers.columns import SUFFIXES, log_of_files
+from sigmaswarm.importing.readers import columns as tables_of_columns
+from sigmaswarm.importing.readers.columns import log_of_files
 from sigmaswarm.importing.readers.fields import MAX_DEPTH, MAX_ELEMENTS
 from sigmaswarm.importing.source import Limits, Log, first_bytes
 
@@ -24,7 +25,7 @@ Row = dict[str, Any]
 
 
 def recognizes(path: Path) -> bool:
-    if path.is_dir() and any(file.suffix.lower() in SUFFIXES for file in path.iterdir()):
+    if path.is_dir() and tables_of_columns.recognizes(path):  # settings may be next to tables
         return False
     return bool(_files(path))
 
@@ -41,6 +42,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     for file in _files(path) if path.is_dir() else [path]:
         for name, frame in _frames(file, limits).items():
             name = name if file in (path, path / name) else f"{file.stem}.{name}"
+            name = f"{file.name}.{name}" if name in frames else name
             frames[name], limits = frame, limits.less(len(frame.collect_schema()))
     if not frames:
         raise InputError(f"{path}: contains no list of objects; write a list with an object for each sample")
