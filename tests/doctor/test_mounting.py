@@ -252,6 +252,25 @@ def test_a_rotation_of_the_imu_is_distinguished_from_hills(run: int, imu: str, s
 
 
 @pytest.mark.parametrize(
+    ("run", "imu", "gps", "terrain", "start"),
+    [
+        (743, "gnss-ins-sim-high", "f9p-rtk", "hilly", 53.0),
+        (744, "mpu-6050", "white-1m", "flat", 36.0),
+        (807, "gnss-ins-sim-high", "white-1m", "hilly", 35.0),
+    ],
+    ids=["one bend uphill", "one maneuver", "hard braking on a slope"],
+)
+def test_a_minute_with_few_maneuvers_shows_no_moved_imu(
+    run: int, imu: str, gps: str, terrain: str, start: float
+):
+    drive = sigmaswarm.simulate(
+        "urban", run=run, duration=120.0, imu=imu, gps=gps, terrain=terrain, vibration=float(run % 3 > 0)
+    )
+    part = clip(drive, start, start + 60.0)
+    assert find_movement(part) is None and find_turn(gather(part)) is None
+
+
+@pytest.mark.parametrize(
     ("axis", "angle"),
     quickly(
         [("y", 25.0), ("y", 40.0), ("y", 60.0), ("z", 90.0), ("z", -60.0)],

@@ -106,7 +106,7 @@ def noisy(drive: Drive, std: float, name: str = "noisy", stated: float | None = 
     return replace(drive, name=name, gps=gps, truth=None, metadata=metadata)
 
 
-def test_for_fixes_with_white_errors_the_objective_adds_forecasts():
+def test_the_objective_adds_forecasts_for_white_errors_and_the_likelihood_for_correlated_ones():
     long = make_drive(duration=60.0)
     auto = partial(objective_for, objective="auto", model="tilted12")
     forecasts = "0.5 innovation-t + 0.5 forecast-t"
@@ -122,12 +122,18 @@ def test_for_fixes_with_white_errors_the_objective_adds_forecasts():
     assert auto([white, noisy(WHOLE, 1.0, "short")]) == "innovation-t"  # too short for hidden fixes
     for asked in ("innovation-t", "outage-rmse"):
         assert objective_for([white], asked, "tilted12") == asked
-    known = replace(white, truth=long.truth)
+    known, correlated = (replace(one, truth=long.truth) for one in (white, copying))
     assert auto([known]) == "truth-pose + 0.2 nees + 0.2 forecast-t"
     assert (
         auto([known], model="planar8")
-        == auto([replace(copying, truth=long.truth)])
+        == auto([known, correlated], model="planar8")
+        == auto([replace(noisy(long, 0.01, stated=0.01), truth=long.truth)])
         == "truth-pose + 0.2 nees"
+    )
+    assert (
+        auto([correlated])
+        == auto([correlated, known, correlated], model="planar8")
+        == "truth-pose + 0.2 nees + 0.1 innovation-t"
     )
     assert (
         objective_for([known], "auto", "tilted12", ("fix-error",))

@@ -112,9 +112,10 @@ class FixesAlone:
         fixes = np.ascontiguousarray(line.fixes[:, FIX_X : FIX_X + 2])
         _filter(np.diff(moments), fixes, variance, noise.acceleration, states[0].copy(), states[1:])
         last = np.searchsorted(moments, line.imu_time, side="right") - 1
+        u, v = states[:, 2:4].T
+        headings = np.where(np.hypot(u, v) > 0, np.arctan2(v, u), self.initial.mean[4])
         x, y, u, v, pp, pv, vv = states[last].T
-        t = line.imu_time - moments[last]
-        heading = np.where(np.hypot(u, v) > 0, np.arctan2(v, u), self.initial.mean[4])
+        t, heading = line.imu_time - moments[last], headings[last]
         covariance = np.zeros((len(t), 5, 5))
         spread = pp + 2 * t * pv + t**2 * vv + noise.acceleration * t**3 / 3
         covariance[:, [0, 1], [0, 1]] = spread[:, np.newaxis]

@@ -19,18 +19,20 @@ from sigmaswarm.drives.split import name_of_whole
 from sigmaswarm.geodesy import roll_pitch_yaw
 
 # Smallest change of gravity's direction if the IMU was moved: in rad, and in typical errors of a median. In fault-free
-# drives with 20 s of hard maneuvers at one end, the change was up to 16 degrees.
-MIN_MOVEMENT, MIN_MOVEMENT_RATIO = math.radians(18.0), 4.0
+# drives with 20 s of hard maneuvers at one end, the change was up to 18 degrees.
+MIN_MOVEMENT, MIN_MOVEMENT_RATIO = math.radians(22.0), 4.0
 MIN_TURNED = math.radians(45.0)  # rad, smallest turn of the IMU about the vertical, see `find_turn`
 MIN_PART = 20.0  # s, shortest part of a drive before or after such a turn
 # Smallest coherence of measured and expected accelerations in each part, and smallest RMS acceleration of the vehicle,
 # m/s2
 MIN_COHERENCE, MIN_MOTION = 0.5, 0.4
-# Below these limits, hills (RMS slope of 8%) can look like a turn of the IMU, so the path must also show the turn
-CLEAR_COHERENCE, CLEAR_MOTION = 0.7, 0.8
-# Largest ratio of the residuals of the path's regression with the turn to those without the turn. In 2,000 parts (60 s)
-# of hilly drives without faults, the ratio was 0.95 or more.
-MAX_RESIDUAL_RATIO = 0.94
+# Below these limits, hills (RMS slope of 8%) or a few maneuvers can look like a turn of the IMU, so the path must also
+# show the turn. The last limit is the ratio of the turn to its standard deviation, from blocks of BLOCK s: up to 3 with
+# an MPU-6050 on a flat road, and above 7 for 80% of planted turns by 60 to 180 degrees.
+CLEAR_COHERENCE, CLEAR_MOTION, CLEAR_SIGMAS, BLOCK = 0.7, 0.8, 7.0, 4.0
+# Largest ratio of the residuals of the path's regression with the turn to those without the turn. In 6,200 parts (60 s)
+# of drives without faults, the ratio was below 0.9 in one drive (0.84).
+MAX_RESIDUAL_RATIO = 0.9
 # Smallest change of the direction of acceleration, rad, that driving backward explains
 BACKWARD = math.radians(150.0)
 OR_BACKWARD = ", or the vehicle drives backward before or after this time"
@@ -167,8 +169,17 @@ def find_turn(evidence: Evidence) -> tuple[float, float] | None:
     time, angle = float(at[cut]), float(np.angle(after[0] * np.conj(before[0])))
     if coherence < MIN_COHERENCE or rms < MIN_MOTION or abs(angle) < MIN_TURNED:
         return None
-    clear = coherence > CLEAR_COHERENCE and rms > CLEAR_MOTION
+    products, rows = a * u.conj(), max(round(BLOCK / float(np.median(np.diff(at)))), 1)
+    std = math.hypot(*(_angle_std(part, rows) for part in (products[: cut + 1], products[cut + 1 :])))
+    clear = coherence > CLEAR_COHERENCE and rms > CLEAR_MOTION and abs(angle) > CLEAR_SIGMAS * std
     return (time, abs(angle)) if clear or _path_shows(evidence, time, angle) else None
+
+
+def _angle_std(products: Values, rows: int) -> float:
+    """Return the standard deviation (rad) of the argument of a sum, by a jackknife over blocks of ``rows`` products."""
+    blocks = np.array([block.sum() for block in np.array_split(products, max(len(products) // rows, 2))])
+    off = np.angle((blocks.sum() - blocks) * np.conj(blocks.sum()))
+    return math.sqrt((len(blocks) - 1) / len(blocks) * float(off @ off))
 
 
 def _path_shows(evidence: Evidence, time: float, angle: float) -> bool:
