@@ -285,6 +285,32 @@ def test_units_in_the_middle_of_names(tmp_path: Path, force: str, rate: str):
     assert_close(imported(tmp_path).drive.imu, IMU, "time ax ay az gx gy gz", 1e-9)
 
 
+@pytest.mark.parametrize(
+    ("force", "rate", "factors"),
+    [
+        ("mps2_{}", "dps_{}", (1.0, np.pi / 180)),
+        ("mg_{}", "mdps_{}", (G / 1e3, np.pi / 180e3)),
+        ("cm_s2_acc_{}", "rad_s_gyro_{}", (0.01, 1.0)),
+        ("mg_a{}", "mradps_g{}", (G / 1e3, 1e-3)),
+    ],
+)
+def test_units_at_the_beginning_of_names(tmp_path: Path, force: str, rate: str, factors: tuple[float, float]):
+    names = [form.format(i) for form in (force, rate) for i in "xyz"]
+    rows = imu_rows({a: 1 / factors[a[0] == "g"] for a in AXES})
+    (tmp_path / "imu.csv").write_text(table([",".join(["t", *names]), *joined(rows)]))
+    write_fixes(tmp_path)
+    assert_close(imported(tmp_path).drive.imu, IMU, "time ax ay az gx gy gz", 1e-9)
+
+
+@pytest.mark.parametrize("field", ["mg_{}", "mG_{}", "mag_{}"])
+def test_an_established_name_goes_before_a_unit_that_may_be_of_a_magnetic_field(tmp_path: Path, field: str):
+    head = [field.format(i) for i in "xyz"]
+    lines = [",".join(["t", *head, *AXES]), *(f"{row[0]},-250,90,-430,{','.join(row[1:])}" for row in ROWS)]
+    (tmp_path / "imu.csv").write_text(table(lines))
+    write_fixes(tmp_path)
+    assert_close(imported(tmp_path).drive.imu, IMU, "time ax ay az gx gy gz", 1e-12)
+
+
 def test_g_in_a_name_may_mean_gravity(tmp_path: Path):
     """Values in m/s2 are refused with an option that reads them; accelerations without g have priority."""
     head = ["t", *(f"acc_g_{i}" for i in "xyz"), *AXES[3:]]
@@ -712,6 +738,22 @@ def test_x_y_z_are_of_what_the_table_is_called(tmp_path: Path, names: tuple[str,
     got = imported(tmp_path).drive
     assert_close(got.imu, IMU, "time ax ay az gx gy gz", 1e-12)
     assert_close(got.gps, GPS, place.replace(",", " "), 1e-12)
+
+
+@pytest.mark.parametrize("every", [(5, 1), (1, 5), (4, 2), (1, 1)])
+def test_two_rates_of_a_sensor_are_reported(tmp_path: Path, every: tuple[int, int]):
+    for name, letter, step in zip(("Accelerometer", "Gyroscope"), "ag", every, strict=True):
+        columns = [IMU.time, *(getattr(IMU, f"{letter}{i}") for i in "xyz")]
+        rows = [",".join(repr(float(v)) for v in row) for row in zip(*columns, strict=True)][::step]
+        (tmp_path / f"{name}.csv").write_text(table(["time,x,y,z", *rows]))
+    write_fixes(tmp_path)
+    got = imported(tmp_path)
+    force, rate = (100 / step for step in every)
+    said = (
+        f"imu: gx, gy, gz, recorded at {rate:g} Hz, are interpolated at the times of ax, ay, az, {force:g} Hz"
+    )
+    assert (said in got.notes) == (force != rate) == any("recorded at" in note for note in got.notes)
+    np.testing.assert_allclose(got.drive.imu.time, IMU.time[:: every[0]])
 
 
 TRUTHS: dict[str, tuple[str, Callable[[Any], Any]]] = {

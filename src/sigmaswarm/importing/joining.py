@@ -27,7 +27,7 @@ from sigmaswarm.importing.timeline import (
     spread_stamps,
     unwrap,
 )
-from sigmaswarm.wording import count_of, printable, rows_left_out
+from sigmaswarm.wording import count_of, list_names, printable, rows_left_out
 
 MIN_STD = 1e-6  # m or rad; a standard deviation of at most this value counts as missing
 # Period of each angle column, rad or deg
@@ -52,6 +52,7 @@ MAX_ROUNDED_DEGREES, MAX_ROUNDED_M = 1e-5, 1.0
 MIN_CORNER, MIN_CORNERS, MIN_REGULAR_SHARE = 8.0, 20, 0.9
 # Largest rounding error of a second difference, in steps of the last digit; the exact limit is two steps
 MAX_ROUNDING = 2.5
+MAX_RATE_RATIO = 1.5  # larger ratios of the rates of a sensor's parts are reported
 COLUMN_PAIRS = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"), ("heading", "std_heading"))
 
 
@@ -72,6 +73,8 @@ def join(
     for other_time, other in others:
         if not len(other_time):
             continue
+        if role == "imu" and (apart := _other_rate(time, values, other_time, other)):
+            say(f"imu: {apart}")
         inside = (time >= other_time[0]) & (time <= other_time[-1])
         if left := int(np.count_nonzero(~inside)):
             say(f"{role}: {rows_left_out(left)}, since not all tables of the sensor cover their times")
@@ -108,6 +111,18 @@ def without_overlap(role: Role, parts: Sequence[Part], spans: Sequence[tuple[flo
         apart = f"{' and '.join(seen)}, so the tables do not overlap in time"
         return f"{role}: {apart}; {RECIPE}{example if move else ''}"
     return ""
+
+
+def _other_rate(time: Nanoseconds, values: Values, other_time: Nanoseconds, other: Values) -> str:
+    """Describe the rate of the joined table if it differs from that of the other table; otherwise return ""."""
+    if min(len(time), len(other_time)) < 2:
+        return ""
+    rate, other_rate = (SECOND / float(np.median(np.diff(t))) for t in (time, other_time))
+    if max(rate / other_rate, other_rate / rate) < MAX_RATE_RATIO:
+        return ""
+    names = list_names(name.removeprefix("+") for name in other)
+    known = f"at the times of {list_names(values)}, {rate:.4g} Hz"
+    return f"{names}, recorded at {other_rate:.4g} Hz, are interpolated {known}"
 
 
 def _with_known_headings(values: Values) -> Values:

@@ -159,6 +159,7 @@ class Name:
     column: str
     plain: str  # in lower case, without the unit
     unit: Unit | None = None
+    weak: bool = False  # True if names of another family take precedence
 
     @property
     def meaning(self) -> str | None:
@@ -289,6 +290,7 @@ def _family(name: Name) -> str:
     stated = not name.plain.endswith("rate") and _stated(name.plain, name.unit)
     weak = re.match(_SHORT, name.plain) or stated or name.plain.startswith("lin")  # may be without gravity
     weak = weak or (name.words[-2:-1] == ("g",) and name.meaning in _AXES[:3])  # may be gravity itself
+    weak = weak or name.weak
     return re.sub("^[xyz]|[xyz]$", "", re.sub("^[pqr]$", "pqr", name.plain)) if weak else ""
 
 
@@ -348,7 +350,23 @@ def _read(column: str, text: str) -> Name:
         axes = _AXES[:3] if name.unit and name.unit.text == "g" else _AXES
         if name.unit and name.unit.dimension in ("acceleration", "rate", "angle") and name.meaning in axes:
             return name
-    return _with_unit(column, words)
+    name = _with_unit(column, words)
+    return name if name.unit or name.meaning else _after_unit(column, words) or name
+
+
+def _after_unit(column: str, words: list[str]) -> Name | None:
+    """Read a name that begins with the unit of an axis: mps2_x, dps_gyro_z; otherwise return None."""
+    for count in (3, 2, 1):
+        unit = unit_of(words[:count]) if len(words) > count else None
+        letter = {"acceleration": "a", "rate": "g"}.get((unit and unit.dimension) or "")
+        # a single g before an axis means the gyro, or gravity
+        if unit is None or letter is None or unit.text == "g":
+            continue
+        plain = "_".join(words[count:])
+        plain = f"{letter}{plain}" if plain in {*"xyz"} else plain
+        if meaning_of_plain(plain) in {f"{letter}{i}" for i in "xyz"}:
+            return Name(column, plain, unit, weak=True)  # mg_x may be a magnetic field
+    return None
 
 
 def _with_unit(column: str, words: list[str], axis: str = "") -> Name:
