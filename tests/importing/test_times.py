@@ -205,6 +205,36 @@ def test_days(tmp_path: Path, form: str):
     assert any("days" in note for note in imported(tmp_path).notes)
 
 
+@pytest.mark.parametrize("decimals", [5, 6, 7])
+def test_rounded_days_are_spread_evenly(tmp_path: Path, decimals: int):
+    """Steps of the last decimal are 0.864 s, 0.0864 s and 0.00864 s."""
+    write(tmp_path, "time", lambda t: f"{45406.96296 + t / 86400:.{decimals}f}")
+    got = imported(tmp_path)
+    errors = np.append(got.drive.imu.time - IMU.time, got.drive.gps.time - GPS.time[-len(got.drive.gps) :])
+    assert np.ptp(errors) < 0.15 * 86400 / 10**decimals + 0.009
+    assert any("times in days are rounded to" in note for note in got.notes)
+
+
+@pytest.mark.parametrize("decimals", [5, 6])
+@pytest.mark.parametrize("rate", [1.0, 2.0, 10.0, 100.0])
+def test_rounded_days_of_an_uneven_rate_are_refused_with_their_error(rate: float, decimals: int):
+    def stamps(time: np.ndarray) -> np.ndarray:
+        return np.round(
+            np.round((45406.5 + time / 86400) * 10**decimals) * 864 * 10 ** (11 - decimals)
+        ).astype(np.int64)
+
+    time = np.arange(round(300 * rate)) / rate
+    spread, said = spread_stamps(stamps(time), "gps", "gps.csv")
+    rounding = 86400 / 10**decimals
+    if rounding > 0.2 / rate:
+        assert said.startswith(f"the times in days are rounded to {rounding:.3g} s; rows are spread evenly")
+        assert np.ptp(spread / 1e9 - time) < 0.3 * rounding
+    uneven = np.cumsum(np.random.default_rng(1).exponential(1 / rate, len(time)))
+    if 1 / rate < 2 * rounding and rate <= 2:
+        with pytest.raises(InputError, match=r"gps.csv: the times in days are rounded to .* more decimals"):
+            spread_stamps(np.unique(stamps(uneven)), "gps", "gps.csv")
+
+
 @pytest.mark.parametrize(("scale", "begin"), [(3600.0, 0.0), (86400.0, 0.0), (86400.0, 1 - 5 / 86400)])
 def test_a_unit_that_can_not_be_known_is_refused_and_the_remedy_helps(
     tmp_path: Path, scale: float, begin: float

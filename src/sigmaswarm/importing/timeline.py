@@ -46,6 +46,7 @@ MAX_SECONDS = 5
 # Smallest jump of a clock between recordings: in s, and in median steps; the larger value applies
 MIN_STEP_BACK, STEPS = 0.2, 2
 MAX_STEP_AHEAD = 3590 * SECOND  # longest pause within a recording; a change to summer time is an hour
+MIN_REFUSED_SHARE = 0.1  # smallest fraction of rows with a repeated time in a table that is refused
 MAX_REPEATED_SHARE = 0.02  # if a larger fraction of rows repeats the previous time, rows share time stamps
 # Largest step within a burst of rows, relative to the mean step and to `MAX_STEP`; the smaller value applies
 MAX_BURST_STEP, MAX_BURST_INTERVAL = 0.25, 1 / 400
@@ -64,6 +65,11 @@ MIN_STEP_VARIATION = 0.005
 # largest width of the band of stamps at a constant rate (see `spread_stamps`)
 MAX_PAUSE, WINDOW, MAX_BAND = 2.5, 20, 1.25
 MIN_EVEN_SHARE = 0.9  # smallest fraction of rows with such a band
+# Times in days, as in spreadsheets: rounding errors of 4 to 7 decimals, ns, and the largest deviation from a multiple
+DAY_DECIMALS = tuple(86_400 * SECOND / 10**k for k in (4, 5, 6, 7))
+MAX_DEVIATION = 20_000  # ns
+# Rounding, relative to the mean step: above the first limit rows are spread, above the second an uneven rate is refused
+MIN_DAY_ROUNDING, MAX_DAY_ROUNDING = 0.2, 0.5
 
 
 def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
@@ -244,8 +250,18 @@ def spread_stamps(
     if not len(ahead):
         raise InputError(
             f"{where}: all {len(time)} rows have the same time; specify a finer time with --map {role}.t=..., or, if "
-            f'the rate is known, compute it from the row number: --map "{role}.t=row/100" for 100 Hz'
+            f'the rate is known, compute it from the row number: --map "{role}.t=row/100" for 100 Hz (replace 100 by '
+            "the rate of this log)"
         )
+    if (rounding := _rounding_of_days(ahead)) > MIN_DAY_ROUNDING * step:
+        seen = f"the times in days are rounded to {rounding / SECOND:.3g} s"
+        if (even := _spread_days(time, rounding)) is not None:
+            return even[0], f"{seen}; rows are spread evenly at a constant rate of {SECOND / even[1]:.4g} Hz"
+        if rounding > MAX_DAY_ROUNDING * step and shared < MIN_REFUSED_SHARE:
+            raise InputError(
+                f"{where}: {seen}, but rows of the {role} are {step / SECOND:.3g} s apart, and their rate is not "
+                "constant; write the times with more decimals"
+            )
     near = in_burst(time, role)
     first = np.flatnonzero(np.append(True, ~near))  # row of each stamp or burst
     sizes, apart_in_burst = np.diff(first, append=len(time)), float(np.mean(near[steps > 0]))
@@ -270,7 +286,7 @@ def spread_stamps(
         fine = np.maximum.accumulate(time + np.round(edge - late).astype(np.int64))
         kind = "are coarse" if coarse else "are the times of arrival"
         return fine, f"the stamps {kind}; rows are spread evenly at a constant rate of {SECOND / step:.4g} Hz"
-    if shared < 0.1:
+    if shared < MIN_REFUSED_SHARE:
         return time, ""
     lost, begin = int(np.count_nonzero(steps == 0)), f"{time[0] / SECOND:.10g} + " if time[0] else ""
     rate, example = (SECOND / step, "") if len(first) >= MIN_STAMPS else (100, " for 100 Hz")
@@ -279,6 +295,23 @@ def spread_stamps(
         f"too coarse; specify a finer time with --map {role}.t=..., or, if the rate is constant, --map "
         f'"{role}.t={begin}row/{rate:.4g}"{example}'
     )
+
+
+def _rounding_of_days(ahead: Nanoseconds) -> float:
+    """Return the last decimal of times in days, ns, if the steps between different times show it; otherwise 0."""
+    whole = (u for u in DAY_DECIMALS if np.abs(ahead - np.round(ahead / u) * u).max() <= MAX_DEVIATION)
+    return next(whole, 0.0)
+
+
+def _spread_days(time: Nanoseconds, rounding: float) -> tuple[Nanoseconds, float] | None:
+    """Spread rows with rounded times in days evenly; return times and step, ns, or None if the rate is not constant."""
+    length = max(rounding, float(np.median(np.diff(time))))
+    late, low, high, step = _bands(time, np.arange(len(time)), length)
+    even = high - low <= MAX_BAND * rounding
+    if np.mean(even) < MIN_EVEN_SHARE:
+        return None
+    moves = np.where(even, (low + high) / 2 - late, 0.0)
+    return np.maximum.accumulate(time + np.round(moves).astype(np.int64)), step
 
 
 def _lost(late: Array, apart: Nanoseconds, length: float) -> bool:
