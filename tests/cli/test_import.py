@@ -336,6 +336,7 @@ def test_show_lists_unused_columns(sigmaswarm: Command, here: Path):
     ("header", "options", "fault"),
     [
         ("ax,ay,gz,lat,lon", [], "log.csv: no column is recognized as the time of the imu; if the rate is known"),
+        ("ax,ay,gz,lat,lon", [], "for example --time row/100 for 100 Hz (replace 100 by the rate of this log)"),
         ("ax,ay,gz,lat,lon", ["--map", "imu.t=row/100"], "is recognized as the time of the gps; if the rate is known"),
         ("t,ax,ay,q,lat,lon", [], "the IMU has no column for gz (the yaw rate); name a log"),
         ("t,ax,ay,q,lat,lon", ["--map", "imu.ax=ax", "imu.ay=ay"], "imu: no column contains gz; specify one with"),
@@ -363,7 +364,7 @@ def test_row_numbers_follow_the_proposal_of_show(sigmaswarm: Command, here: Path
     columns = {"ax": drive.imu.ax, "ay": drive.imu.ay, "gz": drive.imu.gz, **fixes}
     pl.DataFrame(columns).write_csv(here / "log.csv")
     said = sigmaswarm("import", "log.csv", "--show").out
-    assert "compute it from the row number, for example --time row/100 for 100 Hz\n" in said
+    assert 'agrees at 50 rows per s; write --map "imu.t=row/50" "gps.t=row/50"\n' in said
     said = sigmaswarm("import", "log.csv", "--show", "--time", "row/50").out
     assert "next: sigmaswarm import log.csv --time row/50 --out drive\n" in said and "50 Hz" in said, said
     assert sigmaswarm("import", "log.csv", "--out", "drive", "--time", "row/50").code == 0

@@ -94,6 +94,21 @@ def test_the_motion_shows_the_rate_of_a_shared_counter(tmp_path: Path, rate: int
     assert error(folder, maps=re.findall(r'"((?:imu|gps)\.t=[^"]+)"', str(caught.value))) < 5e-3
 
 
+@pytest.mark.parametrize("every", [1, 2, 5])
+def test_the_motion_shows_the_rate_of_rows_without_a_time(tmp_path: Path, every: int):
+    lat, lon, _ = enu_to_geodetic(np.column_stack([GPS.x, GPS.y, 0 * GPS.x]), (50.0, 8.0, 100.0)).T
+    fix = np.searchsorted(GPS.time, IMU.time + 1e-9, side="right") - 1
+    held = {n: np.where(fix < 0, np.nan, v[fix]) for n, v in (("lat", lat), ("lon", lon))}
+    log = pl.DataFrame({"ax": IMU.ax, "ay": IMU.ay, "gz [rad/s]": IMU.gz, **held}).fill_nan(None)
+    log[::every].write_csv(tmp_path / "log.csv")
+    rate = 50 / every
+    with pytest.raises(InputError, match=f"motion of IMU and fixes agrees at {rate:g} rows per s") as caught:
+        imported(tmp_path / "log.csv")
+    maps = re.findall(r'"((?:imu|gps)\.t=[^"]+)"', str(caught.value))
+    time = imported(tmp_path / "log.csv", maps=maps).drive.imu.time
+    np.testing.assert_allclose(time - time[0], IMU.time[::every] - IMU.time[0], atol=1e-9)
+
+
 @pytest.mark.parametrize("rate", [32768, 125_000, 72_000_000])
 def test_the_duration_shows_the_rate_of_a_counter_of_the_imu(tmp_path: Path, rate: int):
     """The remedies of the messages lead to the drive."""

@@ -14,7 +14,7 @@ from sigmaswarm.drives.drive import Drive, Imu
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import REQUIRED, assemble, assemble_imu
 from sigmaswarm.importing.formats import unsupported_format
-from sigmaswarm.importing.gather import ROW, PartColumns, complete_parts, gather
+from sigmaswarm.importing.gather import IF_RATE_IS_KNOWN, ROW, PartColumns, complete_parts, gather
 from sigmaswarm.importing.gravity import impossible_rates, require_gravity_in_force, wrong_scale
 from sigmaswarm.importing.guess import FORCES, PLACES, RATES
 from sigmaswarm.importing.long_tables import describe_kinds
@@ -62,6 +62,7 @@ MAX_FAULTS = 3  # largest number of faults in one message
 # Trial rates, Hz, of a counter of unknown rate. The first rate with which the import succeeds is then corrected by
 # comparing the motion of IMU and fixes.
 TRIAL_RATES = (1e4, 1e5, 1e6, 1e7, 1e8, 1e3)
+TRIAL_ROWS = 25.0  # Hz, trial rate of the rows of a table without a time
 
 
 def import_drive(
@@ -261,9 +262,15 @@ def _with_rate_of_ticks(
     return [shown.get(fault, fault) for fault in faults]
 
 
-def _trial(counter: Counter, request: Request, logs: Mapping[Path, Log], recipe: Recipe) -> str:
+def _trial(
+    counter: Counter,
+    request: Request,
+    logs: Mapping[Path, Log],
+    recipe: Recipe,
+    rates: Sequence[float] = TRIAL_RATES,
+) -> str:
     """Import with the first trial rate that works; return the remedy computed from the resulting drive, or ""."""
-    for trial in TRIAL_RATES:
+    for trial in rates:
         maps = [f"{r}.t={time_of_ticks(counter.text, trial)}" for r in ("imu", "gps")[: 1 + counter.shared]]
         plain = replace(recipe, roles=with_maps(recipe.roles, maps, {}), mount="")
         try:
@@ -434,7 +441,23 @@ def complete_all(
                     completed[path].append((role, whole))
             except InputError as error:
                 faults.setdefault((path, part.table), str(error))
-    return completed, [*faults.values()]
+    return completed, _with_rate_of_rows([*faults.values()], request, logs, recipe)
+
+
+def _with_rate_of_rows(
+    faults: list[str], request: Request, logs: Mapping[Path, Log], recipe: Recipe
+) -> list[str]:
+    """For IMU and fixes in one table without a time, let the remedy state the rate of rows that the motion shows."""
+    parts = [recipe.roles.get(role, (Part("", {}),))[0] for role in ("imu", "gps")]
+    timeless = [fault for fault in faults if f"; {IF_RATE_IS_KNOWN}" in fault]
+    shared = parts[0].table == parts[1].table and request.home("imu") == request.home("gps")
+    if not timeless or not shared or any("t" in part.columns or not part.columns for part in parts):
+        return faults
+    remedy = _trial(Counter(ROW, True), request, logs, recipe, (TRIAL_ROWS,))
+    shown = {
+        fault: f"{fault.partition(f'; {IF_RATE_IS_KNOWN}')[0]}; {remedy}" for fault in timeless if remedy
+    }
+    return [shown.get(fault, fault) for fault in faults]
 
 
 def _parts(request: Request, recipe: Recipe, path: Path) -> list[tuple[Role, Part]]:

@@ -28,6 +28,7 @@ from sigmaswarm.importing.times import of_one_table, rising_time, time_of
 from sigmaswarm.wording import list_names, printable, quoted
 
 ROW = "row"  # name of an added column of row numbers, from 0, unless the table has this column
+IF_RATE_IS_KNOWN = "if the rate is known"  # begins a remedy
 # Largest number of rows without a time that count as lines of a header or a footer
 MAX_TIMELESS_ROWS = 10
 # Smallest distance of a placeholder from the median of the other values, in units of their 1% to 99% range
@@ -237,8 +238,9 @@ def _complete(part: Part, log: Log, role: Role, first: Mapping[str, pl.DataFrame
         column, rate = "" if rows is None else rising_time(rows, role), 100 if role == "imu" else 1
         remedy = f"specify it with {time.format(column)}, or, " * bool(column)
         raise InputError(
-            f"{where}: no column is recognized as the time of the {role}; {remedy}if the rate is known, compute it "
-            f"from the row number, for example {time.format(f'row/{rate}')} for {rate} Hz"
+            f"{where}: no column is recognized as the time of the {role}; {remedy}{IF_RATE_IS_KNOWN}, compute it "
+            f"from the row number, for example {time.format(f'{ROW}/{rate}')} for {rate} Hz (replace {rate} by the "
+            "rate of this log)"
         )
     for text in part.columns.values():
         try:

@@ -8,7 +8,7 @@ import numpy as np
 
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.importing.gather import PartColumns
+from sigmaswarm.importing.gather import ROW, PartColumns
 from sigmaswarm.importing.rates import MIN_CONFIRMED, MIN_EXPLAINED, turn_ratio
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import Role
@@ -110,4 +110,5 @@ def rate_by_duration(
 def shown_rate(counter: str, rate: float) -> str:
     rate = usual_rate(rate)
     maps = " ".join(f'"{role}.t={time_of_ticks(counter, rate)}"' for role in ("imu", "gps"))
-    return f"the motion of IMU and fixes agrees at {rate:,.10g} ticks per s; write --map {maps}"
+    unit = "rows" if counter == ROW else "ticks"
+    return f"the motion of IMU and fixes agrees at {rate:,.10g} {unit} per s; write --map {maps}"
