@@ -12,8 +12,14 @@ from support import quickly
 @pytest.mark.parametrize(
     ("place", "meters", "severity"),
     quickly(
-        [(0, -3e5, "serious"), (9, 5e3, "warning"), (0, 400, "warning")],
-        lambda place, meters, _: meters != 400,
+        [
+            (0, -3e5, "serious"),
+            (0, 5e6, "serious"),
+            (0, 5e3, "serious"),
+            (9, 5e3, "warning"),
+            (0, 400, "warning"),
+        ],
+        lambda place, meters, _: abs(meters) in (3e5, 5e3),
     ),
 )
 def test_a_far_first_fix(place: int, meters: float, severity: str) -> None:

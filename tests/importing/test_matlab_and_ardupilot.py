@@ -78,6 +78,38 @@ def test_what_is_not_read_of_matlab_is_named(tmp_path: Path, content: bytes, sai
         imported(tmp_path / "log.mat")
 
 
+def element(kind: int, content: bytes) -> bytes:
+    """Return an element of a MATLAB file of version 5."""
+    return struct.pack("<II", kind, len(content)) + content + bytes(-len(content) % 8)
+
+
+def opaque(*classes: str) -> bytes:
+    """Return arrays of MATLAB's own classes."""
+    numbers = element(6, struct.pack("<II", 13, 0)) + element(5, struct.pack("<ii", 6, 1))
+    numbers += element(1, b"") + element(6, bytes(24))
+    arrays = b""
+    for k, kind in enumerate(classes):
+        names = (element(1, name) for name in (f"T{k}".encode(), b"MCOS", kind.encode()))
+        arrays += element(14, element(6, struct.pack("<II", 17, 0)) + b"".join(names) + element(14, numbers))
+    return arrays
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("classes", [("timetable",), ("table",), ("timetable", "datetime", "timetable")])
+def test_timetables_are_refused_with_the_line_for_matlab(tmp_path: Path, classes: tuple[str, ...]):
+    (tmp_path / "log.mat").write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM" + opaque(*classes))
+    with pytest.raises(InputError, match=r"in MATLAB, write each with writetimetable\(NAME, 'NAME.csv'\)"):
+        imported(tmp_path / "log.mat")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("classes", [("string",), ("datetime", "timetable"), ("duration", "string", "table")])
+def test_vectors_next_to_objects_of_matlab_are_read(tmp_path: Path, classes: tuple[str, ...]):
+    log = write_mat(tmp_path / "log.mat")
+    log.write_bytes(log.read_bytes() + opaque(*classes))
+    assert_close(imported(log).drive.imu, IMU, "time ax ay az gx gy gz", 1e-12)
+
+
 FORMATS = {
     "FMT": (128, "BBnNZ", "Type,Length,Name,Format,Columns"),
     "IMU": (130, "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),

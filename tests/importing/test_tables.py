@@ -86,6 +86,9 @@ DIALECTS: dict[str, str] = {
     "trailing separators everywhere": table([";".join(HEAD) + ";", *joined(ROWS, ";", end=";")]),
     "trailing separator in the header": table([",".join(HEAD) + ",", *joined(ROWS)]),
     "quotes": table([",".join(f'"{n}"' for n in HEAD), *joined(ROWS, ",", '"{}"')]),
+    "byte order mark before sep=": "\ufeff" + table(["sep=;", ";".join(HEAD), *joined(ROWS, ";")], "\r\n"),
+    "byte order mark before #": "\ufeff" + table(["#" + ",".join(HEAD), *joined(ROWS)]),
+    "byte order mark before quotes": "\ufeff" + table([",".join(f'"{n}"' for n in HEAD), *joined(ROWS)]),
     "byte order mark": "﻿" + table([",".join(HEAD), *joined(ROWS)], "\r\n"),
     "an index without a name": table(
         [",".join(["", *HEAD]), *(f"{k},{row}" for k, row in enumerate(joined(ROWS)))]
@@ -460,6 +463,17 @@ PLACES: dict[str, tuple[str, Callable[[float], str], Callable[[float], str]]] = 
     "ddmm.mmmm in the name": ("t,lat_ddmm,lon_dddmm", ddmm, ddmm),
     "ddmm.mmmm, named": ("t,lat [ddmm.mmmm],lon [dddmm.mmmm]", ddmm, ddmm),
     "0 to 360": ("t,lat,lon", repr, lambda b: repr(b % 360)),
+    "0 to 360, named": ("t,Latitude (deg),Longitude (deg)", repr, lambda b: repr(b % 360)),
+    "0 to 360 in 1e-7 degrees": (
+        "t,lat,lon",
+        lambda a: str(round(a * 1e7)),
+        lambda b: str(round(b % 360 * 1e7)),
+    ),
+    "0 to 360 in radians": (
+        "t,lat [rad],lon [rad]",
+        lambda a: repr(float(np.radians(a))),
+        lambda b: repr(float(np.radians(b % 360))),
+    ),
     "hemispheres": ("t,lat,lat_dir,lon,lon_dir", lambda a: f"{abs(a)!r},N", lambda b: f"{abs(b)!r},W"),
     "hemispheres of ddmm": (
         "t,lat,N/S,lon,E/W",
@@ -754,6 +768,43 @@ def test_two_rates_of_a_sensor_are_reported(tmp_path: Path, every: tuple[int, in
     )
     assert (said in got.notes) == (force != rate) == any("recorded at" in note for note in got.notes)
     np.testing.assert_allclose(got.drive.imu.time, IMU.time[:: every[0]])
+
+
+@pytest.mark.parametrize("names", [("x", "y"), ("X [m]", "Y [m]"), ("east", "north")])
+def test_latitude_and_longitude_go_before_x_and_y_of_a_table(tmp_path: Path, names: tuple[str, str]):
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    write_fixes(tmp_path, [f"7.5,{3 * y!r},{a!r}" for a, y in zip(GPS.lat.tolist(), GPS.y.tolist(), strict=True)],
+                head=",".join(["t", *names, "latitude", "longitude"]))  # fmt: skip
+    got = imported(tmp_path).drive
+    assert got.frame == "wgs84"
+    assert_close(got.gps, GPS, "lat lon", 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("entry", "column"), [("gps.lat=latt", "lat"), ("imu.ax=axx", "ax"), ("gps.t=T*1", "t")]
+)
+def test_a_mistyped_column_is_named_with_the_column_that_was_meant(tmp_path: Path, entry: str, column: str):
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    write_fixes(tmp_path)
+    with pytest.raises(InputError, match=rf"which the table does not have; perhaps `{column}`") as caught:
+        imported(tmp_path, maps=[entry])
+    assert "no IMU samples" not in str(caught.value)
+
+
+@pytest.mark.parametrize("error", [0.6, np.pi, None])
+def test_a_heading_of_truth_in_no_convention_is_reported(tmp_path: Path, error: float | None):
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    write_fixes(tmp_path)
+    random = np.random.default_rng(1).uniform(-3, 3, len(TRUTH.theta))
+    columns = [TRUTH.time, TRUTH.x, TRUTH.y, random if error is None else TRUTH.theta + error]
+    rows = [",".join(repr(float(v)) for v in row) for row in zip(*columns, strict=True)]
+    (tmp_path / "truth.csv").write_text(table(["t,x,y,yaw", *rows]))
+    said = [
+        note
+        for note in imported(tmp_path).notes
+        if "the heading differs from the course by a median of" in note
+    ]
+    assert len(said) == 1 and "check or map the column" in said[0]
 
 
 TRUTHS: dict[str, tuple[str, Callable[[Any], Any]]] = {

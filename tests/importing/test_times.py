@@ -165,6 +165,8 @@ def test_names_of_times(tmp_path: Path, form: str):
     [
         ("micros", 1e6, 2**32),
         ("millis", 1e3, 2**32),
+        ("t_ms", 1e3, 2**31),
+        ("timestamp_ms", 1e3, 2**32),
         ("millis", 1e3, 2**16),
         ("t_us", 1e6, 2**32),
         ("tow_ms", 1e3, 604_800_000),
@@ -194,6 +196,8 @@ DAYS: dict[str, Cells] = {
     "spreadsheet": lambda t: f"{45406.96 + t / 86400:.11f}",
     "datenum": lambda t: f"{739367.5 + t / 86400:.12f}",
     "share of a day": lambda t: f"{0.4 + t / 86400:.12f}",
+    "share of a day before noon": lambda t: f"{0.49999 + t / 86400:.9f}",
+    "share of a day in the evening": lambda t: f"{0.9 + t / 86400:.11f}",
     "spreadsheet over midnight": lambda t: f"{45407 - 5 / 86400 + t / 86400:.11f}",
 }
 

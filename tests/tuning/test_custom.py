@@ -131,8 +131,13 @@ def test_filters_that_fail_have_infinite_cost_and_are_counted():
     tuning = tune(LOGS[0], objective="innovation-nll", **(SMALL | {"model": broken, "particles": 20}))
     assert 0 < tuning.trials[0].failures < tuning.trials[0].evaluations
     assert tuning.parameters["length"] <= 1.0
-    never = replace(PENDULUM, kind="ekf", measurement_noise=lambda p: np.array([-1.0]))
-    with pytest.raises(InputError, match="no parameter set gave a finite cost"):
+
+
+@pytest.mark.parametrize("variance", [-1.0, np.nan, -np.inf])
+def test_variances_that_no_filter_can_use_are_named_with_the_model(variance: float):
+    never = replace(PENDULUM, kind="ekf", measurement_noise=lambda p: np.array([variance]))
+    reason = rf"no parameter set gave.*model {PENDULUM.name}, log a: .*check that all variances are positive"
+    with pytest.raises(InputError, match=reason):
         tune(LOGS[0], **(SMALL | {"model": never}))
 
 

@@ -44,7 +44,7 @@ class ModelProblem(Problem[dict[str, float]]):
         """Return the reason why the filter at a point, shape (d,), failed on a log; None if it did not fail."""
         parameters = self.parameters(point)
         failures = (run_model(log, self.model, parameters).failure for log in self.logs)
-        return next((f"model {failure}" for failure in failures if failure), None)
+        return next((f"model {self.model.name}, log {failure}" for failure in failures if failure), None)
 
     def costs_by_drive(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
         if isinstance(executor, ProcessPoolExecutor):

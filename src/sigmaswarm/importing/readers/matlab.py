@@ -6,6 +6,7 @@ Vectors of equal length in a struct, or outside of structs, form a table.
 import io
 import math
 import struct
+import warnings
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
@@ -38,6 +39,7 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 _SHAPE, _FLAGS, _ARRAY, _COMPRESSED = 5, 6, 14, 15
 _NUMBERS = (1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18)
 _OF_ARRAYS = (1, 2, 3, 16, 17)  # classes of arrays of arrays: cell, struct, object, function, opaque
+_OF_STRUCTS = {1: "cell", 2: "struct"}
 _SPARSE, _OPAQUE_CLASS, _COMPLEX = 5, 17, 0x800
 _MAX_ARRAY_DEPTH = 50
 _OPAQUE = ("MatlabOpaque", "MatlabFunction")
@@ -56,8 +58,12 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
             f"s = load('{path.name}'); save('{path.stem}_v7.mat', '-struct', 's', '-v7')"
         )
     with errors_as_damage(path):
-        _require_known_elements(path, limits)
-        for name, shape, kind in whosmat(path):
+        arrays = _require_known_elements(path, limits)
+        own = any(
+            kind == _OPAQUE_CLASS for kind, _ in arrays
+        )  # MATLAB's own classes, at which SciPy's list fails
+        unnamed = [("an array", (count,), _OF_STRUCTS.get(kind, "")) for kind, count in arrays]
+        for name, shape, kind in unnamed if own else whosmat(path):
             # SciPy would create all elements
             if kind in ("struct", "cell") and math.prod(shape) > MAX_STRUCTS:
                 raise InputError(
@@ -65,11 +71,15 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
                     "one struct"
                 )
             limits.check_unpacked(8 * math.prod(shape), path)
-        content = cast("dict[str, Any]", loadmat(path, squeeze_me=True, struct_as_record=False))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # SciPy gives all opaque arrays the same name
+            content = cast("dict[str, Any]", loadmat(path, squeeze_me=True, struct_as_record=False))
     plain = {k: v for k, v in content.items() if not k.startswith("__") and type(v).__name__ not in _OPAQUE}
     frames = {name: pl.DataFrame(columns) for name, columns in _tables(plain, "", 0)}
     if not frames:
-        if any(type(v).__name__ in _OPAQUE or k == "__function_workspace__" for k, v in content.items()):
+        if own or any(
+            type(v).__name__ in _OPAQUE or k == "__function_workspace__" for k, v in content.items()
+        ):
             raise InputError(
                 f"{path}: contains MATLAB's own tables (timetable, table), which are not supported; in MATLAB, "
                 "write each with writetimetable(NAME, 'NAME.csv') or writetable(NAME, 'NAME.csv'), and import the "
@@ -87,12 +97,17 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     return log_of_frames(path, frames, FILES, guess)
 
 
-def _require_known_elements(path: Path, limits: Limits) -> None:
-    """Refuse elements that have invalid types or are nested too deeply, since they crash SciPy's compiled code."""
+def _require_known_elements(path: Path, limits: Limits) -> list[tuple[int, int]]:
+    """Refuse elements that have invalid types or are nested too deeply, since they crash SciPy's compiled code.
+
+    Return the class and the number of elements of each array; empty for formats before version 5, which have no
+    elements.
+    """
     from scipy.io.matlab import matfile_version
 
-    if matfile_version(path)[0] != 1:  # formats before version 5 have no elements
-        return
+    arrays: list[tuple[int, int]] = []
+    if matfile_version(path)[0] != 1:
+        return arrays
     with path.open("rb") as file:
         order = "<" if file.read(128)[126:] == b"IM" else ">"
         for kind, size in _elements(file, path.stat().st_size, order):
@@ -101,9 +116,10 @@ def _require_known_elements(path: Path, limits: Limits) -> None:
                 limits.check_unpacked(len(inner), path)
                 unpacked = io.BytesIO(inner)
                 for kind, size in _elements(unpacked, len(inner), order):
-                    _require_array(unpacked, kind, size, order, 0)
+                    arrays.append(_require_array(unpacked, kind, size, order, 0))
             else:
-                _require_array(file, kind, size, order, 0)
+                arrays.append(_require_array(file, kind, size, order, 0))
+    return arrays
 
 
 def _elements(file: IO[bytes], end: int, order: str) -> Iterator[tuple[int, int]]:
@@ -122,8 +138,11 @@ def _elements(file: IO[bytes], end: int, order: str) -> Iterator[tuple[int, int]
         file.seek(following)
 
 
-def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int) -> None:
-    """Refuse elements that are not arrays, and arrays with contradictory class, shape and content."""
+def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int) -> tuple[int, int]:
+    """Refuse elements that are not arrays, and arrays with contradictory class, shape and content.
+
+    Return the class and the number of elements.
+    """
     if kind != _ARRAY or depth > _MAX_ARRAY_DEPTH:
         raise ValueError(f"an element of type {kind}, at depth {depth}, instead of an array")
     elements = _elements(file, file.tell() + size, order)
@@ -151,6 +170,7 @@ def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int
         lacks = parts < 2 + bool(flags & _COMPLEX) or count > filled
     if lacks:
         raise ValueError(f"an array of {count} elements in {parts} parts with {filled} bytes in total")
+    return array, count
 
 
 def _tables(content: Mapping[str, Any], name: str, depth: int) -> Iterator[tuple[str, dict[str, Any]]]:
