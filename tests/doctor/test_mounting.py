@@ -215,6 +215,26 @@ def test_a_mirror_image_is_not_a_mounting(names: tuple[str, ...]):
     assert found.confidence == "no"
 
 
+@pytest.mark.parametrize(
+    ("fault", "size"),
+    quickly([("pitches", a) for a in (20, 25, 30)] + [("ay", k) for k in (0.2, 1.8, 2.5)],
+            lambda _, size: size in (20, 2.5)),
+)  # fmt: skip
+def test_forces_that_contradict_one_rotation_give_no_confidence(fault: str, size: float):
+    """The sensor slowly pitches to and fro, or ay is another multiple of the product of speed and yaw rate."""
+    drive = drive_of("icm-20602", "flat")
+    imu, angle = drive.imu, np.radians(size) * np.sin(2 * np.pi * drive.imu.time / 150)
+    turns = Rotation.from_rotvec(np.outer(angle, [0.0, 1.0, 0.0]))
+    axes = {s: turns.apply(np.column_stack([getattr(imu, f"{s}{i}") for i in "xyz"])).T for s in "ag"}
+    pitched = {f"{s}{i}": column for s in axes for i, column in zip("xyz", axes[s], strict=True)}
+    changed = replace(imu, **(pitched if fault == "pitches" else {"ay": size * imu.ay}))
+    found, _ = estimate(replace(drive, imu=changed), Rotation.random(random_state=1).as_matrix())
+    expected = (
+        "direction of gravity is not" if fault == "pitches" else "times the product of speed and yaw rate"
+    )
+    assert found.confidence == "no" and expected in found.reason
+
+
 @pytest.mark.parametrize("gps", quickly([("ublox-m8",), ("f9p-rtk",)], lambda gps: gps == "f9p-rtk"))
 def test_a_straight_road_gives_no_yaw(gps: str):
     found, _ = estimate(sigmaswarm.simulate("cruise", gps=gps, imu_rate=50), np.eye(3))

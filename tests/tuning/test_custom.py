@@ -7,6 +7,7 @@ import tomllib
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from scipy.optimize import minimize
 from custom_models import PARAMETERS, PENDULUM, SCALING, pendulum_log, point_log, point_model
 from filters.custom.test_run import exact_nll
 from processes import Process
-from sigmaswarm import InputError, Log, run_model, tune
+from sigmaswarm import InputError, Log, Tunable, run_model, tune
 from support import file_contents, make_drive, quickly
 from tuning.test_resume import generations_in, interrupted
 from tuning.test_tune import bits
@@ -139,6 +140,44 @@ def test_variances_that_no_filter_can_use_are_named_with_the_model(variance: flo
     reason = rf"no parameter set gave.*model {PENDULUM.name}, log a: .*check that all variances are positive"
     with pytest.raises(InputError, match=reason):
         tune(LOGS[0], **(SMALL | {"model": never}))
+
+
+# --- Remedies ----------------------------------------------------------------------------------------------
+
+FULL_RANGE = (1e-4, 1e2)
+
+
+@pytest.mark.parametrize(
+    ("q", "r", "touched"),
+    [((1e-4, 1e-2), FULL_RANGE, "q"), ((20.0, 1e2), FULL_RANGE, "q"), (FULL_RANGE, (1e-4, 0.03), "r")],
+)
+def test_wider_bounds_remove_the_advice_to_widen_them(
+    q: tuple[float, float], r: tuple[float, float], touched: str
+):
+    options: dict[str, Any] = {"objective": "innovation-nll", "trials": 1, "particles": 6, "polish": 50}
+    costs: list[float] = []
+    for bounds in ((q, r), (FULL_RANGE, FULL_RANGE)):
+        tunables = tuple(Tunable(n, *b) for n, b in zip("qr", bounds, strict=True))
+        tuning = tune(
+            point_log(n=150), model=point_model(kind="ekf", parameters=tunables), generations=10, **options
+        )
+        said = [remark for remark in tuning.remarks if "widen the bounds in your model" in remark]
+        assert any(f". Reason: {touched} at its" in remark for remark in said) == bool(said) == (not costs)
+        costs.append(tuning.cost)
+    assert costs[1] < costs[0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_more_generations_remove_the_advice_to_increase_them(seed: int):
+    options: dict[str, Any] = {"objective": "innovation-nll", "particles": 4, "trials": 1, "seed": seed}
+    few, many = (
+        tune(point_log(n=150), model=point_model(kind="ekf"), generations=g, **options) for g in (1, 20)
+    )
+    assert [any("increase --generations" in remark for remark in t.remarks) for t in (few, many)] == [
+        True,
+        False,
+    ]
+    assert many.cost < few.cost
 
 
 # --- Saved files -------------------------------------------------------------------------------------------

@@ -1,8 +1,9 @@
 """Each recommended remedy improves the value in its reason, and names no option that was not given."""
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -183,6 +184,12 @@ def test_splitting_a_log_that_starts_in_reverse_as_the_doctor_recommends_prevent
     assert not to_dos(tune(part), "DO NOT USE THIS FILTER")
 
 
-def test_without_given_options_no_advice_recommends_leaving_one_out():
-    found = tune(smooth(), trials=1, particles=4, generations=2)
+@pytest.mark.parametrize(
+    ("log",),
+    quickly(
+        [(smooth,), (partial(robot, True, 0),), (partial(with_errors, 0.3, 2.0),)], lambda log: log is smooth
+    ),
+)
+def test_without_given_options_no_advice_recommends_leaving_one_out(log: Callable[[], Drive]):
+    found = tune(log(), trials=1, particles=4, generations=2)
     assert not [r for r in found.remarks if "leave" in r]

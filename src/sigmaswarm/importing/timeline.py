@@ -299,8 +299,9 @@ def spread_stamps(
 
 def _rounding_of_days(ahead: Nanoseconds) -> float:
     """Return the last decimal of times in days, ns, if the steps between different times show it; otherwise 0."""
-    whole = (u for u in DAY_DECIMALS if np.abs(ahead - np.round(ahead / u) * u).max() <= MAX_DEVIATION)
-    return next(whole, 0.0)
+    smallest = int(ahead.min()) + MAX_DEVIATION
+    units = (u for u in DAY_DECIMALS if u <= smallest)
+    return next((u for u in units if np.abs(ahead - np.round(ahead / u) * u).max() <= MAX_DEVIATION), 0.0)
 
 
 def _spread_days(time: Nanoseconds, rounding: float) -> tuple[Nanoseconds, float] | None:
