@@ -11,12 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from .driver import Driver
+from .car import Driver, Physics, control
 from .geometry import axial, heading_of, polar
 from .options import GPS_EVERY, RATE, STANDSTILL_TIME, TICK, FailedRun, RecorderError
 from .plans import Plan
 from .server import Session
-from .vehicle import Physics, control
 
 DISCARDED_SAMPLES = 3  # first samples of a sensor, which are wrong (carla#8970)
 STUCK_TIME = 20.0  # s without 1 m of progress after which the car counts as stuck

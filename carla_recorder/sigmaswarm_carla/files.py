@@ -9,13 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from .car import CAR, Physics
 from .drive import Recording, Row, Sensors
 from .geometry import interpolate, wrap
 from .options import BRAKE_GAIN, ENVIRONMENTS, GPS_EVERY, KMH, RATE, TICK, Condition, Options, RecorderError
-from .plans import Plan
-from .routes import SPACING
+from .plans import SPACING, Plan
 from .server import SUBSTEP, Session
-from .vehicle import CAR, Physics
 
 
 class Journal:

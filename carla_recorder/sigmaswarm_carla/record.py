@@ -10,8 +10,8 @@ from contextlib import suppress
 from itertools import product, starmap
 from typing import Any
 
+from .car import Driver, control, edit_physics, place_car, settle
 from .drive import Recording, check_fixes, drive, seed_of, state_of
-from .driver import Driver
 from .files import Journal, describe, keep_incomplete, write_drive
 from .options import (
     DRY,
@@ -25,10 +25,8 @@ from .options import (
     Options,
     RecorderError,
 )
-from .plans import Leg, Plan, plan_maneuver
-from .routes import find_path, straight
+from .plans import Leg, Plan, find_path, plan_maneuver, straight
 from .server import Session, reachable
-from .vehicle import control, edit_physics, place_car, settle
 
 
 class Progress:
