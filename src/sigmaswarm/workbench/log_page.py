@@ -10,11 +10,10 @@ from nicegui.events import MultiUploadEventArguments
 from sigmaswarm import write_drive
 from sigmaswarm.importing import choices as columns
 from sigmaswarm.workbench.elements import box, button, card, command, line, link, select, text
-from sigmaswarm.workbench.mounting_panel import FIND, MountingPanel
 from sigmaswarm.workbench.open_log import OpenLog
+from sigmaswarm.workbench.panels import FIND, MountingPanel, TablePanel
 from sigmaswarm.workbench.plots import agreement_plot, show_map
 from sigmaswarm.workbench.state import CHECKED, MAX_UPLOAD_SIZE, NAME, TOO_LARGE, Workbench, attempt
-from sigmaswarm.workbench.table_panel import TablePanel
 
 
 class LogPage(OpenLog):
