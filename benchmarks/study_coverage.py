@@ -47,7 +47,8 @@ def covered(rng: np.random.Generator, luck: float, **design: int) -> list[bool]:
     """Return, for each interval of a simulated study, True if it covers the true mean."""
     scores, strata, truth = simulated_study(rng, luck, **design)
     ratio = float(np.isfinite(scores[0]).sum() / np.isnan(scores[0]).sum())
-    found = summarize(scores, strata, ratio, Draws(rng))
+    of = dict.fromkeys(("protocol", "method", "measure", "maneuver", "environment"), "")
+    found = summarize(scores, strata, ratio, Draws(rng), **of)
     intervals = found.trial_interval, found.corrected_t_interval, found.bootstrap_interval
     return [low <= truth <= high for low, high in intervals]
 

@@ -3,6 +3,7 @@
 import itertools
 import math
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,15 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from sigmaswarm.experiments import statistics as s
-from sigmaswarm.experiments.study.results import compare_paired, summarize
+from sigmaswarm.experiments.study import results
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 from study_coverage import coverage
 
+PAIR = dict.fromkeys(("protocol", "measure", "method", "against"), "any")
+compare_paired = partial(results.compare_paired, **PAIR)
+VARIANT = dict.fromkeys(("protocol", "method", "measure", "maneuver", "environment"), "any")
+summarize = partial(results.summarize, **VARIANT)
 NAN = math.nan
 # Three trials and five drives; each trial held out two drives.
 FROZEN = np.array(

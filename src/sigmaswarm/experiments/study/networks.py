@@ -4,17 +4,14 @@ Each network has a folder in learned/, in the format of `sigmaswarm learn`. Netw
 that the processor time of each training run can be measured.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from sigmaswarm.arrays import Array
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.config import ALL, NETWORK_FILTER, NETWORKS
@@ -25,10 +22,6 @@ from sigmaswarm.learned.folder import LearnedNetwork, load_learned
 from sigmaswarm.learned.learn import LEARNERS, LearnConfig, learn
 from sigmaswarm.learned.noise_gru import NoiseRun
 from sigmaswarm.learned.outage_lstm import OutageRun
-from sigmaswarm.scoring.batch import scores_from_sums
-from sigmaswarm.scoring.drifts import rms_drift
-from sigmaswarm.scoring.score import PieceErrors
-from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_pass, outage_windows, tracking_pass
 
 MIN_DRIVING_TIME = 21.0
 """Shortest time of a usable drive after the filter's start, s.
@@ -160,49 +153,3 @@ def train_all(
         done += training.epochs
         progress(done, training.task)
     return trained
-
-
-def score_networks(
-    design: Design,
-    networks: Sequence[TrainedNetwork],
-    drives: Sequence[Sequence[int]],
-    executor: Executor | None = None,
-) -> dict[str, Array]:
-    """Score each network on its ``drives`` (indices); return arrays of shape (networks, all drives) by measure."""
-    jobs = [(k, i) for k, chosen in enumerate(drives) for i in chosen]
-    one = partial(_score, long=design.config.long_outages, seed=design.config.seed)
-    results = (executor.map if executor else map)(
-        one, [networks[k] for k, _ in jobs], [design.prepared[i] for _, i in jobs]
-    )
-    found: dict[str, Array] = {}
-    for at, scores in zip(jobs, results, strict=True):
-        for measure, value in scores.items():
-            found.setdefault(measure, np.full((len(networks), len(design.drives)), np.nan))[at] = value
-    return found
-
-
-def _score(
-    trained: TrainedNetwork, ready: PreparedDrive, long: Mapping[str, float], seed: int
-) -> dict[str, float]:
-    drive_pass, truth = tracking_pass(ready), ready.drive.truth
-    assert truth is not None
-    run = trained.run(drive_pass)
-    errors = PieceErrors(truth, ready.initial)
-    for piece in run:
-        errors.add(piece.time, piece.mean)
-    sums = scores_from_sums({"tracking": [drive_pass]}, {"tracking": run.sums})[0, 0]
-    scores = {
-        "position_rmse_m": errors.score.position_rmse,
-        "gps_rmse_m": sums.fix_rmse,
-        "heading_rmse_deg": float(np.degrees(errors.score.heading_rmse)),
-        "nis": sums.mean_nis,
-    }
-    scores = {measure: np.inf if run.failure else value for measure, value in scores.items()}
-    for measure, length in {"outage_drift_m": OUTAGE_LENGTH, **long}.items():
-        ends = outage_windows(ready.drive, ready.initial, length=length, seed=seed)[:, 1]
-        scores[measure] = np.nan
-        if len(ends):
-            run = trained.run(outage_pass(ready, length=length, seed=seed))
-            whole = run.whole()
-            scores[measure] = np.inf if run.failure else rms_drift(ready, whole, ends)
-    return scores

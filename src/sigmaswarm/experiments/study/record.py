@@ -52,8 +52,8 @@ class DriveCount(_Part):
     fingerprint: str
 
 
-class ScoreStatistics(_Part):
-    """Mean and intervals of a measure.
+class VariantSummary(_Part):
+    """Mean and intervals of a measure in one condition or over all conditions.
 
     Attributes
     ----------
@@ -64,6 +64,11 @@ class ScoreStatistics(_Part):
     n_trials, n_drives : numbers of trials and drives that have values
     """
 
+    protocol: str
+    method: str
+    measure: str
+    maneuver: str
+    environment: str
     mean: OptionalFloat
     sd: OptionalFloat
     trial_interval: Interval
@@ -73,19 +78,7 @@ class ScoreStatistics(_Part):
     n_drives: int
 
 
-class _Scored(_Part):
-    protocol: str
-    method: str
-    measure: str
-    maneuver: str
-    environment: str
-
-
-class VariantSummary(ScoreStatistics, _Scored):
-    """Statistics of a measure in one condition or over all conditions."""
-
-
-class PairedStatistics(_Part):
+class PairedComparison(_Part):
     """Comparison of two methods on the same drives; the value for a drive is the mean over its trials.
 
     Attributes
@@ -94,8 +87,13 @@ class PairedStatistics(_Part):
     p : p-value of Wilcoxon's two-sided signed-rank test
     rank_biserial : effect size from -1 (``method`` worse on every drive) to 1 (better): see `statistics.rank_biserial`
     improvement, improvement_interval : %, the paper's equation 5
+    holm_p : p, corrected over all comparisons of a protocol and measure
     """
 
+    protocol: str
+    measure: str
+    method: str
+    against: str
     mean_difference: OptionalFloat
     interval: Interval
     p: float
@@ -103,18 +101,6 @@ class PairedStatistics(_Part):
     improvement: OptionalFloat
     improvement_interval: Interval
     n_drives: int
-
-
-class _Compared(_Part):
-    protocol: str
-    measure: str
-    method: str
-    against: str
-
-
-class PairedComparison(PairedStatistics, _Compared):
-    """Comparison of two methods; ``holm_p`` is corrected over all comparisons of a protocol and measure."""
-
     holm_p: float
 
 

@@ -36,10 +36,8 @@ from sigmaswarm.experiments.study.record import (
     Effort,
     ElsewhereSummary,
     PairedComparison,
-    PairedStatistics,
     Results,
     RivalResults,
-    ScoreStatistics,
     TrialTuning,
     Variant,
     VariantSummary,
@@ -88,24 +86,27 @@ def _summaries(scores: ScoreTable, draws: Draws) -> Iterator[VariantSummary]:
     design, everywhere = scores.design, (ALL, ALL)
     train, test = design.split(0)
     each = dict.fromkeys(condition for condition in design.conditions if condition != everywhere)
-    for protocol, method, measure, values in scores.columns():
+    for of, values in scores.columns():
         for condition in (everywhere, *each):
             chosen = [i for i, c in enumerate(design.conditions) if condition in (everywhere, c)]
             strata = [design.strata[i] for i in chosen]
-            summaries = summarize(values[:, chosen], strata, len(test) / len(train), draws)
-            if summaries.n_drives:
-                of = {"protocol": protocol, "method": method, "measure": measure}
-                yield VariantSummary(**of, maneuver=condition[0], environment=condition[1], **dict(summaries))
+            of |= {"maneuver": condition[0], "environment": condition[1]}
+            summary = summarize(values[:, chosen], strata, len(test) / len(train), draws, **of)
+            if summary.n_drives:
+                yield summary
 
 
-def summarize(values: Array, strata: Sequence[str], test_per_train: float, draws: Draws) -> ScoreStatistics:
-    """Return mean, SD and intervals of scores, shape (trials, drives).
+def summarize(
+    values: Array, strata: Sequence[str], test_per_train: float, draws: Draws, **of: str
+) -> VariantSummary:
+    """Return mean, SD and intervals of scores, shape (trials, drives); ``of``: the first fields of the record.
 
     ``test_per_train``: ratio of the numbers of test and training drives.
     """
     each = trial_means(values)
     each = each[~np.isnan(each)]
-    return ScoreStatistics(
+    return VariantSummary(
+        **of,
         mean=float(np.mean(each)) if len(each) else None,
         sd=std(each),
         trial_interval=trial_interval(each),
@@ -134,26 +135,33 @@ def _against(
     """Compare a variant with other variants; ``holm_p`` is corrected over these comparisons."""
     design, (protocol, method) = scores.design, variant
     own = scores.values[variant][measure]
-    statistics: dict[str, PairedStatistics] = {}
+    rows: list[PairedComparison] = []
     for other in others:
         theirs = scores.values[other].get(measure)
         if theirs is not None and np.any(np.isfinite(theirs)):
-            statistics[other[1]] = compare_paired(own, theirs, design.strata, draws)
-    corrected = holm([row.p for row in statistics.values()])
-    for (other, row), p in zip(statistics.items(), corrected, strict=True):
-        of = {"protocol": protocol, "measure": measure, "method": method, "against": other}
-        yield PairedComparison(**of, **dict(row), holm_p=p)
+            of = {"protocol": protocol, "measure": measure, "method": method, "against": other[1]}
+            rows.append(compare_paired(own, theirs, design.strata, draws, **of))
+    for row, p in zip(rows, holm([row.p for row in rows]), strict=True):
+        yield row.model_copy(update={"holm_p": p})
 
 
-def compare_paired(method: Array, other: Array, strata: Sequence[str], draws: Draws) -> PairedStatistics:
-    """Compare the scores of two methods, shape (trials, drives), on the drives where both means are finite."""
-    a, b = drive_means(method), drive_means(other)
+def compare_paired(
+    own: Array, theirs: Array, strata: Sequence[str], draws: Draws, **of: str
+) -> PairedComparison:
+    """Compare the scores of two methods, shape (trials, drives), on the drives where both means are finite.
+
+    ``of``: the first fields of the record. ``holm_p`` is not corrected.
+    """
+    a, b = drive_means(own), drive_means(theirs)
     both = np.isfinite(a) & np.isfinite(b)
     a, b, kept = a[both], b[both], [s for s, k in zip(strata, both, strict=True) if k]
-    return PairedStatistics(
+    p = signed_rank(a, b)
+    return PairedComparison(
+        **of,
         mean_difference=float(np.mean(a - b)) if len(a) else None,
         interval=bootstrap(np.asarray, [a - b], kept, draws),
-        p=signed_rank(a, b),
+        p=p,
+        holm_p=p,
         rank_biserial=rank_biserial(a - b),
         improvement=float(improvement(a.mean(), b.mean())) if len(a) else None,
         improvement_interval=bootstrap(improvement, [a, b], kept, draws),
@@ -235,11 +243,11 @@ def _gains(scores: ScoreTable, networks: Iterable[Task], draws: Draws) -> Iterat
 def _elsewhere(tables: Mapping[str, ScoreTable], home: Design, draws: Draws) -> Iterator[ElsewhereSummary]:
     for place, scores in tables.items():
         ratio = len(scores.design.drives) / len(home.split(0)[0])
-        for protocol, method, measure, values in scores.columns():
-            summaries = summarize(values, scores.design.strata, ratio, draws)
-            if summaries.n_drives:
-                of = {"place": place, "protocol": protocol, "method": method, "measure": measure}
-                yield ElsewhereSummary(**of, maneuver=ALL, environment=ALL, **dict(summaries))
+        for of, values in scores.columns():
+            of |= {"maneuver": ALL, "environment": ALL}
+            summary = summarize(values, scores.design.strata, ratio, draws, **of)
+            if summary.n_drives:
+                yield ElsewhereSummary(place=place, **dict(summary))
 
 
 def _curve(

@@ -5,6 +5,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -14,27 +15,33 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.experiments.study.config import ALL, MAIN_METHOD, NO_PROTOCOL, ProtocolName
 from sigmaswarm.experiments.study.design import Design, Filters, Task
-from sigmaswarm.experiments.study.networks import Networks, score_networks
+from sigmaswarm.experiments.study.networks import Networks, TrainedNetwork
 from sigmaswarm.experiments.study.record import Variant
 from sigmaswarm.files import write_atomically
 from sigmaswarm.filters.fixes_alone import FixesAlone, MotionNoise, fitted_noise
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, PAPER, baseline
 from sigmaswarm.filters.run import estimate_of, run_imu_only
-from sigmaswarm.scoring.batch import BatchScorer, PassOptions, Scores
+from sigmaswarm.scoring.batch import BatchScorer, PassOptions, Scores, scores_from_sums
 from sigmaswarm.scoring.drifts import rms_drift
 from sigmaswarm.scoring.remote import AnyBatchScorer
-from sigmaswarm.scoring.score import root_mean, score_estimate, score_raw_gps
+from sigmaswarm.scoring.score import PieceErrors, Score, root_mean, score_estimate, score_raw_gps
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_pass, outage_windows, tracking_pass
 from sigmaswarm.scoring.tracks import Picture, Tracker, Tracks
 
-SCORE_OF_MEASURE: dict[str, Callable[[Scores], Array]] = {
+SCORE_OF_MEASURE: dict[str, Callable[[Any], Any]] = {
     "position_rmse_m": lambda s: s.position_rmse,
     "gps_rmse_m": lambda s: s.fix_rmse,
     "heading_rmse_deg": lambda s: np.degrees(s.heading_rmse),
     "outage_drift_m": lambda s: s.outage_drift,
     "nis": lambda s: s.mean_nis,
 }
+"""Functions that return a measure from `Scores` or from a `Score`."""
+
+
+def _measured(score: Score) -> dict[str, float]:
+    """Return the measures of a score except the drift."""
+    return {m: float(take(score)) for m, take in SCORE_OF_MEASURE.items() if m != "outage_drift_m"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,26 +55,27 @@ class ScoreTable:
     design: Design
     values: Mapping[Variant, Mapping[str, Array]]
 
-    def columns(self) -> Iterator[tuple[str, str, str, Array]]:
+    def columns(self) -> Iterator[tuple[dict[str, str], Array]]:
+        """Yield the scores of each variant and measure, with the names of protocol, method and measure."""
         for (protocol, method), measures in self.values.items():
             for measure, values in measures.items():
-                yield protocol, method, measure, values
+                yield {"protocol": protocol, "method": method, "measure": measure}, values
 
     def to_frame(self) -> pl.DataFrame:
         """Return a table in long format: protocol, trial, method, drive, maneuver, environment, measure, value."""
         names = np.array([drive.name for drive in self.design.drives])
         maneuvers, environments = (np.array(column) for column in zip(*self.design.conditions, strict=True))
         parts: list[pl.DataFrame] = []
-        for protocol, method, measure, values in self.columns():
+        for of, values in self.columns():
             trial, drive = np.nonzero(~np.isnan(values))
             columns = {
-                "protocol": protocol,
+                "protocol": of["protocol"],
                 "trial": trial,
-                "method": method,
+                "method": of["method"],
                 "drive": names[drive],
                 "maneuver": maneuvers[drive],
                 "environment": environments[drive],
-                "measure": measure,
+                "measure": of["measure"],
                 "value": values[trial, drive],
             }
             parts += [pl.DataFrame(columns)] if len(trial) else []
@@ -169,9 +177,9 @@ def _score_unfiltered(
     ready: PreparedDrive, method: str, noise: MotionNoise | None, lengths: Mapping[str, float], seed: int
 ) -> dict[str, float]:
     drive, start = ready.drive, ready.initial
-    residual, drifts = np.nan, dict.fromkeys(lengths, np.nan)
+    drifts = dict.fromkeys(lengths, np.nan)
     if method == "raw-gps":
-        residual, score = 0.0, score_raw_gps(drive, start)  # equation 4 compares with the fixes
+        score = replace(score_raw_gps(drive, start), fix_rmse=0.0)  # equation 4 compares with the fixes
     else:
         whole = run_imu_only(ready)
         if noise is not None:
@@ -186,13 +194,50 @@ def _score_unfiltered(
         if method == "imu-only":
             gps = drive.gps.select((drive.gps.time > start.time) & (drive.gps.time <= whole.time[-1]))
             x, y = (np.interp(gps.time, whole.time, whole.mean[:, i]) for i in range(2))
-            residual = root_mean((x - gps.x) ** 2 + (y - gps.y) ** 2)
-    return {
-        "position_rmse_m": score.position_rmse,
-        "gps_rmse_m": residual,
-        "heading_rmse_deg": float(np.degrees(score.heading_rmse)),
-        **drifts,
-    }
+            score = replace(score, fix_rmse=root_mean((x - gps.x) ** 2 + (y - gps.y) ** 2))
+    return {m: value for m, value in _measured(score).items() if m != "nis"} | drifts
+
+
+def score_networks(
+    design: Design,
+    networks: Sequence[TrainedNetwork],
+    drives: Sequence[Sequence[int]],
+    executor: Executor | None = None,
+) -> dict[str, Array]:
+    """Score each network on its ``drives`` (indices); return arrays of shape (networks, all drives) by measure."""
+    jobs = [(k, i) for k, chosen in enumerate(drives) for i in chosen]
+    one = partial(_score, long=design.config.long_outages, seed=design.config.seed)
+    results = (executor.map if executor else map)(
+        one, [networks[k] for k, _ in jobs], [design.prepared[i] for _, i in jobs]
+    )
+    found: dict[str, Array] = {}
+    for at, scores in zip(jobs, results, strict=True):
+        for measure, value in scores.items():
+            found.setdefault(measure, np.full((len(networks), len(design.drives)), np.nan))[at] = value
+    return found
+
+
+def _score(
+    trained: TrainedNetwork, ready: PreparedDrive, long: Mapping[str, float], seed: int
+) -> dict[str, float]:
+    drive_pass, truth = tracking_pass(ready), ready.drive.truth
+    assert truth is not None
+    run = trained.run(drive_pass)
+    errors = PieceErrors(truth, ready.initial)
+    for piece in run:
+        errors.add(piece.time, piece.mean)
+    sums = scores_from_sums({"tracking": [drive_pass]}, {"tracking": run.sums})[0, 0]
+    position, heading = errors.score.position_rmse, errors.score.heading_rmse
+    score = _measured(replace(sums, position_rmse=position, heading_rmse=heading))
+    scores = {measure: np.inf if run.failure else value for measure, value in score.items()}
+    for measure, length in {"outage_drift_m": OUTAGE_LENGTH, **long}.items():
+        ends = outage_windows(ready.drive, ready.initial, length=length, seed=seed)[:, 1]
+        scores[measure] = np.nan
+        if len(ends):
+            run = trained.run(outage_pass(ready, length=length, seed=seed))
+            whole = run.whole()
+            scores[measure] = np.inf if run.failure else rms_drift(ready, whole, ends)
+    return scores
 
 
 MANUAL_FILTERS = ("ukf-datasheet", "ukf-defaults")

@@ -30,10 +30,10 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.grid import Report, run_grid
 from sigmaswarm.experiments.study.config import MAIN_METHOD, ProtocolName, StudyConfig, read_config
 from sigmaswarm.experiments.study.design import Design, Filters, Task, Trials, designs_elsewhere, make_design
-from sigmaswarm.experiments.study.networks import score_networks, train_all, trainings
+from sigmaswarm.experiments.study.networks import train_all, trainings
 from sigmaswarm.experiments.study.record import Results, StudyRecord, quantiles_of
 from sigmaswarm.experiments.study.results import results_of, rival_results
-from sigmaswarm.experiments.study.scores import record_tracks, score_all
+from sigmaswarm.experiments.study.scores import record_tracks, score_all, score_networks
 from sigmaswarm.experiments.study.timings import Stopwatch, rival_times, stored_time, write_timings
 from sigmaswarm.files import locked_folder, make_folder, staged_files, write_atomically
 from sigmaswarm.filters.models import MODELS
