@@ -11,7 +11,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any
 
 import numpy as np
 
@@ -44,14 +44,6 @@ OBJECTIVE = "innovation-t"
 SLIP_STD = math.radians(0.1)  # rad, standard deviation of the slip angle, which fixes do not show
 
 
-class ReferenceOptions(TypedDict, total=False):
-    lever_arm: tuple[float, float, float] | None
-    offset: float
-    accuracy: float
-    fix_std: float | None
-    seed: int
-
-
 @dataclass(frozen=True)
 class _Options:
     lever_arm: tuple[float, float, float] | None = None
@@ -74,7 +66,7 @@ def reference(
     *,
     executor: Executor | None = None,
     progress: Callable[[Progress], None] | None = None,
-    **options: Unpack[ReferenceOptions],
+    **options: Any,
 ) -> Drive:
     """Compute truth from the fixes of a reference receiver (RTK) on the same vehicle, and from the drive's IMU.
 
