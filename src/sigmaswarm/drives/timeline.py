@@ -156,13 +156,17 @@ def build_timeline(
     ``kinds`` (g,): kinds of the fixes. ``as_recorded``: treat IMU gaps as ordinary steps. ``driving``: the array of
     another timeline of the same IMU samples, to save memory.
     """
-    imu = drive.imu
+    imu, first = drive.imu, int(np.searchsorted(drive.imu.time, start, side="right"))
     fixes = drive.gps.select(_usable(drive, start, kinds))
-    imu_time = imu.time[np.searchsorted(imu.time, start, side="right") :]
-    moments = np.union1d(imu_time, fixes.time)
-    fixes_there = np.diff(np.searchsorted(fixes.time, moments, side="right"), prepend=0)
-    ends = np.repeat(moments, np.maximum(1, fixes_there))
-    sample = np.searchsorted(imu.time, ends, side="left")  # the first sample at or after the step's end
+    at = np.searchsorted(imu.time, fixes.time, side="left")  # the first sample at or after each fix
+    # The last fix at the time of a sample updates the filter at the end of the sample's step; others need a step.
+    shared = (imu.time[at] == fixes.time) & np.append(fixes.time[1:] != fixes.time[:-1], True)[: len(at)]
+    alone = at[~shared] - first
+    ends = np.insert(imu.time[first:], alone, fixes.time[~shared])
+    sample = np.insert(np.arange(first, len(imu)), alone, at[~shared])
+    sampled = np.insert(np.ones(len(imu) - first, dtype=np.bool_), alone, False)
+    updates = ~sampled
+    updates[np.flatnonzero(sampled)[at[shared] - first]] = True
     gaps = np.zeros(len(imu)) if as_recorded else gaps_before(imu.time)
     steps = np.empty((len(ends), FIRST_AXIS))  # filled by column, to save memory
     steps[:, DT] = np.diff(ends, prepend=start)
@@ -174,9 +178,9 @@ def build_timeline(
         steps=steps,
         sample=sample.astype(np.int32),
         driving=_driving(drive, np.flatnonzero(gaps)) if driving is None else driving,
-        updates=_among(ends, fixes.time),
+        updates=updates,
         hides=np.zeros(len(ends), dtype=np.bool_),
-        sampled=_among(ends, imu_time) & _is_last(ends),
+        sampled=sampled,
         fixes=_columns(fixes),
         drive=drive,
         kinds=kinds,
@@ -204,18 +208,3 @@ def _columns(gps: Gps) -> Array:
     if not np.isfinite(variance).all():
         variance = nothing
     return np.column_stack([gps.x, gps.y, *motion, *variance, *headings_of(gps)])
-
-
-def _is_last(ends: Array) -> Mask:
-    return np.append(ends[1:] != ends[:-1], True)
-
-
-def _among(times: Array, known: Array) -> Mask:
-    """Mark the times that are among the known times.
-
-    Both arrays are increasing; `np.isin` would sort copies of them.
-    """
-    if not len(known):
-        return np.zeros(len(times), dtype=np.bool_)
-    at = np.searchsorted(known, times, side="left")
-    return known[np.minimum(at, len(known) - 1, out=at)] == times
