@@ -116,7 +116,7 @@ def draw(p: FilterParameters, runs: int, seed: int) -> tuple[np.ndarray, np.ndar
 def draw_tilted(p: FilterParameters, runs: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Draw the same for tilted12: the drawn values are errors of the state, which `tilted.plus` adds."""
     line, initial = time_line(), start(p.n_states)
-    imu, antenna = line.imu(tilted.AXES), tilted.Antenna((line.lever[0], line.lever[1], line.lever[2]))
+    imu, antenna = line.imu(tilted.AXES), tilted.antenna(line.lever)
     std = np.sqrt(np.array(p.process_noise))
     states, fixes = np.empty((len(line.dt), runs, p.n_states)), np.empty((int(line.updates.sum()), runs, 2))
     for j in range(runs):

@@ -34,7 +34,7 @@ def test_every_model_has_a_name_a_kernel_and_its_states_first():
         assert MODELS[large].names[: len(MODELS[small].names)] == MODELS[small].names
     for model in MODELS.values():
         assert model.names[THETA] == "theta"
-        assert model.gyro_bias is None or model.names[GYRO_BIAS] == "gyro_bias_z"
+        assert not model.gyro_axes or model.names[GYRO_BIAS] == "gyro_bias_z"
         assert len(model.process(np.zeros(len(model.states)), 0.1, np.zeros(len(model.imu)))) == len(
             model.states
         )

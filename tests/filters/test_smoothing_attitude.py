@@ -11,6 +11,7 @@ from sigmaswarm.drives.split import clip
 from sigmaswarm.filters import tilted
 from sigmaswarm.filters.constants import process_noise_per_step
 from sigmaswarm.filters.starts import start_of
+from sigmaswarm.filters.textbook.manifold import ErrorStateKalmanFilter
 from support import timeline_of
 
 
@@ -31,8 +32,9 @@ def posterior(line, p, initial, rounds: int = 8) -> tuple[np.ndarray, np.ndarray
     """Return states (k + 1, 12) and their error covariances by Gauss-Newton iterations over all steps."""
     mean, covariance = start_of(initial, p)
     n, k, imu = tilted.N, len(line.dt), line.imu(tilted.AXES)
-    antenna, noise = tilted.Antenna(tuple(line.lever)), np.diag(1 / np.array(p.measurement_noise))
+    antenna, noise = tilted.antenna(line.lever), np.diag(1 / np.array(p.measurement_noise))
     q = process_noise_per_step(p, line.nominal_interval)
+    jacobian = ErrorStateKalmanFilter(tilted.tilted12, antenna, mean, covariance).sensitivity
     states = [mean]
     for i in range(k):
         states.append(tilted.tilted12(states[-1], line.dt[i], imu[i]))
@@ -54,7 +56,7 @@ def posterior(line, p, initial, rounds: int = 8) -> tuple[np.ndarray, np.ndarray
                 right[a] -= f.T @ w @ off
                 right[b] += w @ off
             if line.updates[i]:
-                h, z = antenna.jacobian(states[i + 1]), next(fixes)[:2]
+                h, z = jacobian(antenna, states[i + 1]), next(fixes)[:2]
                 precision[b, b] += h.T @ noise @ h
                 right[b] += h.T @ noise @ (z - antenna(states[i + 1]))
         whole = np.linalg.inv(precision)

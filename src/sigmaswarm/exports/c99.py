@@ -1,25 +1,24 @@
 """Write the filter as a C99 library with a program that replays a drive."""
 
 import math
-from collections.abc import Mapping
-from operator import itemgetter
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from sigmaswarm.drives import events, odometer, standstill
 from sigmaswarm.drives.alignment import initial_state
-from sigmaswarm.drives.drive import Drive, Gps
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.mounting import Angles
-from sigmaswarm.drives.tables import headings_of
 from sigmaswarm.drives.tilt_evidence import NUMBERS
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports import c_alignment, c_kernels, c_rules
-from sigmaswarm.exports.c_names import STATES
+from sigmaswarm.exports.c_emitter import STATES
 from sigmaswarm.exports.c_text import with_constants
 from sigmaswarm.exports.features import context_of, fill, in_range, with_definitions
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.filters import starts
+from sigmaswarm.filters.bank.run import stream
 from sigmaswarm.filters.compiled.layout import CONSTANTS
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.models import MODELS, CarModel
@@ -50,17 +49,10 @@ def c99(
     lanes: Lanes | None = None,
     imu_axes: Mapping[str, str] | None = None,
 ) -> dict[str, str]:
-    """Return the text of each file by name. Q refers to steps of ``interval`` s; ``as_recorded``: see `PreparedDrive`.
+    """Return the text of each file by name. Q refers to steps of ``interval`` s; other arguments: see `export_texts`.
 
-    ``mounting``: roll, pitch and yaw of the IMU, deg, for the C function that rotates raw samples. ``lanes``: number
-    and seed of the filters of a bank; None for a single filter. ``imu_axes``: expressions from which the import
-    computed the IMU's axes, for the README.
-
-    Raises
-    ------
-    InputError
-        If a parameter cannot be written as a C constant, if the IMU's sampling rate is too high, or if the filter type
-        of the model is not available in C.
+    Raise `InputError` if a parameter cannot be written as a C constant, if the IMU's sampling rate is too high, or if
+    the filter type of the model is not available in C.
     """
     if interval < MIN_INTERVAL:
         raise InputError(
@@ -74,7 +66,12 @@ def c99(
             f"{parameters.model} is not available as {parameters.kind} in C; use kind {' or '.join(kinds)}"
         )
     lanes = lanes or Lanes()
-    context = _context(parameters, interval, as_recorded, mounting, lanes, imu_axes)
+    context = _context(parameters, interval, lanes, imu_axes or {})
+    context |= {
+        "as_recorded": as_recorded,
+        "mounting": mounting,
+        "rotation": rotation_of(*mounting) if mounting else None,
+    }
     texts = {name: fill(f"{name}.in", context) for name in FILES}
     texts["ins_gps_align.c"] = with_constants(texts["ins_gps_align.c"], c_alignment.MODULES)
     text = with_definitions(texts["ins_gps.c"], _numbers(parameters, interval) | lanes.numbers(parameters))
@@ -83,26 +80,16 @@ def c99(
 
 
 def _context(
-    parameters: FilterParameters,
-    interval: float,
-    as_recorded: bool,
-    mounting: Angles | None,
-    lanes: Lanes,
-    imu_axes: Mapping[str, str] | None,
+    parameters: FilterParameters, interval: float, lanes: Lanes, imu_axes: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Return the variables of the templates; for the arguments see `c99`."""
+    """Return the variables of the templates, except those of `c99`."""
     model = MODELS[parameters.model]
-    width = max(map(len, imu_axes or ()), default=0)
+    width = max(map(len, imu_axes), default=0)
     axes = ("ax", "ay", "az", "gx", "gy", "yaw_rate") if model.tilts else ("ax", "ay", "yaw_rate")
     context = context_of(parameters, interval) | lanes.context(parameters)
     context |= {
         "fits_float": all(fits_float(p) for p in lanes.filters(parameters)),
-        "as_recorded": as_recorded,
-        "mounting": mounting,
-        "rotation": rotation_of(*mounting) if mounting else None,
-        "imu_axes": [
-            f"{printable(a):{width}} = {printable(text, 1000)}" for a, text in (imu_axes or {}).items()
-        ],
+        "imu_axes": [f"{printable(a):{width}} = {printable(text, 1000)}" for a, text in imu_axes.items()],
         "axes": axes,
         "turning_axes": [axis for axis in axes if axis != "az" and (model.tilts or axis != "ay")],
         "fix_fields": [
@@ -132,63 +119,57 @@ def replay_rows(
 def replay_events(
     drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False, heading: bool = False
 ) -> list[tuple[str, list[float]]]:
-    """Return the events of a drive, sorted by time: ``start``, followed by ``imu``, ``fix`` and ``odometer``.
+    """Return name and numbers of each row in the input of replay.c: ``start``, then the data in order of time.
 
-    The numbers of an event are those of a row in the input of replay.c. ``model`` determines the axes of the IMU and of
-    the lever arm. If ``heading`` is True, headings of fixes are included. Fixes and readings after the last IMU sample
-    are left out.
+    ``model`` determines the axes of the IMU and of the lever arm. ``heading``: True to include headings of fixes. Fixes
+    and readings after the last IMU sample are left out. For errors see `start_numbers`.
+    """
+    rows = [("start", start_numbers(drive, model, as_recorded=as_recorded))]
+    axes = ("ax", "ay", "gz", *(("az", "gx", "gy") if MODELS[model].tilts else ()))
+    for name, t, *data in stream(drive, axes):
+        if name == "fix":
+            position, velocity, std, stated = data
+            stated = stated if heading and drive.gps.heading is not None else None
+            numbers = _fix_numbers(t, position, velocity, std, stated)
+        else:
+            numbers = [t, *(data[0] if name == "imu" else data)]
+        rows.append((name, numbers))
+    return rows
 
-    Raises
-    ------
-    InputError
-        If the drive does not contain an IMU axis that the model needs.
-    AlignmentError
-        If the filter's initial state cannot be computed from the drive.
+
+def start_numbers(drive: Drive, model: ModelName, *, as_recorded: bool) -> list[float]:
+    """Return the numbers of a row ``start`` in the input of replay.c.
+
+    Raise `InputError` if the drive lacks an IMU axis of the model, and `AlignmentError` if it has no initial state.
     """
     starts.require_axes(drive, model)
-    initial, imu = initial_state(drive, as_recorded=as_recorded), drive.imu
+    initial = initial_state(drive, as_recorded=as_recorded)
     start = [initial.time, *drive.lever_arm, *initial.mean, *initial.covariance.ravel()]
-    axes = ["ax", "ay", "gz"]
-    if MODELS[model].tilts is not None:
-        start = [*start, drive.antenna_height]
-        axes += ["az", "gx", "gy"]
     gyro, tilt = initial.gyro, initial.tilt
     assert gyro is not None  # every alignment estimates the gyro bias
-    start += [*gyro.bias, *gyro.variance, gyro.taken, *gyro.turns]  # in the order of InsGpsGyro
-    if MODELS[model].tilts is not None:
-        start += [*tilt.numbers] if tilt else [0.0] * NUMBERS
-    # A fix precedes a sample of the same time.
-    events = [(z[0], 0, "fix", z) for z in _fixes(drive.gps, heading)]
-    if drive.odometer is not None:
-        readings = zip(drive.odometer.time, drive.odometer.speed, strict=True)
-        events += [(t, 0, "odometer", [t, speed]) for t, speed in readings]
-    samples = zip(imu.time, *(getattr(imu, axis) for axis in axes), strict=True)
-    events += [(t, 1, "imu", [t, *u]) for t, *u in samples]
-    ordered = sorted((event for event in events if event[0] <= imu.time[-1]), key=itemgetter(0, 1))
-    return [("start", start), *((name, numbers) for *_, name, numbers in ordered)]
+    of_gyro = [*gyro.bias, *gyro.variance, gyro.taken, *gyro.turns]  # in the order of InsGpsGyro
+    if not MODELS[model].tilts:
+        return [*start, *of_gyro]
+    return [*start, drive.antenna_height, *of_gyro, *(tilt.numbers if tilt else [0.0] * NUMBERS)]
 
 
-def _fixes(gps: Gps, heading: bool) -> list[list[float]]:
-    """Return rows of time (s), position (m) and, if logged, velocity (m/s) and standard deviations (m), east and north.
+def _fix_numbers(
+    t: float, position: Sequence[float], velocity: list[float] | None, std: list[float] | None, heading: Any
+) -> list[float]:
+    """Return the numbers of a row ``fix``: time (s), position (m), velocity (m/s), standard deviations (m), heading.
 
-    If ``heading`` is True and fixes have headings, the rows have all these columns, and also the heading and its
-    standard deviation, rad. A missing velocity or heading is NaN, and missing standard deviations of the position are
-    0.
+    The last columns are omitted if they are not logged. ``heading``: heading and its standard deviation (rad), or None.
+    A missing velocity or heading is NaN, and missing standard deviations of the position are 0.
     """
-    heading = heading and gps.heading is not None
-    columns = [gps.time, gps.x, gps.y]
-    if (velocity := gps.velocity) is not None:
-        columns += [*velocity]
-    elif heading or gps.std is not None:
-        columns += [np.full(len(gps), np.nan)] * 2
-    if (std := gps.std) is not None:
-        columns += [*std]
-    elif heading:
-        columns += [np.zeros(len(gps))] * 2
+    numbers = [t, *position]
+    if velocity or std or heading:
+        numbers += velocity or [np.nan, np.nan]
+    if std or heading:
+        numbers += std or [0.0, 0.0]
     if heading:
-        theta, variance = headings_of(gps)
-        columns += [np.where(np.isfinite(variance), theta, np.nan), np.sqrt(variance)]
-    return np.column_stack(columns).tolist()
+        theta, sigma = heading
+        numbers += [theta if np.isfinite(sigma) else np.nan, sigma]
+    return numbers
 
 
 def _constants(p: FilterParameters, interval: float) -> dict[str, float]:

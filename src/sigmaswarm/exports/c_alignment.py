@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 from sigmaswarm.drives import alignment, alignment_fit, gyro_bias, tilt_evidence
-from sigmaswarm.exports.c_emitter import Emitter
-from sigmaswarm.exports.c_names import STATES
+from sigmaswarm.exports.c_emitter import STATES, Emitter
 from sigmaswarm.exports.c_rules import Rule, by_name
 from sigmaswarm.filters import divergence
 from sigmaswarm.filters.compiled import live, monitor

@@ -5,8 +5,7 @@ from collections.abc import Callable
 from copy import copy
 from typing import Any
 
-from sigmaswarm.exports.c_emitter import Emitter, parameter_name
-from sigmaswarm.exports.c_names import CALLS, INPUTS, PARAMETERS, RENAMED
+from sigmaswarm.exports.c_emitter import CALLS, INPUTS, PARAMETERS, RENAMED, Emitter, parameter_name
 from sigmaswarm.exports.c_text import name_of, number_of, numeral, parsed
 from sigmaswarm.filters.compiled.layout import COVARIANCE, MEAN, N_KEPT, NAMES, QUATERNION, at
 
@@ -123,7 +122,7 @@ class Expressions(ast.NodeTransformer):
         return new
 
     def visit_Constant(self, node: ast.Constant) -> ast.expr:
-        return numeral(node.value) if isinstance(node.value, float) else ast.Name(str(node.value))
+        return numeral(node.value) if isinstance(node.value, float) else ast.Name(str(node.value).lower())
 
     def visit_Name(self, node: ast.Name) -> ast.expr:
         if node.id.isupper() and isinstance(self.names.get(node.id), int | float):

@@ -7,10 +7,9 @@ from collections.abc import Callable
 from copy import copy
 from typing import Any
 
-from sigmaswarm.exports.c_emitter import Elements, Emitter, parameter_name
+from sigmaswarm.exports.c_emitter import PARAMETERS, Elements, Emitter, parameter_name
 from sigmaswarm.exports.c_expressions import SIGNS, Expressions
-from sigmaswarm.exports.c_names import PARAMETERS
-from sigmaswarm.exports.c_text import in_c, is_boolean, name_of, number_of, uses, wrapped
+from sigmaswarm.exports.c_text import declaration, in_c, is_boolean, name_of, number_of, uses, wrapped
 
 
 class Function(Expressions):
@@ -171,13 +170,18 @@ class Function(Expressions):
             self.put("b->failed = true;", depth + 1)
             self.put("}", depth)
             return
-        declared = ""
+        declared = place
         if isinstance(target, ast.Name) and place not in self.declared:
-            declared = "" if target.id in self.changing else "const "
-            declared += "bool " if is_boolean(value) else "real "
+            kind = self.kind_of(target, value)
+            constant = "" if target.id in self.changing or "*" in kind else "const "
+            declared = constant + declaration(kind, place)
             self.declared.add(place)
         if place != self.print(value):
-            self.put(f"{declared}{place} = {mirror and mirror + ' = '}{self.print(value)};", depth)
+            self.put(f"{declared} = {mirror and mirror + ' = '}{self.print(value)};", depth)
+
+    def kind_of(self, target: ast.Name, value: ast.expr) -> str:
+        """Return the C type of a new local variable."""
+        return "bool" if is_boolean(value) else "real"
 
     def add_to(self, target: ast.expr, sign: str, value: ast.expr, depth: int) -> None:
         place, mirror = self.written(target)

@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from sigmaswarm.drives import events, tilt_evidence
-from sigmaswarm.exports.c_emitter import Elements, Emitter
+from sigmaswarm.exports.c_emitter import FIX_ERROR, PARAMETERS, STATES, Elements, Emitter
 from sigmaswarm.exports.c_functions import Function
-from sigmaswarm.exports.c_names import FIX_ERROR, PARAMETERS, STATES
 from sigmaswarm.filters import constants
 from sigmaswarm.filters.compiled import (
     adaptive,
@@ -20,7 +19,7 @@ from sigmaswarm.filters.compiled import (
     transition,
     vehicle,
 )
-from sigmaswarm.filters.compiled.layout import MEAN, NAMES, SUMS
+from sigmaswarm.filters.compiled.layout import CONSTANTS, MEAN, NAMES, SUMS
 from sigmaswarm.filters.compiled.unroll import Kernel
 from sigmaswarm.filters.kernels import FILTERS
 from sigmaswarm.filters.models import MEASURED, NOISE_OF
@@ -37,13 +36,6 @@ NAMES_IN_C = {
     "_turn": "turn_acceleration",
     "carry": "carry_fix_error",
 }
-
-_SAME_NAME = (
-    "QUARTER_GAMMA", "SHORTENS", "SPREAD", "LATENCY", "REAR_AXLE", "TIRE_SLIP", "ODOMETER_LATENCY", "FORGETTING",
-    "GATE", "WIDTH_RATIO", "WIDTH_TREND", "GAIN_R", "GAIN_Q", "PATIENCE", "FIX_ERROR", "FIX_ERROR_RATE", "FIX_VAR",
-)  # fmt: skip
-"""Rows of the kernel that are macros of the same name in C. The rows in `_FIELDS` are fields of the estimate."""
-_FIELDS = ("RECENT", "REJECTED", "QUICK", "SLOW", "TIMES_R", "TIMES_Q", "OUTLIERS", "SPAN")
 
 
 def kernels_of(p: FilterParameters, context: Mapping[str, Any]) -> dict[str, Any]:
@@ -100,8 +92,8 @@ def _rows(p: FilterParameters, context: Mapping[str, Any]) -> dict[str, str | fl
     turns_along = p.model == "planar5"
     accuracy = "b->times_r * ACCURACY_SCALE" if fuzzy else "ACCURACY_SCALE"
     rows: dict[str, Any] = {
-        **{name: name for name in _SAME_NAME},
-        **{name: f"b->{name.lower()}" for name in _FIELDS},
+        **{name: name for name in CONSTANTS},  # macros
+        **{name: f"b->{name.lower()}" for name in SUMS[SUMS.index("REJECTED") : SUMS.index("HEADING")]},
         **{f"R_{name.upper()}": noise.upper() for name, noise in NOISE_OF.items()},
         **{f"Q_{letter}": q.format(state) for letter, state in zip(MEAN, STATES, strict=True)},
         **dict.fromkeys(SUMS[: SUMS.index("OK")]),  # sums for scores, which C does not compute

@@ -14,9 +14,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from sigmaswarm.drives import events, gaps, odometer, stale_fixes, standstill
-from sigmaswarm.exports.c_emitter import Emitter, parameter_name
+from sigmaswarm.exports.c_emitter import WHEELS, Emitter, parameter_name
 from sigmaswarm.exports.c_functions import Function
-from sigmaswarm.exports.c_names import WHEELS
+from sigmaswarm.exports.c_text import declaration
 from sigmaswarm.filters.compiled import live
 
 MODULES = gaps, stale_fixes, standstill, odometer, events
@@ -91,12 +91,6 @@ def rules_of(features: Mapping[str, Any], used: int) -> dict[str, str]:
     return values
 
 
-def _declared(kind: str, name: str) -> str:
-    """Declare a variable in C; the type of a matrix is, for example, ``real [][5]``."""
-    kind, bracket, lengths = kind.partition(" [")
-    return f"{kind} {name}{bracket[1:]}{lengths}".replace("* ", "*")
-
-
 class Rule(Function):
     """Translation of a rule to C. The first value of a local variable determines its type."""
 
@@ -113,7 +107,7 @@ class Rule(Function):
         self.returns = returns.get(self.name, self.types["return"])
 
     def parameters_of(self, name: str) -> tuple[str, ...]:
-        return () if name == "kinds" else (_declared(self.types[name], self.local(name)),)
+        return () if name == "kinds" else (declaration(self.types[name], self.local(name)),)
 
     # ---- statements ----
 
@@ -147,14 +141,8 @@ class Rule(Function):
             pairs.append((target, value))
         super().store_all([target for target, _ in pairs], [value for _, value in pairs], depth)
 
-    def store(self, target: ast.expr, place: str, mirror: str, value: ast.expr, depth: int) -> None:
-        declared = ""
-        if isinstance(target, ast.Name) and place not in self.declared:
-            kind = self.types[target.id]
-            declared = "" if target.id in self.changing or "*" in kind else "const "
-            self.declared.add(place)
-            place = _declared(kind, place)
-        self.put(f"{declared}{place} = {self.print(value)};", depth)
+    def kind_of(self, target: ast.Name, value: ast.expr) -> str:
+        return self.types[target.id]
 
     def place(self, node: ast.expr) -> tuple[str | None, str]:
         return self.c(node), ""
@@ -182,13 +170,6 @@ class Rule(Function):
                 return "bool"
             case _:
                 return _TYPES.get(type(self.value(node)), "real")
-
-    def visit_Constant(self, node: ast.Constant) -> ast.expr:
-        return (
-            ast.Name(str(node.value).lower())
-            if isinstance(node.value, bool)
-            else super().visit_Constant(node)
-        )
 
     def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.expr:
         return ast.Name(f"{self.value(node)}") if self.type_of(node) == "int" else super().visit_UnaryOp(node)

@@ -40,6 +40,12 @@ def is_boolean(node: ast.expr) -> bool:
     return binary or isinstance(node, ast.Compare | ast.BoolOp)
 
 
+def declaration(kind: str, name: str) -> str:
+    """Declare a variable in C; the type of a matrix is, for example, ``real [][5]``."""
+    kind, bracket, lengths = kind.partition(" [")
+    return f"{kind} {name}{bracket[1:]}{lengths}".replace("* ", "*")
+
+
 def uses(text: str, name: str) -> bool:
     is_used = re.search(rf"\b{re.escape(name)}(?!\w)", text) is not None
     return is_used or (name == "b" and "P[" in text)

@@ -14,10 +14,10 @@ import numpy as np
 from sigmaswarm.arrays import Array
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.exports.c99 import fits_float, replay_events
+from sigmaswarm.exports.c99 import fits_float, start_numbers
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.exports.names import LIBRARIES
-from sigmaswarm.filters.bank.run import BankRun
+from sigmaswarm.filters.bank.run import BankRun, stream
 from sigmaswarm.filters.filter_run import join_chunks
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
@@ -56,18 +56,11 @@ def check_export(
     lanes: int = 1,
     seed: int = 0,
 ) -> list[ExportCheck]:
-    """Compile the exported C library in ``folder``, and compare it with Python on drives.
+    """Compile the exported C library in ``folder``, and compare it with Python on drives; arguments: `export_texts`.
 
-    For the arguments see `export_texts`.
-
-    The reference is `run_filter` without resets or, if ``lanes`` exceeds 1, a `LiveFilterBank` without searches.
-
-    Raises
-    ------
-    InputError
-        If there is no C compiler, if the build fails, or if a drive lacks data that the filter needs.
-    AlignmentError
-        If the filter's initial state cannot be computed from a drive.
+    The reference is `run_filter` without resets or, if ``lanes`` exceeds 1, a `LiveFilterBank` without searches. Raise
+    `InputError` if there is no C compiler, if the build fails, or if a drive lacks data that the filter needs, and
+    `AlignmentError` if a drive has no initial state.
     """
     all_lanes = Lanes(lanes, seed)
     double, single_precision = LIBRARIES
@@ -80,9 +73,8 @@ def check_export(
         libraries = [Path(shutil.copy(library, loaded)) for library in built]
         for drive in drives:
             expected = _expected(drive, parameters, all_lanes, as_recorded=as_recorded)
-            uses_heading = parameters.heading_noise is not None
-            events = replay_events(drive, parameters.model, as_recorded=as_recorded, heading=uses_heading)
-            runs = [_replay(folder, library, parameters, events) for library in libraries]
+            start = start_numbers(drive, parameters.model, as_recorded=as_recorded)
+            runs = [_replay(folder, library, parameters, drive, start) for library in libraries]
             double, *single = (_difference(run, expected) for run in runs)
             checked.append(ExportCheck(drive.name, double, single[0] if single else None))
     return checked
@@ -121,33 +113,31 @@ def _shared_object(folder: Path, name: str, *flags: str) -> Path:
     return (folder / name).resolve()
 
 
-def _replay(
-    folder: Path, library: Path, parameters: FilterParameters, events: Sequence[tuple[str, list[float]]]
-) -> Array:
+def _replay(folder: Path, library: Path, p: FilterParameters, drive: Drive, start: list[float]) -> Array:
     """Return the means (k, n) that the exported Python module computes after each sample that follows the start."""
     spec = importlib.util.spec_from_file_location("ins_gps", folder / "ins_gps.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    tilted = MODELS[parameters.model].tilts is not None
-    takes_std = parameters.accuracy_scale is not None or parameters.fix_error is not None
-    (_, (begin, *start)), *others = events
-    lever_arm, gyro = (*start[:2], start.pop(32) if tilted else 0.0), start[32:]
-    exported = module.Filter(begin, start[2:7], start[7:32], lever_arm, library, gyro)
+    begin, *start = start
+    lever_arm = (*start[:2], start.pop(32) if MODELS[p.model].tilts else 0.0)
+    exported = module.Filter(begin, start[2:7], start[7:32], lever_arm, library, start[32:])
+    takes_std = p.accuracy_scale is not None or p.fix_error is not None
     means: list[list[float]] = []
-    for name, (time, *z) in others:
+    for name, time, *data in stream(drive, MODELS[p.model].imu):
         if name == "imu":
-            exported.predict(time, [*z[:2], *z[3:], z[2]] if tilted else z)
+            exported.predict(time, *data)
             if time > begin:
                 means.append(exported.mean)
         elif name == "fix":
-            velocity = None if len(z) < 4 or np.isnan(z[2]) else z[2:4]
-            more = {"std": z[4:6] or [0.0, 0.0]} if takes_std else {}
-            if len(z) > 6 and np.isfinite(z[6]):
-                more["heading"] = z[6:]
-            exported.update(time, z[:2], velocity=velocity, **more)
-        elif parameters.odometer_noise is not None:
-            exported.odometer(time, z[0])
+            position, velocity, std, heading = data
+            velocity = None if velocity is None or np.isnan(velocity[0]) else velocity
+            more = {"std": std or [0.0, 0.0]} if takes_std else {}
+            if p.heading_noise is not None and np.isfinite(heading[1]):
+                more["heading"] = heading
+            exported.update(time, position, velocity=velocity, **more)
+        elif p.odometer_noise is not None:
+            exported.odometer(time, *data)
     return np.array(means)
 
 

@@ -23,7 +23,7 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
     adaptive, tracking, rules = (p.kind == f"{kind}-ukf" for kind in ("adaptive", "strong-tracking", "fuzzy"))
     return {
         "unscented": p.kind != "ekf",
-        "tilted": MODELS[p.model].tilts is not None,
+        "tilted": MODELS[p.model].tilts,
         "planar5": p.model == "planar5",
         "biases": bool(MODELS[p.model].sensors),
         "adaptive": adaptive,

@@ -34,7 +34,7 @@ _ABSENT = ("imu_noise", "imu_gate", "fix_error", "fix_error_time", "fix_std")
 """Parameters that the script omits; filters that use them cannot be exported."""
 MODEL = {
     models: "THETA ACCEL_BIAS GYRO_BIAS planar5 planar8 gps_position velocity lateral_arm lateral_velocity "
-    "wheel_speed heading gyro_bias"
+    "wheel_speed heading"
 }
 """Names that the script contains, by module; an empty text means all. FILTER and DRIVE have the same form."""
 FILTER = {

@@ -53,13 +53,8 @@ def ros2(
     """Write a bag (a folder with MCAP storage) and a layout for Foxglove, with parameters as in `write_pieces`.
 
     Without ``replace``, ``path`` must not exist. Topics of the bag ``merge`` that have an unknown type are omitted with
-    a warning.
-
-    Raises
-    ------
-    InputError
-        If rosbags is not installed, if a time is before 0, or if ``merge`` is damaged, covers other times, or already
-        contains /sigmaswarm/odometry. In these cases no file remains.
+    a warning. `InputError`: rosbags is not installed, a time is before 0, or ``merge`` is damaged, covers other times,
+    or already contains /sigmaswarm/odometry. In these cases no file remains.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer

@@ -13,83 +13,30 @@ initial error of the position contains b, and that of the estimate of b is -b: P
 added to P_pp. Returned estimates omit b.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any
-
-import numpy as np
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.filters.models import MODELS, CarModel, State, Tilts
+from sigmaswarm.filters.models import MODELS, CarModel, State
 
 STATES = tuple(State(name, "m", (0.0, 0.0), name) for name in ("fix_error_x", "fix_error_y"))
 SUFFIX = "+fix-error"  # end of the name of a model with the states b
 
 
-@dataclass(frozen=True)
-class AugmentedMeasurement:
-    """A measurement of a model with the states b; ``gain`` is 1 if the measurement contains b, otherwise 0."""
-
-    own: Any
-    gain: float = 0.0
-
-    def __call__(self, state: Array) -> Array:
-        measured = self.own(state[:-2])
-        return measured + state[-2:] if self.gain else measured
-
-    def jacobian(self, state: Array) -> Array:
-        own = self.own.jacobian(state[:-2])
-        return np.hstack([own, self.gain * np.eye(len(own), 2)])
-
-
-def _appended(
-    measure: Callable[[Any, Any], Any], gain: float = 0.0
-) -> Callable[[Any, Any], AugmentedMeasurement]:
-    return lambda a, b: AugmentedMeasurement(measure(a, b), gain)
-
-
 def with_fix_error(model: CarModel) -> CarModel:
     """Return a model with the states b appended to the states of the given model."""
 
-    def process(state: Array, dt: float, imu: Array) -> Array:
-        return np.concatenate([model.process(state[:-2], dt, imu), state[-2:]])
-
-    def heading(near: float) -> AugmentedMeasurement:
-        return AugmentedMeasurement(model.heading(near))
+    def position(lever: Sequence[float], latency: float) -> Callable[[Array], Array]:
+        antenna = model.position(lever, latency)
+        return lambda state: antenna(state) + state[-2:]
 
     return replace(
         model,
         states=(*model.states, *STATES),
-        process=process,
-        position=_appended(model.position, 1.0),
-        velocity=AugmentedMeasurement(model.velocity),
-        lateral=_appended(model.lateral),
-        odometer=_appended(model.odometer),
-        heading=heading,
-        rates_at_rest=AugmentedMeasurement(model.rates_at_rest),
-        tilts=_tilts(model.tilts) if model.tilts else None,
+        position=position,
         filter_types=("ekf",) if model.tilts else ("ukf", "ekf"),
         fix_error=True,
     )
-
-
-def _tilts(own: Tilts) -> Tilts:
-    def on_own_states(function: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
-        both = np.add if function is own.plus else np.subtract
-        return lambda a, b: np.concatenate([function(a[:-2], b[:-2]), both(a[-2:], b[-2:])])
-
-    def nearest(a: Array, b: Array) -> Array:
-        return np.concatenate([own.nearest(a[:-2], b[:-2]), a[-2:]])
-
-    def transition(state: Array, dt: float, imu: Array) -> Array:
-        f = np.eye(len(state))
-        f[:-2, :-2] = own.transition(state[:-2], dt, imu)
-        return f
-
-    def as_angles(state: Array, covariance: Array) -> Array:
-        return own.as_angles(state[..., :-2], covariance[..., :-2, :-2])
-
-    return Tilts(on_own_states(own.plus), on_own_states(own.minus), nearest, transition, as_angles)
 
 
 def add_start(mean: Array, covariance: Array, variance: Array) -> None:

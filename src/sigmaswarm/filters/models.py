@@ -37,8 +37,11 @@ GYRO_BIAS = 7  # index of the gyro bias (z), in models with this state
 
 
 def planar5(state: Array, dt: float, imu: Array) -> Array:
-    """Propagate x, y, vx, vy, theta by Newton's equations in the plane, with the IMU as input (the paper's model)."""
-    x, y, vx, vy, theta = state
+    """Propagate x, y, vx, vy, theta by Newton's equations in the plane, with the IMU as input (the paper's model).
+
+    Further states do not change.
+    """
+    x, y, vx, vy, theta, *others = state
     ax, ay, yaw_rate = imu
     c, s = np.cos(theta), np.sin(theta)
     a_e, a_n = c * ax - s * ay, s * ax + c * ay
@@ -49,13 +52,14 @@ def planar5(state: Array, dt: float, imu: Array) -> Array:
             vx + a_e * dt,
             vy + a_n * dt,
             theta + yaw_rate * dt,
+            *others,
         ]
     )
 
 
 def planar8(state: Array, dt: float, imu: Array) -> Array:
     """Propagate like planar5; first subtract constant biases of accelerometer (x, y) and gyro (z) from ``imu``."""
-    return np.concatenate([planar5(state[:5], dt, imu - state[5:]), state[5:]])
+    return planar5(state, dt, imu - state[ACCEL_BIAS : GYRO_BIAS + 1])
 
 
 def robot_localization(state: Array, dt: float, imu: Array) -> Array:
@@ -135,29 +139,6 @@ def heading(near: float) -> Callable[[Array], Array]:
     return lambda state: state[THETA : THETA + 1].copy()
 
 
-def gyro_bias(state: Array) -> Array:
-    """Predict the reading of the gyro at standstill, rad/s."""
-    return state[GYRO_BIAS : GYRO_BIAS + 1].copy()
-
-
-@dataclass(frozen=True)
-class Tilts:
-    """Functions that textbook filters of a model with roll and pitch use: see `textbook.manifold`.
-
-    - ``plus(state, error)``: the state with the error injected.
-    - ``minus(state, other)``: the error such that plus(other, error) is the state.
-    - ``nearest(error, near)``: of all errors equivalent to ``error``, the nearest to ``near``.
-    - ``transition(state, dt, imu)``: F of the error, (n, n).
-    - ``as_angles(state, covariance)``: covariance of the states, (..., n, n), from that of the error.
-    """
-
-    plus: Callable[[Array, Array], Array]
-    minus: Callable[[Array, Array], Array]
-    nearest: Callable[[Array, Array], Array]
-    transition: Callable[[Array, float, Array], Array]
-    as_angles: Callable[[Array, Array], Array]
-
-
 VARIANCE = (1e-5, 10.0)  # bounds of all variances in the paper; Q is per nominal IMU step
 SMALL_VARIANCE = (1e-12, 10.0)  # bounds of Q for position and velocity
 HEADING_VARIANCE = (1e-10, 1e-1)
@@ -200,7 +181,7 @@ class State:
 
 @dataclass(frozen=True)
 class CarModel:
-    """A model for cars: process and measurements. The measurements of a model with roll and pitch have a ``jacobian``.
+    """A model for cars: process and measurements, which do not depend on further states.
 
     ``filter_types`` are the compiled filter types, beginning with the default. ``measures_imu``: as in
     robot-localization, acceleration and yaw rate are states that the IMU measures with `FilterParameters.imu_noise`,
@@ -213,12 +194,10 @@ class CarModel:
     imu: tuple[str, ...] = ("ax", "ay", "gz")  # axes that the process reads
     isotropic: bool = True  # east and north share their noise in the search
     position: Callable[[Sequence[float], float], Any] = gps_position
-    velocity: Callable[[Array], Array] = velocity
     lateral: Callable[[float, float], Any] = lateral_velocity
     odometer: Callable[[float, float], Any] = wheel_speed
     heading: Callable[[float], Any] = heading
-    rates_at_rest: Callable[[Array], Array] = gyro_bias
-    tilts: Tilts | None = None  # None: planar
+    tilts: bool = False  # with roll and pitch: the covariance is that of an error, see `tilted`
     measures_imu: bool = False
     options: tuple[str, ...] | None = None  # supported measurements and features; None: all
     fix_error: bool = False  # the last two states are the correlated fix error: see `kernels`
@@ -232,16 +211,6 @@ class CarModel:
     def sensors(self) -> tuple[str, ...]:
         """Sensors with estimated biases, in the order of `SENSORS`."""
         return tuple(sensor for sensor in SENSORS if any(s.bias_of == sensor for s in self.states))
-
-    @property
-    def accel_bias(self) -> int | None:
-        """Index of the accelerometer's bias (forward), or None."""
-        return ACCEL_BIAS if len(self.states) > GYRO_BIAS and not self.measures_imu else None
-
-    @property
-    def gyro_bias(self) -> int | None:
-        """Index of the gyro's bias (z), or None."""
-        return GYRO_BIAS if len(self.states) > GYRO_BIAS and not self.measures_imu else None
 
     @cached_property
     def gyro_axes(self) -> dict[str, int]:
@@ -310,13 +279,11 @@ MODELS: dict[str, CarModel] = {
         tilted.tilted12,
         CITY_VARIANCE,
         imu=tilted.AXES,
-        position=lambda lever, latency: tilted.Antenna((lever[0], lever[1], lever[2]), latency),
-        velocity=tilted.States((2, 3)),
-        lateral=tilted.RearAxle,
-        odometer=tilted.Wheels,
-        heading=tilted.Heading,
-        rates_at_rest=tilted.States((7, 10, 11)),
-        tilts=Tilts(tilted.plus, tilted.minus, tilted.nearest, tilted.transition, tilted.as_angles),
+        position=tilted.antenna,
+        lateral=tilted.rear_axle,
+        odometer=tilted.wheels,
+        heading=tilted.heading,
+        tilts=True,
         filter_types=("ekf", "ukf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"),
     ),
     "robot-localization": CarModel(

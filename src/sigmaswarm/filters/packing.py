@@ -58,8 +58,7 @@ def state_estimate(state: Array, model: str) -> tuple[Array, Array]:
         mean, covariance = mean[..., :n], covariance[..., :n, :n]
     if FILTERS[model].measures_imu:
         return _turned(mean[..., : THETA + 1], covariance[..., : THETA + 1, : THETA + 1], 1.0)
-    tilts = FILTERS[model].tilts
-    return mean, tilts.as_angles(mean, covariance) if tilts else covariance
+    return mean, tilted.as_angles(mean, covariance) if FILTERS[model].tilts else covariance
 
 
 def _turned(mean: Array, covariance: Array, sign: float) -> tuple[Array, Array]:

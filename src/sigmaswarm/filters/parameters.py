@@ -361,6 +361,15 @@ NOISES = ("process_noise", "measurement_noise", "imu_noise", *_SCALED)
 RULES_SINCE = (0, 3)  # first version with the current rules for stale fixes, gaps and standstills
 
 
+_ADAPTS = "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"
+_CONFLICTS = (
+    ("robust", _ADAPTS, "itself adapts to outliers; use ukf or ekf"),
+    ("accuracy", _ADAPTS[:1], "estimates R; use another kind"),
+    ("fix-error", _ADAPTS, "adapts to the innovations; use ukf or ekf"),
+)
+"""Options of ``tune --use``, the filter types with which they conflict, and reason and remedy."""
+
+
 def incompatibility(kind: str, use: Collection[str]) -> str | None:
     """Return the reason why a filter type and options conflict; None if they do not."""
     if "robust" in use and "gate" in use:
@@ -368,21 +377,9 @@ def incompatibility(kind: str, use: Collection[str]) -> str | None:
             "robust and gate can't be combined: robust reduces the weight of fixes that gate rejects; leave one of "
             "them out"
         )
-    if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"):
-        return (
-            f"robust can't be combined with {kind}, which itself adapts to outliers; use ukf or ekf, or "
-            "leave robust out"
-        )
-    if "accuracy" in use and kind == "adaptive-ukf":
-        return (
-            "accuracy can't be combined with adaptive-ukf, which estimates R; use another kind, or leave "
-            "accuracy out"
-        )
-    if "fix-error" in use and kind not in ("ukf", "ekf"):
-        return (
-            f"fix-error can't be combined with {kind}, which adapts to the innovations; use ukf or ekf, or leave "
-            "fix-error out"
-        )
+    for option, kinds, why in _CONFLICTS:
+        if option in use and kind in kinds:
+            return f"{option} can't be combined with {kind}, which {why}, or leave {option} out"
     return None
 
 

@@ -34,15 +34,7 @@ Block = Mapping[str, Any]
 def read_configuration(path: Path) -> dict[str, Any]:
     """Read fields of `FilterParameters` from an ekf.yaml of ROS 1 or 2, with typical variances of measurements.
 
-    Raises
-    ------
-    InputError
-        If the file is not such a configuration.
-
-    Warns
-    -----
-    SigmaswarmWarning
-        If the model does not support a setting in the file.
+    Raise `InputError` if the file is not such a configuration; warn if the model does not support a setting in it.
     """
     block = _chosen(_loaded(path), path)
     inputs = {found[1]: _entries(block[key], path, key) for key in block if (found := _CONFIG.fullmatch(key))}

@@ -13,6 +13,7 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepare_drive
 from sigmaswarm.errors import InputError, SigmaswarmError
+from sigmaswarm.filters import tilted
 from sigmaswarm.filters.filter_run import EstimateChunk, FilterRun, Innovations, failure_at, join_chunks
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
@@ -237,8 +238,7 @@ def run_textbook(
     run = run_steps(car, rows.tolist(), n_rows=len(line.imu_time))
     run.mean[:, THETA] = wrap_angle(run.mean[:, THETA])
     failure = failure_at(line, line.end[run.failed]) if run.failed >= 0 else None
-    tilts = car.model.tilts
-    covariance = tilts.as_angles(run.mean, run.covariance) if tilts else run.covariance
+    covariance = tilted.as_angles(run.mean, run.covariance) if car.model.tilts else run.covariance
     n = parameters.n_states
     return Estimate(line.imu_time, run.mean[:, :n], covariance[:, :n, :n], drive_pass.initial, failure)
 

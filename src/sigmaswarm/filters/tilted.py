@@ -8,7 +8,7 @@ change when e is injected. There is no vertical channel, since the car stays on 
 specific force along the local up axis is gravity; with the measured force, bumps would make the Jacobians noisy.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -26,7 +26,6 @@ from sigmaswarm.drives.tilt_evidence import (
     TURN,
     VARIANCE,
 )
-from sigmaswarm.geodesy import wrap_angle
 
 THETA, ACCEL_X, ACCEL_Y, GYRO, ROLL, PITCH, GYRO_X, GYRO_Y, N = range(4, 13)
 # Indices of the error about east, north and up; also of roll, pitch and theta
@@ -112,12 +111,12 @@ def turn_of(r: Array) -> Array:
 
 
 def plus(state: Array, error: Array) -> Array:
-    """Inject an error (12,) into a state (12,)."""
+    """Inject an error (n,) into a state (n,)."""
     return with_rotation(state + error, turn(error[ATTITUDE]) @ rotation(state))
 
 
 def minus(state: Array, other: Array) -> Array:
-    """Return the error (12,) that changes ``other`` into the state."""
+    """Return the error (n,) that changes ``other`` into the state."""
     error = state - other
     error[ATTITUDE] = turn_of(rotation(state) @ rotation(other).T)
     return error
@@ -153,12 +152,12 @@ def tilted12(state: Array, dt: float, imu: Array) -> Array:
 
 
 def transition(state: Array, dt: float, imu: Array) -> Array:
-    """Return F, (12, 12): the transition of a small error over a step."""
+    """Return F, (n, n): the transition of a small error over a step."""
     r, _, a = _middle(state, dt, imu)
-    of_error = np.zeros((2, N))  # derivatives of the acceleration's error, e x a - R b
+    of_error = np.zeros((2, len(state)))  # derivatives of the acceleration's error, e x a - R b
     of_error[:, ATTITUDE] = [[0.0, GRAVITY, -a[1]], [-GRAVITY, 0.0, a[0]]]
     of_error[:, ACCEL_BIAS] = -r[:2, :2]
-    f = np.eye(N)
+    f = np.eye(len(state))
     f[2:4] += dt * of_error
     f[:2] += dt**2 / 2 * of_error
     f[0, 2] = f[1, 3] = dt
@@ -166,114 +165,52 @@ def transition(state: Array, dt: float, imu: Array) -> Array:
     return f
 
 
-@dataclass(frozen=True)
-class Antenna:
+def antenna(lever: Sequence[float], latency: float = 0.0) -> Callable[[Array], Array]:
     """Predict a fix: the position, ``latency`` s ago, of an antenna ``lever`` m forward, left and up of the IMU."""
-
-    lever: tuple[float, float, float]
-    latency: float = 0.0
-
-    def __call__(self, state: Array) -> Array:
-        return state[:2] - self.latency * state[2:4] + (rotation(state) @ self.lever)[:2]
-
-    def jacobian(self, state: Array) -> Array:
-        """Return H, (2, 12): 1 for the position, -latency for the velocity, and e x R lever for the attitude."""
-        east, north, up = rotation(state) @ self.lever
-        h = np.zeros((2, N))
-        h[:, :2], h[:, 2:4] = np.eye(2), -self.latency * np.eye(2)
-        h[:, ATTITUDE] = [[0.0, up, -north], [-up, 0.0, east]]
-        return h
+    return lambda state: state[:2] - latency * state[2:4] + (rotation(state) @ lever)[:2]
 
 
-@dataclass(frozen=True)
-class RearAxle:
+def rear_axle(yaw_rate: float, distance: float) -> Callable[[Array], Array]:
     """Predict the velocity to the left (m/s) at the rear axle of a car that moves along the road.
 
     ``distance``: from the rear axle forward to the IMU, m; ``yaw_rate``: rad/s.
     """
 
-    yaw_rate: float
-    distance: float
-
-    def __call__(self, state: Array) -> Array:
+    def h(state: Array) -> Array:
         _, left, up = rotation(state).T
-        return np.array(
-            [left @ _along_the_road(state, up) - self.distance * (self.yaw_rate - state[GYRO_BIAS[2]])]
-        )
+        return np.array([left @ along_the_road(state, up) - distance * (yaw_rate - state[GYRO])])
 
-    def jacobian(self, state: Array) -> Array:
-        _, left, up = rotation(state).T
-        h = _jacobian_along(state, left, up)
-        h[0, GYRO_BIAS[2]] = self.distance
-        return h
+    return h
 
 
-@dataclass(frozen=True)
-class Wheels:
+def wheels(ax: float, delay: float) -> Callable[[Array], Array]:
     """Predict the forward velocity along the road (m/s) that the wheels measured ``delay`` s ago.
 
     ``ax``: forward specific force (m/s2), which on a slope contains gravity.
     """
 
-    ax: float
-    delay: float
-
-    def __call__(self, state: Array) -> Array:
+    def h(state: Array) -> Array:
         forward, _, up = rotation(state).T
-        gained = self.ax - state[ACCEL_BIAS[0]] - GRAVITY * forward[2]
-        return np.array([forward @ _along_the_road(state, up) - self.delay * gained])
+        gained = ax - state[ACCEL_X] - GRAVITY * forward[2]
+        return np.array([forward @ along_the_road(state, up) - delay * gained])
 
-    def jacobian(self, state: Array) -> Array:
-        forward, _, up = rotation(state).T
-        h = _jacobian_along(state, forward, up)
-        h[0, ATTITUDE] += self.delay * GRAVITY * np.array([forward[1], -forward[0], 0.0])
-        h[0, ACCEL_BIAS[0]] = self.delay
-        return h
-
-
-@dataclass(frozen=True)
-class Heading:
-    """Predict the heading (rad) of two antennas: the yaw of the attitude, within half a turn of ``near``."""
-
-    near: float
-
-    def __call__(self, state: Array) -> Array:
-        return self.near + wrap_angle(state[[ATTITUDE[2]]] - self.near)
-
-    def jacobian(self, state: Array) -> Array:
-        """Return H, (1, 12): the change of yaw by a small rotation of the forward axis."""
-        east, north, up = rotation(state)[:, 0]
-        h, level2 = np.zeros((1, N)), east**2 + north**2
-        h[0, ATTITUDE] = -east * up / level2, -north * up / level2, 1.0
-        return h
-
-
-def _along_the_road(state: Array, up: Array) -> Array:
-    """Return the velocity (3,) of a car that stays on its road; ``up`` (3,) is the road's normal."""
-    vx, vy = state[2:4]
-    return np.array([vx, vy, -(up[0] * vx + up[1] * vy) / up[2]])
-
-
-def _jacobian_along(state: Array, axis: Array, up: Array) -> Array:
-    """Return H, (1, 12), of the velocity along a body axis, including the effect of attitude on the climb rate."""
-    v, climb = _along_the_road(state, up), axis[2] / up[2]
-    h = np.zeros((1, N))
-    h[0, 2:4] = axis[:2] - climb * up[:2]
-    h[0, ATTITUDE] = np.cross(axis, v) - climb * np.cross(up, v)
     return h
 
 
-@dataclass(frozen=True)
-class States:
-    """Direct measurement of states: the velocity, or the gyro's biases at rest."""
+def heading(near: float) -> Callable[[Array], Array]:
+    """Predict the heading (rad) of two antennas: the yaw of the attitude, within half a turn of ``near``."""
 
-    indices: tuple[int, ...]
+    def h(state: Array) -> Array:
+        theta = state[[THETA]]
+        return theta - 2 * np.pi * np.round((theta.real - near) / (2 * np.pi))
 
-    def __call__(self, state: Array) -> Array:
-        return state[[*self.indices]]
+    return h
 
-    def jacobian(self, state: Array) -> Array:
-        return np.eye(len(state))[[*self.indices]]
+
+def along_the_road(state: Array, up: Array) -> Array:
+    """Return the velocity (3,) of a car that stays on its road; ``up`` (3,) is the road's normal."""
+    vx, vy = state[2:4]
+    return np.array([vx, vy, -(up[0] * vx + up[1] * vy) / up[2]])
 
 
 @cached(error_model="numpy")
@@ -317,16 +254,21 @@ def add_tilt_evidence(mean: Array, covariance: Array, seen: Array) -> None:
 
 @np.errstate(all="ignore")  # a failed filter has no finite values
 def as_angles(state: Array, covariance: Array) -> Array:
-    """Return the covariance (..., 12, 12) of states (..., 12), with roll, pitch and theta instead of the error e.
+    """Return the covariance (..., n, n) of states (..., n), with roll, pitch and theta instead of the error e."""
+    to_angles = angles_by_error(state)
+    return to_angles @ covariance @ to_angles.swapaxes(-1, -2)
+
+
+def angles_by_error(state: Array) -> Array:
+    """Return the derivative of states (..., n) with respect to the error, (..., n, n).
 
     For small changes of the angles, e = A (d_roll, d_pitch, d_theta); the columns of A are the axes of rotation.
     """
     theta, pitch = state[..., ATTITUDE[2]], state[..., ATTITUDE[1]]
     ct, st, tan, sec = np.cos(theta), np.sin(theta), np.tan(pitch), 1 / np.cos(pitch)
-    to_angles = np.zeros(covariance.shape)
-    to_angles[..., range(N), range(N)] = 1.0
+    to_angles = np.zeros((*state.shape, state.shape[-1])) + np.eye(state.shape[-1])
     roll, nose, up = ATTITUDE
     to_angles[..., roll, roll], to_angles[..., roll, nose] = ct * sec, st * sec
     to_angles[..., nose, roll], to_angles[..., nose, nose] = -st, ct
     to_angles[..., up, roll], to_angles[..., up, nose] = ct * tan, st * tan
-    return to_angles @ covariance @ to_angles.swapaxes(-1, -2)
+    return to_angles

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sigmaswarm.arrays import Array
+from sigmaswarm.filters import tilted
 from sigmaswarm.filters.compiled.layout import LANES, N_STATE, R, state_rows
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.kernels import FILTERS
@@ -44,7 +45,7 @@ class Displacements:
         n = len(FILTERS[self._model].states)
         self._array = KernelArray((parameters,) * (n + 1))
         tilts = FILTERS[self._model].tilts
-        self._plus, self._minus = (tilts.plus, tilts.minus) if tilts else (np.add, np.subtract)
+        self._plus, self._minus = (tilted.plus, tilted.minus) if tilts else (np.add, np.subtract)
 
     def update(self, begin: DisplacementStart, rows: Array, stop: int, moved: Array, noise: Array) -> bool:
         """Update with a displacement that ends before step ``stop``; return False if it was rejected.

@@ -119,7 +119,7 @@ def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive
     have, objective = [log_properties(one) for one in drives], options.get("objective") or "auto"
     known = model in MODELS
     if objective == "auto":
-        suits = not all(one.truth for one in have) or (known and MODELS[model].tilts is not None)
+        suits = not all(one.truth for one in have) or (known and MODELS[model].tilts)
     else:
         suits = not parse_objective(objective).needs_truth
     kind = options.get("kind") or (MODELS[model].filter_types[0] if known else "")

@@ -302,7 +302,7 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
     if factor != 1.0:
         times = _plain(factor)
         inflated = f"all process noise variances by {times}"
-        if car and MODELS[car.model].gyro_bias is not None:
+        if car and MODELS[car.model].gyro_axes:
             inflated = f"all process noise variances except that of the gyro's bias by {times}"
         if car and MODELS[car.model].measures_imu:
             inflated = f"the process noise variances of position, velocity and acceleration by {times}"

@@ -13,7 +13,6 @@ import numpy as np
 from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.gyro_bias import UP
-from sigmaswarm.drives.tables import Indices
 from sigmaswarm.errors import InputError, warn_deprecated
 from sigmaswarm.filters.bank.mixture import Mixture, is_definite
 from sigmaswarm.filters.bank.offsets import FIXED_OFFSETS, START, OffsetPrior
@@ -50,7 +49,6 @@ class _Snapshot:
     fixed_at: float  # time of the last fix before the snapshot, s
     lanes: Array  # (N_KEPT, LANES)
     evidence: Array
-    ancestors: Indices  # (LANES,), filter in the snapshot from which each current filter was copied
 
 
 class LiveFilterBank(LiveFilter):
@@ -213,9 +211,7 @@ class LiveFilterBank(LiveFilter):
 
     def _snapshot(self, numbers: Array, time: float) -> _Snapshot:
         rows, evidence = self._rows_of(numbers).copy(), numbers[swarm.EVIDENCE].copy()
-        return _Snapshot(
-            int(numbers[swarm.LOGGED]), time, float(numbers[swarm.FIXED_AT]), rows, evidence, np.arange(LANES)
-        )
+        return _Snapshot(int(numbers[swarm.LOGGED]), time, float(numbers[swarm.FIXED_AT]), rows, evidence)
 
     def _begin(self) -> PendingSearch | None:
         checkpoint = self._settled_checkpoint()
@@ -232,11 +228,10 @@ class LiveFilterBank(LiveFilter):
             return None
         begins = next(s for s in self._snapshots if self._is_logged(s.logged))
         self._n_begun += 1
-        ancestor = int(begins.ancestors[leads])
         lever = self._filter_state[live.LEVER].copy()
         steps = LoggedSteps(self._kernel, self._logged_steps(begins.logged, settled.logged), lever)
-        evidence = FilterEvidence(float(begins.evidence[ancestor]), begins.fixed_at)
-        leader = steps, begins.lanes[:, ancestor], evidence, self.offsets[leads].copy()
+        evidence = FilterEvidence(float(begins.evidence[leads]), begins.fixed_at)
+        leader = steps, begins.lanes[:, leads].copy(), evidence, self.offsets[leads].copy()
         others = self._population, self._interval, (self._seed, self._n_begun)
         return PendingSearch.begun(settled.logged, leads, self.prior, *leader, *others)
 
@@ -284,10 +279,11 @@ class LiveFilterBank(LiveFilter):
             rows[:, lane], evidence[lane] = rows[:, leads], evidence[leads]
         for lane, *replacement in zip(worst, offsets, states, known, strict=True):
             self.offsets[lane], rows[:, lane], evidence[lane] = replacement
-        for snapshot in self._snapshots:
-            ancestors = snapshot.ancestors.copy()
-            snapshot.ancestors[worst] = ancestors[[leader, *parents]]
-            snapshot.ancestors[failed] = ancestors[leads]
+        originals = np.arange(LANES)
+        originals[worst], originals[failed] = [leader, *parents], leads
+        for snapshot in self._snapshots:  # a copy has the past of its original
+            snapshot.lanes[:] = snapshot.lanes[:, originals]
+            snapshot.evidence[:] = snapshot.evidence[originals]
         new = [*worst, *failed]  # the other filters may have adapted their constants
         rows[CONSTANT_ROWS, new] = self.prior.constants(self._own_constants, self.offsets[new])
         rows[np.ix_(np.array(FUZZY_FACTORS), np.array(new))] = 1.0

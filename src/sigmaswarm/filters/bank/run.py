@@ -105,23 +105,15 @@ class BankRun:
         return self.bank.bank_restarts
 
     def __iter__(self) -> Iterator[EstimateChunk]:
-        line, drive, bank = self._line, self._line.drive, self.bank
-        last = len(drive.imu) - 1
-        imu = [drive.imu.time, *(getattr(drive.imu, axis) for axis in FILTERS[self._model].imu)]
-        begins = int(np.searchsorted(drive.imu.time, self.initial.time, side="right"))
-        events = _events(drive)
-        event = next(events, None)
+        line, bank = self._line, self.bank
         states, weights, lost = [], [], []
         first, logged, n_fixes = 0, -np.inf, 0
-        for k, (t, *sample) in enumerate(_rows(imu)):
-            while event is not None and event[0] <= t:
-                if event[1] is None:
-                    bank.update_odometer(event[0], event[2])
-                else:
-                    bank.update(event[0], event[1], *event[2])
-                event = next(events, None)
-            bank.predict(t, sample)
-            if k < begins:
+        for kind, t, *data in stream(line.drive, FILTERS[self._model].imu):
+            if kind != "imu":
+                (bank.update if kind == "fix" else bank.update_odometer)(t, *data)
+                continue
+            bank.predict(t, *data)
+            if t <= self.initial.time:
                 continue
             if bank.n_fixes != n_fixes:
                 n_fixes = bank.n_fixes
@@ -134,7 +126,7 @@ class BankRun:
             states.append(state)
             weights.append(weight)
             lost.append(bank.lost)
-            if len(states) == _BATCH_SIZE or k == last:
+            if first + len(states) == len(line.imu_time) or len(states) == _BATCH_SIZE:
                 yield self._piece(line.imu_time[first : first + len(states)], states, weights, lost)
                 first += len(states)
                 states, weights, lost = [], [], []
@@ -166,22 +158,27 @@ def _rows(columns: Sequence[Array]) -> Iterator[list[float]]:
         yield from np.column_stack([column[first : first + _BATCH_SIZE] for column in columns]).tolist()
 
 
-def _events(drive: Drive) -> Iterator[tuple[float, Any, Any]]:
-    """Yield fixes (time, position, (velocity, std, heading)) and odometer readings (time, None, speed), by time."""
-    gps, wheels = drive.gps, drive.odometer
+def stream(drive: Drive, axes: Sequence[str]) -> Iterator[tuple[Any, ...]]:
+    """Yield the data of a drive, up to the last IMU sample, in order of time.
+
+    The tuples are ("fix", time, position, velocity, std, heading), ("odometer", time, speed) and ("imu", time, sample),
+    with the arguments of a `LiveFilter`; a sample contains ``axes``. Fixes and readings precede a sample of their time.
+    """
+    imu, end = drive.imu, drive.imu.time[-1]
+    gps, wheels = drive.gps.select(drive.gps.time <= end), drive.odometer
     velocity, std, (heading, variance) = gps.velocity, gps.std, headings_of(gps)
     columns = [gps.time, gps.x, gps.y, heading, np.sqrt(variance)]
     columns += [*(() if velocity is None else velocity), *(() if std is None else std)]
     fixes = (
         (
-            t,
-            (x, y),
-            (None if velocity is None else more[:2], None if std is None else more[-2:], (theta, sigma)),
+            *("fix", t, (x, y), None if velocity is None else more[:2]),
+            *(None if std is None else more[-2:], (theta, sigma)),
         )
         for t, x, y, theta, sigma, *more in _rows(columns)
     )
-    readings = ((t, None, v) for t, v in _rows([wheels.time, wheels.speed])) if wheels else ()
-    return merge(fixes, readings, key=itemgetter(0))
+    readings = _rows([wheels.time, wheels.speed]) if wheels else ()
+    samples = (("imu", t, u) for t, *u in _rows([imu.time, *(getattr(imu, axis) for axis in axes)]))
+    return merge(fixes, (("odometer", t, v) for t, v in readings if t <= end), samples, key=itemgetter(1))
 
 
 def run_bank(

@@ -18,6 +18,7 @@ from sigmaswarm.drives.events import FIX, ODOMETER
 from sigmaswarm.drives.tables import Mask
 from sigmaswarm.drives.timeline import FIRST_AXIS, Q_SCALE
 from sigmaswarm.filters.bank.offsets import OffsetPrior
+from sigmaswarm.filters.compiled import swarm
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, SUM_ROWS, WIDEST, R
 from sigmaswarm.filters.compiled.run import (
     NO_INNOVATIONS,
@@ -26,17 +27,6 @@ from sigmaswarm.filters.compiled.run import (
     SINCE,
     new_cursor,
     run_lanes,
-)
-from sigmaswarm.filters.compiled.swarm import (
-    EVIDENCE_COUNTS,
-    EVIDENCE_LASTS,
-    LARGEST_NIS,
-    T_FIX,
-    T_FLAGS,
-    T_SINCE,
-    T_STEP,
-    T_TIME,
-    T_WHEELS,
 )
 from sigmaswarm.filters.constants import INNOVATION_DOF
 from sigmaswarm.filters.kernel_array import KernelArray
@@ -59,7 +49,7 @@ class FilterEvidence:
         """Return the evidence after fixes at ``time``, s: older evidence decays, and each fix subtracts its loss."""
         if not len(time):
             return self
-        decay = np.exp((np.append(self.at, time) - time[-1]) / EVIDENCE_LASTS)
+        decay = np.exp((np.append(self.at, time) - time[-1]) / swarm.EVIDENCE_LASTS)
         return FilterEvidence(float(decay[0] * self.evidence - decay[1:] @ losses), float(time[-1]))
 
 
@@ -78,7 +68,7 @@ class LoggedSteps:
         """
         cursor = self._cursor
         if len(self.rows):
-            scored = np.searchsorted(self.rows[:, T_TIME], self._begins + CONVERGENCE_TIME)
+            scored = np.searchsorted(self.rows[:, swarm.T_TIME], self._begins + CONVERGENCE_TIME)
             self._run(lanes, cursor, int(scored))
         before = _loss(lanes)
         self._run(lanes, cursor, len(self.rows))
@@ -87,29 +77,29 @@ class LoggedSteps:
     def followed(self, lane: Array, known: FilterEvidence) -> tuple[Array, FilterEvidence]:
         """Return the kernel rows (N_KEPT,) and the evidence of a filter after all logged steps."""
         lanes = np.repeat(lane[:, np.newaxis], WIDEST, axis=1)
-        fixes = np.flatnonzero(self.rows[:, T_FLAGS].astype(np.uint16) & FIX)
+        fixes = np.flatnonzero(self.rows[:, swarm.T_FLAGS].astype(np.uint16) & FIX)
         innovations = np.empty((len(fixes), 5))
         self._run(lanes, self._cursor, len(self.rows), innovations)
-        return lanes[:, 0], known.then(self.rows[fixes, T_TIME], _evidence_losses(*innovations.T))
+        return lanes[:, 0], known.then(self.rows[fixes, swarm.T_TIME], _evidence_losses(*innovations.T))
 
     @property
     def _cursor(self) -> Array:
         cursor = new_cursor()
         if len(self.rows):
-            cursor[SINCE] = self.rows[0, T_SINCE] - self.rows[0, T_STEP][Q_SCALE]
+            cursor[SINCE] = self.rows[0, swarm.T_SINCE] - self.rows[0, swarm.T_STEP][Q_SCALE]
         return cursor
 
     def _run(self, lanes: Array, cursor: Array, stop: int, innovations: Array = NO_INNOVATIONS) -> None:
         """Run the filters from ``cursor`` up to the step before ``stop``; ``lanes`` and ``cursor`` change in place."""
         k = len(self.rows)
-        flags, steps = self.rows[:, T_FLAGS].astype(np.uint16), self.rows[:, T_STEP]
+        flags, steps = self.rows[:, swarm.T_FLAGS].astype(np.uint16), self.rows[:, swarm.T_STEP]
         drive = (
             np.ascontiguousarray(steps[:, :FIRST_AXIS]),
             np.arange(k, dtype=np.int32),
             np.ascontiguousarray(steps[:, FIRST_AXIS:]),
             flags,
-            np.ascontiguousarray(self.rows[flags & FIX > 0, T_FIX]),
-            np.ascontiguousarray(self.rows[flags & ODOMETER > 0, T_WHEELS]),
+            np.ascontiguousarray(self.rows[flags & FIX > 0, swarm.T_FIX]),
+            np.ascontiguousarray(self.rows[flags & ODOMETER > 0, swarm.T_WHEELS]),
             self.lever,
             NO_TARGETS,
             np.zeros(k, dtype=np.int32),
@@ -118,14 +108,14 @@ class LoggedSteps:
 
     @property
     def _begins(self) -> float:
-        return float(self.rows[0, T_TIME] - self.rows[0, T_STEP][0])
+        return float(self.rows[0, swarm.T_TIME] - self.rows[0, swarm.T_STEP][0])
 
     @property
     def n_scored(self) -> int:
         if not len(self.rows):
             return 0
-        is_fix = (self.rows[:, T_FLAGS].astype(np.int64) & FIX) > 0
-        return int((is_fix & (self.rows[:, T_TIME] >= self._begins + CONVERGENCE_TIME)).sum())
+        is_fix = (self.rows[:, swarm.T_FLAGS].astype(np.int64) & FIX) > 0
+        return int((is_fix & (self.rows[:, swarm.T_TIME] >= self._begins + CONVERGENCE_TIME)).sum())
 
 
 @np.errstate(all="ignore")  # a filter may fail
@@ -139,7 +129,7 @@ def _evidence_losses(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Arr
     """Return the loss of each fix for `FilterEvidence`, (f,), from nu (m) and S (m2): see `compiled.swarm`."""
     det = xx * yy - xy * xy
     nis = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det
-    losses = 0.5 * np.log(det) + 0.5 * np.minimum(nis, LARGEST_NIS)
+    losses = 0.5 * np.log(det) + 0.5 * np.minimum(nis, swarm.LARGEST_NIS)
     return np.where((det > 0.0) & np.isfinite(det) & (nis >= 0.0), losses, np.inf)
 
 
@@ -196,7 +186,7 @@ def search(
         lanes = begun(offsets)
         losses = steps.run(lanes)
         losses[(lanes[R.OK] != 1.0) | ~np.isfinite(losses)] = np.inf
-        return EVIDENCE_COUNTS * losses + prior.penalty(offsets)
+        return swarm.EVIDENCE_COUNTS * losses + prior.penalty(offsets)
 
     offsets = population.copy()
     offsets[-1] = leader

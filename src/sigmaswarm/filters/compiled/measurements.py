@@ -21,18 +21,8 @@ from sigmaswarm.filters.compiled.adaptive import (
 )
 from sigmaswarm.filters.compiled.lanes import kernel, sincos, spread_of
 from sigmaswarm.filters.compiled.layout import C1, C2, LANES, SLOPE, P, R
-from sigmaswarm.filters.compiled.tilted12 import (
-    ALONG,
-    measure_along_tilted,
-    measure_fix_tilted,
-    measure_heading_tilted,
-)
-from sigmaswarm.filters.compiled.tilted12_unscented import (
-    measure_fix_unscented,
-    measure_heading_unscented,
-    measure_lateral_unscented,
-    measure_odometer_unscented,
-)
+from sigmaswarm.filters.compiled.tilted12 import TILTED_MEASUREMENTS
+from sigmaswarm.filters.compiled.tilted12_unscented import UNSCENTED_MEASUREMENTS
 from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.compiled.vehicle import (
     measure_along_planar,
@@ -241,15 +231,15 @@ def measurement_kernels(name: str, note_prior=None, noted=0):
 
     ``note_prior``: see `transition`; ``noted``: see `move_fix_error`.
     """
-    model, unscented = FILTERS[name], int(name == UNSCENTED)
+    model, n, unscented = FILTERS[name], len(FILTERS[name].states), int(name == UNSCENTED)
     ready = {
         "note_prior": note_prior,
-        "n": len(model.states),
+        "n": n,
         "stores_innovation": 1,
         "gated": 1,
         "gyro_biases": tuple(model.gyro_axes.values()),
         "adaptive": int(name in ("planar5", "planar8", UNSCENTED)),
-        "tilted": int(model.tilts is not None),
+        "tilted": int(model.tilts),
         "unscented": unscented,
         "fix_error": int(model.fix_error),
         "noted": noted,
@@ -257,24 +247,14 @@ def measurement_kernels(name: str, note_prior=None, noted=0):
     parts = (update_scalar, update_pair, _keep_digits, take_velocity, student_t_weight)
     parts += (strong_tracking, apply_fuzzy_rules, adapt) if ready["adaptive"] else ()
     parts += (age_fix_error, move_fix_error, observe_fix_error) if model.fix_error else ()
-    parts += () if ready["tilted"] else (_measure_fix,)
-    ready["measure_heading"] = kernel(measure_heading_planar, n=ready["n"])
     if unscented:
-        ready["_measure_fix"] = measure_fix_unscented
-        ready["measure_heading"] = measure_heading_unscented
-        ready |= {
-            "measure_lateral": measure_lateral_unscented,
-            "measure_odometer": measure_odometer_unscented,
-        }
-    elif ready["tilted"]:
-        ready["_measure_fix"] = kernel(measure_fix_tilted, n=ready["n"])
-        ready["measure_heading"] = kernel(measure_heading_tilted, n=ready["n"])
-        for what, known in ALONG.items():
-            ready[f"measure_{what}"] = kernel(measure_along_tilted, n=ready["n"], **known)
+        ready |= UNSCENTED_MEASUREMENTS
     else:
-        for name, bias in (("lateral", model.gyro_bias), ("odometer", model.accel_bias)):
-            known = {"n": ready["n"], "bias": -1 if bias is None else bias, "lateral": int(name == "lateral")}
-            ready[f"measure_{name}"] = kernel(measure_along_planar, **known)
+        planar = _measure_fix, measure_heading_planar, measure_along_planar
+        fix, heading, along = TILTED_MEASUREMENTS if model.tilts else planar
+        ready["_measure_fix"], ready["measure_heading"] = kernel(fix, n=n), kernel(heading, n=n)
+        for what, lateral, bias in (("measure_lateral", 1, R.W), ("measure_odometer", 0, R.A)):
+            ready[what] = kernel(along, n=n, lateral=lateral, bias=bias if model.sensors else -1)
     ready["inflate_observed"] = unrolled(inflate_observed, **ready)
     for function in parts:
         ready[function.__name__] = kernel(function, **ready)

@@ -168,7 +168,7 @@ def _backwards(step_log, start, ends, started, sampled, behind, out, *, n, step_
 
 @call_once
 def _kernel_of(name):
-    n, tilted = len(FILTERS[name].states), int(FILTERS[name].tilts is not None)
+    n, tilted = len(FILTERS[name].states), int(FILTERS[name].tilts)
     first = n + (len(QUATERNION) if tilted else 0)
 
     def known():

@@ -105,15 +105,16 @@ def step_of(name, *, noted=False):
         return robot_localization.step
     predict, settle = _PREDICTIONS.get(name) or _PREDICTIONS[base_model_name(name)]
     carries = model.fix_error and not model.tilts  # tilted12's prediction propagates these errors
-    biases = int(model.gyro_bias is not None)
     note_prior = transition.note_prior(name) if noted else None
     return kernel(
         _step,
         predict=predict,
-        carry=kernel(carry_fix_error, n=len(model.states), biases=biases) if carries else None,
+        carry=kernel(carry_fix_error, n=len(model.states), biases=int(bool(model.sensors)))
+        if carries
+        else None,
         settle=settle,
         note_move=transition.note_move(name) if noted else None,
         note_prior=note_prior,
-        grow=kernel(_grow, tilted=int(model.tilts is not None)),
+        grow=kernel(_grow, tilted=int(model.tilts)),
         **measurement_kernels(name, note_prior, transition.phi_index(name) if noted else 0),
     )

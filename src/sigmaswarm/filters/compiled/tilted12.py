@@ -179,7 +179,7 @@ def settle(w):
 def measure_fix_tilted(w, z, lever, *, n):
     """Compute nu, H P H^T, C and R of z = p + arm - latency v, where arm is the rotated lever arm.
 
-    H is in `tilted.Antenna`.
+    See `tilted.antenna`.
     """
     zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
     lever_x, lever_y, lever_z = lever[0], lever[1], lever[2]
@@ -212,7 +212,7 @@ def measure_fix_tilted(w, z, lever, *, n):
 def measure_heading_tilted(w, *, n):
     """Compute the prediction, C and H P H^T of z = yaw of the attitude.
 
-    H is in `tilted.Heading`.
+    See `tilted.heading`.
     """
     for l in range(LANES):
         q0, q1, q2, q3 = w.ATT_W, w.ATT_X, w.ATT_Y, w.ATT_Z
@@ -228,7 +228,7 @@ def measure_heading_tilted(w, *, n):
 def measure_along_tilted(w, u, wheels, *, n, lateral, bias):
     """Compute nu, C and S of the forward velocity, or of the velocity to the left at the rear axle.
 
-    See `tilted.RearAxle` and `tilted.Wheels`.
+    See `tilted.rear_axle` and `tilted.wheels`.
     """
     if lateral:
         shown = u[GZ]
@@ -265,4 +265,4 @@ def measure_along_tilted(w, u, wheels, *, n, lateral, bias):
         )  # fmt: skip
 
 
-ALONG = {"lateral": {"lateral": 1, "bias": R.W}, "odometer": {"lateral": 0, "bias": R.A}}
+TILTED_MEASUREMENTS = measure_fix_tilted, measure_heading_tilted, measure_along_tilted

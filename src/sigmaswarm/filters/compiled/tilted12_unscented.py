@@ -417,7 +417,7 @@ def measure_heading_unscented(w):
 
 
 def _measure_along(w, u, wheels, *, lateral, bias, axis):
-    """Compute nu, C and S of `tilted.Wheels` (forward velocity) or `tilted.RearAxle` (velocity to the left)."""
+    """Compute nu, C and S of `tilted.wheels` (forward velocity) or `tilted.rear_axle` (velocity to the left)."""
     if lateral:
         shown = u[GZ]
     else:
@@ -474,5 +474,9 @@ def _measure_along(w, u, wheels, *, lateral, bias, axis):
         )  # fmt: skip
 
 
-measure_lateral_unscented = kernel(_measure_along, lateral=1, bias=R.W, axis=_left)
-measure_odometer_unscented = kernel(_measure_along, lateral=0, bias=R.A, axis=_forward)
+UNSCENTED_MEASUREMENTS = {
+    "_measure_fix": measure_fix_unscented,
+    "measure_heading": measure_heading_unscented,
+    "measure_lateral": kernel(_measure_along, lateral=1, bias=R.W, axis=_left),
+    "measure_odometer": kernel(_measure_along, lateral=0, bias=R.A, axis=_forward),
+}

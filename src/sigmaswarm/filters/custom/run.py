@@ -103,16 +103,18 @@ def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> Mod
     model.values(parameters)
     check(model, log)
     steps = build_steps(log)
-    smoothed, failed = _empty_trajectory(steps, covariances=True), 0
-    stepper = _textbook(model, steps, parameters, np.zeros((log.measurements.shape[1], 2)))
-    if stepper is not None:
-        trajectory = smooth_steps(stepper, len(steps.dt))
-        failed, smoothed = trajectory.failed, replace(smoothed, nis=stepper.nis, nll=stepper.nll)
-        records = steps.records[: len(trajectory.mean) - 1]
-        at = np.flatnonzero(records >= 0)
-        smoothed.mean[records[at]] = trajectory.mean[at + 1]
-        smoothed.covariance[records[at]] = trajectory.covariance[at + 1]
-    return _estimate(log, model, steps, replace(smoothed, failed=failed))
+    smoothed = _empty_trajectory(steps, covariances=True, failed=0)
+    try:
+        stepper = _textbook(model, steps, parameters, np.zeros((log.measurements.shape[1], 2)))
+    except FAILURES:
+        return _estimate(log, model, steps, smoothed)
+    trajectory = smooth_steps(stepper, len(steps.dt))
+    records = steps.records[: len(trajectory.mean) - 1]
+    at = np.flatnonzero(records >= 0)
+    smoothed.mean[records[at]] = trajectory.mean[at + 1]
+    smoothed.covariance[records[at]] = trajectory.covariance[at + 1]
+    found = replace(smoothed, nis=stepper.nis, nll=stepper.nll, failed=trajectory.failed)
+    return _estimate(log, model, steps, found)
 
 
 def _estimate(log: Log, model: Model, steps: FilterSteps, run: "ModelTrajectory") -> ModelEstimate:
@@ -170,16 +172,17 @@ def run_kernel(
     ``runs`` is updated: see `TextbookModel`.
     """
     runs = np.zeros((steps.measurements.shape[1], 2)) if runs is None else runs
-    p = model.values(parameters)
-    if kernel is None:
-        return _run_textbook(model, steps, parameters, runs, covariances=covariances)
-    scaling = _scaling(parameters)
+    p, scaling = model.values(parameters), _scaling(parameters)
     run = _empty_trajectory(steps, covariances=covariances)
     line = (steps.dt, steps.source, steps.updates, steps.records, steps.inputs, steps.measurements)
     angles = np.isin(range(len(model.states)), model.indices(model.angles))
     measured = np.isin(range(steps.measurements.shape[1]), model.measured_angles)
     written = (run.mean, run.covariance, run.nis, run.nll)
     try:
+        if kernel is None:
+            stepper, records = _textbook(model, steps, parameters, runs), steps.records.tolist()
+            found = run_steps(stepper, records, n_rows=len(steps.inputs), covariances=covariances)
+            return ModelTrajectory(**vars(found), nis=stepper.nis, nll=stepper.nll)
         noise = as_covariance(model.measurement_noise(p))
         limits = model.limits(steps.measurements.shape[1])
         start = steps.mean, steps.covariance
@@ -189,25 +192,12 @@ def run_kernel(
     return replace(run, failed=int(failed))
 
 
-def _run_textbook(
-    model: Model, steps: FilterSteps, parameters: Mapping[str, float], runs: Array, *, covariances: bool
-) -> ModelTrajectory:
-    stepper = _textbook(model, steps, parameters, runs)
-    if stepper is None:
-        return _empty_trajectory(steps, covariances=covariances, failed=0)
-    trajectory = run_steps(stepper, steps.records.tolist(), n_rows=len(steps.inputs), covariances=covariances)
-    return ModelTrajectory(**vars(trajectory), nis=stepper.nis, nll=stepper.nll)
-
-
+@np.errstate(all="ignore")  # the result is checked
 def _textbook(
     model: Model, steps: FilterSteps, parameters: Mapping[str, float], runs: Array
-) -> TextbookModel | None:
-    """Return the textbook filter at the start of a log; None if the user's functions fail at this start."""
-    try:
-        with np.errstate(all="ignore"):  # the result is checked
-            return TextbookModel(model, steps, _scaling(parameters), model.values(parameters), runs)
-    except FAILURES:
-        return None
+) -> TextbookModel:
+    """Return the textbook filter at the start of a log; one of `FAILURES` if the user's functions fail there."""
+    return TextbookModel(model, steps, _scaling(parameters), model.values(parameters), runs)
 
 
 def _scaling(parameters: Mapping[str, float]) -> Array:

@@ -64,19 +64,12 @@ def textbook_filter(model: Model, steps: FilterSteps, scaling: Array, p: Any) ->
     def h(state: Array) -> Array:
         return np.asarray(model.h(state.copy(), p))
 
+    given, measured = (f, h, steps.mean, steps.covariance), model.measured_angles
     if model.kind == "ekf":
-        return ExtendedKalmanFilter(f, h, steps.mean, steps.covariance, measured_angles=model.measured_angles)
-    alpha, beta, kappa = (float(value) for value in scaling)
-    points = SigmaPoints(alpha, beta, kappa)
-    return UnscentedKalmanFilter(
-        f,
-        h,
-        steps.mean,
-        steps.covariance,
-        points,
-        angles=model.indices(model.angles),
-        measured_angles=model.measured_angles,
-    )
+        return ExtendedKalmanFilter(*given, measured_angles=measured)
+    alpha, beta, kappa = map(float, scaling)
+    points, angles = SigmaPoints(alpha, beta, kappa), model.indices(model.angles)
+    return UnscentedKalmanFilter(*given, points, angles=angles, measured_angles=measured)
 
 
 def negative_log_likelihood(innovation: Innovation, limit: float = np.inf) -> float:

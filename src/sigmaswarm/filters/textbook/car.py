@@ -19,14 +19,14 @@ from sigmaswarm.filters.constants import (
     process_noise_per_step,
 )
 from sigmaswarm.filters.kernels import FILTERS
-from sigmaswarm.filters.models import THETA, CarModel, lateral_arm, require_driven_by_imu
+from sigmaswarm.filters.models import THETA, CarModel, lateral_arm, require_driven_by_imu, velocity
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.starts import measured_by, require_accuracy, require_axes, require_odometer, start_of
 from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
 from sigmaswarm.filters.textbook.adaptive import FuzzyNoise, SageHusa, StrongTracking, StudentT
-from sigmaswarm.filters.textbook.kalman import GaussianFilter, Measurement, Prediction
+from sigmaswarm.filters.textbook.kalman import GaussianFilter, Prediction
 from sigmaswarm.filters.textbook.manifold import ErrorStateKalmanFilter, ManifoldUnscentedKalmanFilter
-from sigmaswarm.filters.tilted import MEASURED_FIRST, STEP_FIRST
+from sigmaswarm.filters.tilted import STEP_FIRST
 from sigmaswarm.geodesy import wrap_angle
 
 
@@ -82,7 +82,7 @@ class Car:
             fix = line.fixes[self._fix_of_step[i]]
             self._update_with_fix(fix[:2], fix[4:6], float(line.end[i]))
             if self.flags[i] & VELOCITY and p.velocity_noise is not None:
-                self.filter.update(fix[2:4], p.velocity_noise * np.eye(2), model.velocity)
+                self.filter.update(fix[2:4], p.velocity_noise * np.eye(2), velocity)
             if self.flags[i] & HEADING:
                 self._update_with_heading(fix[FIX_THETA], fix[FIX_VAR_THETA], float(line.gz[i]))
         if self.flags[i] & LATERAL and p.lateral_noise is not None:
@@ -97,11 +97,11 @@ class Car:
             if innovation.nis <= SLIP_GATE:
                 self.filter.correct(innovation)
         if self.flags[i] & STANDSTILL and p.standstill_noise is not None:
-            self.filter.update(np.zeros(2), p.standstill_noise * np.eye(2), model.velocity)
-            if model.gyro_axes:
+            self.filter.update(np.zeros(2), p.standstill_noise * np.eye(2), velocity)
+            if biases := [*model.gyro_axes.values()]:
                 shown = np.array([imu[model.imu.index(axis)] for axis in model.gyro_axes])
                 noise = STANDSTILL_RATE_NOISE * np.eye(len(shown))
-                self.filter.update(shown, noise, model.rates_at_rest)
+                self.filter.update(shown, noise, lambda state: state[biases])
 
     def _update_with_fix(self, fix: Array, stated: Array, time: float) -> None:
         times = self.fuzzy.times_r if self.fuzzy else 1.0
@@ -164,11 +164,14 @@ class TextbookCar(Car):
         require_axes(timeline.drive, p.model)
         first = STEP_FIRST if model.tilts else (THETA,)
         points = SigmaPoints(p.alpha, p.beta, p.kappa, first=first if heading_first else ())
-        position = model.position(timeline.lever.tolist(), p.latency)
-        points = None if p.kind == "ekf" else points
-        filter = _filter(
-            model, position, mean, covariance, points=points, redraw_sigma_points=redraw_sigma_points
-        )
+        given = model.process, model.position(timeline.lever.tolist(), p.latency), mean, covariance
+        if p.kind == "ekf":
+            filter = (ErrorStateKalmanFilter if model.tilts else ExtendedKalmanFilter)(*given)
+        elif model.tilts:
+            filter = ManifoldUnscentedKalmanFilter(*given, points)
+        else:
+            redraws = redraw_sigma_points
+            filter = UnscentedKalmanFilter(*given, points, redraw_sigma_points=redraws, angles=(THETA,))
         super().__init__(timeline, p, model, filter, measured_by(p))
 
     def _age_fix_error(self, stated: Array) -> None:
@@ -180,27 +183,3 @@ class TextbookCar(Car):
         q[-2:, -2:] = np.diag(variance * (1.0 - phi * phi))  # Q of the error between two fixes
         filter.mean, filter.covariance = f @ filter.mean, f @ filter.covariance @ f.T + q
         filter.prediction = Prediction(filter.mean, filter.covariance, filter.prediction.cross @ f.T)
-
-
-def _filter(
-    model: CarModel,
-    h: Measurement,
-    mean: Array,
-    covariance: Array,
-    *,
-    points: SigmaPoints | None,
-    redraw_sigma_points: bool,
-) -> GaussianFilter:
-    """Return an unscented (with ``points``) or extended filter; on a manifold if the model has ``tilts``."""
-    f, tilts = model.process, model.tilts
-    if tilts:
-        if points:
-            measured = replace(points, first=MEASURED_FIRST if points.first else ())
-            return ManifoldUnscentedKalmanFilter(f, h, mean, covariance, tilts, points, measured=measured)
-        return ErrorStateKalmanFilter(f, h, mean, covariance, tilts)
-    if points:
-        redraw = redraw_sigma_points
-        return UnscentedKalmanFilter(
-            f, h, mean, covariance, points, redraw_sigma_points=redraw, angles=(THETA,)
-        )
-    return ExtendedKalmanFilter(f, h, mean, covariance)

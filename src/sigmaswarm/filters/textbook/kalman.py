@@ -85,9 +85,12 @@ class GaussianFilter:
     """Base class of filters with a Gaussian state: ``mean``, shape (n,), and ``covariance``, shape (n, n).
 
     ``f(state, dt, u) -> state``, shape (n,), is the process; ``h(state)``, shape (m,), predicts a measurement.
+    ``plus(state, error)`` injects an error, and ``minus(state, other)`` is the error that changes ``other`` into the
+    state.
     """
 
     prediction: Prediction  # the last prediction
+    plus, minus = np.add, np.subtract
 
     def __init__(self, f: Process, h: Measurement, mean: Array, covariance: Array) -> None:
         self.f, self.h = f, h
@@ -109,7 +112,7 @@ class GaussianFilter:
     def correct(self, innovation: Innovation) -> None:
         """Update the state: x + K nu, P - K S K^T."""
         gain = innovation.gain
-        self.mean = self.mean + gain @ innovation.nu
+        self.mean = self.plus(self.mean, gain @ innovation.nu)
         self.covariance = self.covariance - gain @ innovation.variance @ gain.T
 
     def inflate(self, added: Array) -> None:

@@ -4,9 +4,8 @@ Sources: H. E. Rauch, F. Tung and C. T. Striebel, Maximum likelihood estimates o
 3, 1965. S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE Transactions on Automatic Control 53(3), 2008.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from operator import add, sub
 from typing import Protocol
 
 import numpy as np
@@ -17,7 +16,6 @@ from sigmaswarm.filters.textbook.kalman import GaussianFilter, Prediction
 
 FAILURES = (SigmaswarmError, np.linalg.LinAlgError, ArithmeticError, ValueError)
 """Errors that end a filter but not a tuning: P without a square root, or an argument outside a function's domain."""
-Retraction = Callable[[Array, Array], Array]
 
 
 class Stepper(Protocol):
@@ -67,10 +65,8 @@ def _fails(stepper: Stepper, i: int) -> bool:
     return not (np.isfinite(stepper.filter.mean).all() and np.isfinite(stepper.filter.covariance).all())
 
 
-def smooth_steps(
-    stepper: Stepper, n_steps: int, *, plus: Retraction = add, minus: Retraction = sub
-) -> Trajectory:
-    """Return smoothed states at the start and after each step before a failure; ``plus``, ``minus``: see `Tilts`."""
+def smooth_steps(stepper: Stepper, n_steps: int) -> Trajectory:
+    """Return smoothed states at the start and after each step before a failure."""
     filter, failed = stepper.filter, -1
     filtered, predictions = [(filter.mean, filter.covariance)], list[Prediction]()
     for i in range(n_steps):
@@ -81,20 +77,10 @@ def smooth_steps(
             break
         filtered.append((filter.mean, filter.covariance))
         predictions.append(filter.prediction)
-    return Trajectory(*rauch_tung_striebel(filtered, predictions, plus, minus), failed)
-
-
-def rauch_tung_striebel(
-    filtered: Sequence[tuple[Array, Array]],
-    predictions: Sequence[Prediction],
-    plus: Retraction = add,
-    minus: Retraction = sub,
-) -> tuple[Array, Array]:
-    """Return smoothed means (k + 1, n) and covariances (k + 1, n, n), from k + 1 filtered states and k predictions."""
     means, covariances = [filtered[-1][0]], [filtered[-1][1]]
     for (mean, covariance), prior in zip(filtered[-2::-1], predictions[::-1], strict=True):
         gain = np.linalg.solve(prior.covariance, prior.cross.T).T  # G = C (P-)^-1
         change = covariances[-1] - prior.covariance
-        means.append(plus(mean, gain @ minus(means[-1], prior.mean)))  # m + G (m^s' - m-)
+        means.append(filter.plus(mean, gain @ filter.minus(means[-1], prior.mean)))  # m + G (m^s' - m-)
         covariances.append(covariance + gain @ change @ gain.T)  # P + G (P^s' - P-) G^T
-    return np.array(means[::-1]), np.array(covariances[::-1])
+    return Trajectory(np.array(means[::-1]), np.array(covariances[::-1]), failed)
