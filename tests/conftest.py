@@ -19,6 +19,9 @@ from hypothesis import HealthCheck, settings
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+# Until all tests are collected, most objects are kept; see `pytest_collection_finish`.
+gc.disable()
+
 # Files of tests need not survive a power failure; waiting for the disk would take 4% of the time.
 os.fsync = lambda fd: None
 
@@ -89,6 +92,7 @@ def pytest_collection_finish() -> None:
         doctor.CACHE_SIZE = 1000
     gc.collect()
     gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -221,26 +222,34 @@ SHAPES = {
 }
 
 
-@pytest.mark.parametrize("how", SHAPES)
-@pytest.mark.parametrize("name", ["first.positions", "first.members", "best", "global_best"])
-def test_a_checkpoint_of_another_shape_is_named(name: str, how: str, tmp_path: Path):
-    drive, options = (
-        make_drive(duration=20.0, imu_rate=50.0),
-        {"particles": 4, "generations": 3, "optimizer": "de"},
-    )
+DRIVE = make_drive(duration=20.0, imu_rate=50.0)
+INTERRUPTED = {"particles": 4, "generations": 3, "optimizer": "de"}
+
+
+@pytest.fixture(scope="module")
+def interrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tuning that ended after its first generation."""
+    folder = tmp_path_factory.mktemp("interrupted")
 
     def stop(progress: object) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        tune(drive, out=tmp_path, progress=stop, **options)
-    path = tmp_path / "checkpoint-000.npz"
+        tune(DRIVE, out=folder, progress=stop, **INTERRUPTED)
+    return folder
+
+
+@pytest.mark.parametrize("how", SHAPES)
+@pytest.mark.parametrize("name", ["first.positions", "first.members", "best", "global_best"])
+def test_a_checkpoint_of_another_shape_is_named(name: str, how: str, interrupted: Path, tmp_path: Path):
+    folder = shutil.copytree(interrupted, tmp_path / "out")
+    path = folder / "checkpoint-000.npz"
     with np.load(path) as file:
         arrays = {key: file[key] for key in file.files}
     arrays[name] = SHAPES[how](arrays[name])
     np.savez(path, **arrays)
     with pytest.raises(InputError, match=r"checkpoint-000\.npz: .*; delete it to redo this trial"):
-        tune(drive, out=tmp_path, resume=True, **options)
+        tune(DRIVE, out=folder, resume=True, **INTERRUPTED)
 
 
 @pytest.mark.parametrize("how", [*SHAPES, "gone", "nan"])
@@ -309,17 +318,26 @@ def test_a_damaged_filter_is_one_line(how: str, tmp_path: Path):
     assert len(str(raised.value)) < 1000
 
 
+@pytest.fixture(scope="module")
+def two_trials(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("trials")
+    trials = tune(DRIVE, out=folder, **TWO_TRIALS).trials
+    (folder / "convergence.csv").write_text(history_of(trials).write_csv())
+    return folder
+
+
+TWO_TRIALS = {"particles": 3, "generations": 2, "trials": 2}
+
+
 @pytest.mark.parametrize(
     "how", ["another tuning", "fewer trials", "more trials", "other costs", "a cut table"]
 )
-def test_report_refuses_the_history_of_another_tuning(how: str, tmp_path: Path):
-    drive, options = make_drive(duration=20.0, imu_rate=50.0), {"particles": 3, "generations": 2, "trials": 2}
-    file = tmp_path / "a" / "convergence.csv"
-    file.write_text(history_of(tune(drive, out=tmp_path / "a", **options).trials).write_csv())
+def test_report_refuses_the_history_of_another_tuning(how: str, two_trials: Path, tmp_path: Path):
+    file = shutil.copytree(two_trials, tmp_path / "a") / "convergence.csv"
     read_report(tmp_path / "a")
     lines = file.read_text().splitlines()
     if how == "another tuning":
-        lines = history_of(tune(drive, seed=1, **options).trials).write_csv().splitlines()
+        lines = history_of(tune(DRIVE, seed=1, **TWO_TRIALS).trials).write_csv().splitlines()
     elif how == "fewer trials":
         lines = [line for line in lines if not line.startswith("1,")]
     elif how == "more trials":
@@ -361,8 +379,7 @@ def test_a_comparison_over_an_older_one_is_whole(
 @pytest.fixture(scope="module")
 def compared() -> Comparison:
     """Two optimizers on a short drive."""
-    drive = make_drive(duration=20.0, imu_rate=50.0)
-    return compare(drive, optimizers=("pso", "de"), seeds=2, particles=3, generations=2, model="planar5")
+    return compare(DRIVE, optimizers=("pso", "de"), seeds=2, particles=3, generations=2, model="planar5")
 
 
 NESTED = {

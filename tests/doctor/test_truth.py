@@ -1,6 +1,8 @@
 """The truth: a wrong clock is found and repaired; truth shows delay and errors of the fixes."""
 
 from dataclasses import replace
+from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,11 +17,16 @@ from sigmaswarm.drives.split import clip
 from sigmaswarm.simulation.scenarios import simulate
 from support import diagonal
 
-DRIVES = {
-    "urban": simulate("urban", run=3, duration=120.0, imu_rate=50.0, gps="white-1m"),
-    "rain": simulate("urban", environment="rain", run=1, duration=90.0, imu_rate=50.0),
-    "slippery": simulate("urban", environment="slippery", run=2, duration=120.0, imu_rate=50.0),
+DRIVES: dict[str, dict[str, Any]] = {
+    "urban": {"run": 3, "duration": 120.0, "gps": "white-1m"},
+    "rain": {"environment": "rain", "run": 1, "duration": 90.0},
+    "slippery": {"environment": "slippery", "run": 2, "duration": 120.0},
 }
+
+
+@cache
+def simulated(name: str) -> Drive:
+    return simulate("urban", imu_rate=50.0, **DRIVES[name])
 
 
 def shifted(drive: Drive, seconds: float, *, move: float = 0.0) -> Drive:
@@ -29,19 +36,19 @@ def shifted(drive: Drive, seconds: float, *, move: float = 0.0) -> Drive:
 
 @pytest.mark.parametrize(("name", "seconds"), diagonal(DRIVES, [50.0, 18.0, -18.0, 3600.0, -7.3]))
 def test_a_wrong_clock_of_the_truth_is_found_and_repaired(name: str, seconds: float):
-    drive = shifted(DRIVES[name], seconds)
+    drive = shifted(simulated(name), seconds)
     diagnosis = diagnose(drive)
     (found,) = (f for f in diagnosis.findings if f.code == "truth-clock")
     offset = float(found.remedy.split("--truth-offset ")[1])
     assert found.severity == "serious" and offset == pytest.approx(-seconds, abs=0.1)
     again = repair(drive, diagnosis)
-    np.testing.assert_allclose(again.truth.time, DRIVES[name].truth.time, atol=0.15)
+    np.testing.assert_allclose(again.truth.time, simulated(name).truth.time, atol=0.15)
     assert "truth-clock" not in diagnose(again).codes
 
 
 @pytest.mark.parametrize("seconds", [50.0, 18.0, -50.0])
 def test_a_wrong_clock_of_the_truth_is_found_in_a_part_and_with_another_origin(seconds: float):
-    whole = DRIVES["urban"]
+    whole = simulated("urban")
     part = replace(whole, truth=clip(whole, 20.0, 90.0).truth)
     for drive in (shifted(whole, seconds, move=3e4), shifted(part, seconds)):
         (found,) = (f for f in diagnose(drive).findings if f.code == "truth-clock")
@@ -50,7 +57,7 @@ def test_a_wrong_clock_of_the_truth_is_found_in_a_part_and_with_another_origin(s
 
 @pytest.mark.parametrize("interval", [3, 5, 8])
 def test_a_wrong_clock_of_the_truth_is_found_with_long_intervals_of_the_fixes(interval: int):
-    drive = DRIVES["urban"]
+    drive = simulated("urban")
     few = replace(drive, gps=drive.gps.select(np.arange(0, len(drive.gps), 5 * interval)))
     position = few.gps.x + 1j * few.gps.y
     for seconds in (10.0, -18.0, 0.0):
@@ -59,10 +66,9 @@ def test_a_wrong_clock_of_the_truth_is_found_with_long_intervals_of_the_fixes(in
         assert delay == pytest.approx(seconds, abs=0.15)
 
 
-@pytest.mark.parametrize("name", DRIVES)
-@pytest.mark.parametrize("seconds", [0.0, 0.5, -1.0])
+@pytest.mark.parametrize(("name", "seconds"), diagonal(DRIVES, [0.0, 0.5, -1.0]))
 def test_a_truth_with_the_delay_of_a_receiver_has_no_finding(name: str, seconds: float):
-    assert "truth-clock" not in diagnose(shifted(DRIVES[name], seconds)).codes
+    assert "truth-clock" not in diagnose(shifted(simulated(name), seconds)).codes
 
 
 @pytest.mark.parametrize("bad", [14.0, 22.0])
@@ -78,7 +84,7 @@ def test_a_part_with_bad_fixes_is_not_a_wrong_clock_of_the_truth(bad: float):
 
 def test_a_wrong_clock_of_the_fixes_is_not_a_fault_of_the_truth():
     """IMU and truth agree, so only the fixes are shifted."""
-    drive = DRIVES["urban"]
+    drive = simulated("urban")
     late = replace(drive, gps=replace(drive.gps, time=drive.gps.time + 18.0))
     diagnosis = diagnose(late)
     assert "clock-offset" in diagnosis.codes and "truth-clock" not in diagnosis.codes
@@ -90,7 +96,7 @@ def test_a_wrong_clock_of_the_fixes_is_not_a_fault_of_the_truth():
 @pytest.mark.parametrize("seconds", [18.0, -7.3, 1.2, -0.6])
 def test_fixes_and_truth_with_one_clock_move_together(seconds: float):
     """Only the clock of the IMU differs: one cause is one finding."""
-    drive = DRIVES["urban"]
+    drive = simulated("urban")
     late = replace(drive, imu=replace(drive.imu, time=drive.imu.time + seconds))
     diagnosis = diagnose(late)
     assert "truth-clock" not in diagnosis.codes
@@ -105,7 +111,7 @@ def test_fixes_and_truth_with_one_clock_move_together(seconds: float):
 
 @pytest.mark.parametrize("seconds", [1.2, -0.6])
 def test_a_small_offset_of_the_fixes_does_not_move_a_truth_with_the_clock_of_the_imu(seconds: float):
-    drive = DRIVES["urban"]
+    drive = simulated("urban")
     late = replace(drive, gps=replace(drive.gps, time=drive.gps.time + seconds))
     again = repair(late, diagnose(late))
     np.testing.assert_allclose(again.gps.time, drive.gps.time, atol=0.15)
@@ -116,7 +122,7 @@ def test_the_delay_of_the_truth_is_computed_once(monkeypatch: pytest.MonkeyPatch
     """An offset of 18.6 s is not called GPS time, neither for fixes nor for truth."""
     calls: list[int] = []
     monkeypatch.setattr(evidence, "truth_delay", lambda *given: calls.append(1) or truth_delay(*given))
-    drive = replace(DRIVES["urban"], name="counted")
+    drive = replace(simulated("urban"), name="counted")
     late = replace(drive, gps=replace(drive.gps, time=drive.gps.time + 18.6))
     repair(late, (found := diagnose(late)))
     assert len(calls) == 1 and "clock-offset" in found.codes
@@ -126,12 +132,12 @@ def test_the_delay_of_the_truth_is_computed_once(monkeypatch: pytest.MonkeyPatch
 
 
 def test_three_clocks_are_two_findings():
-    drive = shifted(DRIVES["urban"], 30.0)
+    drive = shifted(simulated("urban"), 30.0)
     late = replace(drive, gps=replace(drive.gps, time=drive.gps.time + 18.0))
     diagnosis = diagnose(late)
     assert {"clock-offset", "truth-clock"} <= set(diagnosis.codes)
     again = repair(late, diagnosis)
-    np.testing.assert_allclose(again.truth.time, DRIVES["urban"].truth.time, atol=0.15)
+    np.testing.assert_allclose(again.truth.time, simulated("urban").truth.time, atol=0.15)
 
 
 @pytest.mark.parametrize("moved", [0.0, 0.6])
@@ -169,7 +175,7 @@ def test_a_truth_shows_the_size_of_correlated_errors():
 
 
 def test_a_truth_without_heading_is_compared_with_the_fixes_too():
-    drive = DRIVES["urban"]
+    drive = simulated("urban")
     truth, middle = drive.truth, np.mean(drive.imu.time)
     fit = gather(drive).truth_fit
     assert fit is not None

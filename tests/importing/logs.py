@@ -1,5 +1,6 @@
 """A drive with columns that are easy to recognize in a log, and its import, for the importer's tests."""
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.geodesy import enu_to_geodetic
 from sigmaswarm.importing.convert import ImportResult, import_drive
 from sigmaswarm.importing.opening import Request
+from sigmaswarm.simulation.scenarios import simulate
 from support import make_drive
 
 ORIGIN = (50.0, 8.0, 100.0)
@@ -45,6 +47,12 @@ def a_drive(duration: float = 6.0) -> Drive:
         rng.uniform(-3, 3, m),
     )
     return Drive("logged", imu, gps, plain.truth, "wgs84", ORIGIN)
+
+
+@cache
+def city_drive() -> Drive:
+    """A simulated drive in a city; the modules that use it share it."""
+    return simulate("urban", duration=90.0, imu_rate=50.0, run=1, gps="white-1m")
 
 
 def imported(source: Path, **options: Any) -> ImportResult:

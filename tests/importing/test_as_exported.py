@@ -84,9 +84,9 @@ def without_unit(folder: Path, per_m_s2: float, noise: float = 0.0) -> None:
     write(folder, imu=IMU | {a: np.round(force) for a, force in forces.items()})
 
 
-@pytest.mark.parametrize("noise", [0.0, 1.5])
 @pytest.mark.parametrize(
-    ("unit", "per_m_s2"), [("cm/s2", 100), ("cm/s2", 100.5), ("mg", 1e3 / 9.80665), ("mg", 1.03e3 / 9.80665)]
+    ("unit", "per_m_s2", "noise"),
+    diagonal([("cm/s2", 100), ("mg", 1.03e3 / 9.80665), ("cm/s2", 100.5), ("mg", 1e3 / 9.80665)], [0.0, 1.5]),
 )
 def test_gravity_shows_whether_accelerations_are_in_cm_s2_or_mg(
     tmp_path: Path, unit: str, per_m_s2: float, noise: float
@@ -251,8 +251,7 @@ def test_decimal_counters(tmp_path: Path, head: str, period: float, begin: float
     assert any(f"a counter of {period:.0f} s wraps" in note for note in imported(tmp_path).notes)
 
 
-@pytest.mark.parametrize("hz", [1, 2, 4, 5])
-@pytest.mark.parametrize("begin", some([0.0, 0.3, 0.5]))
+@pytest.mark.parametrize(("hz", "begin"), diagonal([1, 2, 4, 5], [0.0, 0.3, 0.5]))
 def test_fixes_of_a_counter_that_wraps_each_second_are_refused(tmp_path: Path, hz: int, begin: float):
     """The number of seconds between two fixes is unknown; in one table, the rows of the IMU show it."""
     clock, k = decimal(1.0, 1e6, begin), np.arange(0, N // EVERY, HZ // EVERY // hz or 1)

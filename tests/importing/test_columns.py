@@ -3,6 +3,7 @@
 import re
 import shutil
 from datetime import UTC, datetime
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.names import read_names
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import Limits, TableChoice
-from support import DRIVES, needs_shared, quickly
+from support import DRIVES, diagonal, needs_shared, quickly, several, some
 
 DRIVE = a_drive()
 G = 9.80665
@@ -174,8 +175,13 @@ def test_columns_of_a_truth_may_be_named_truth(tmp_path: Path, form: str):
     np.testing.assert_allclose(np.sin(got.theta - true.theta), 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", [*NUMBERED, "x{}.csv without headers"])
-@pytest.mark.parametrize("pause", [0.0, 20.0])
+@pytest.mark.parametrize(
+    ("name", "pause"),
+    quickly(
+        product([*NUMBERED, "x{}.csv without headers"], [0.0, 20.0]),
+        lambda name, pause: (name == NUMBERED[1]) == (pause > 0),
+    ),
+)
 def test_files_that_continue_each_other_are_joined(tmp_path: Path, name: str, pause: float):
     columns = {n: getattr(LONG.imu, n) for n in ("time", "ax", "ay", "az", "gx", "gy", "gz")}
     whole, third = pl.DataFrame(columns), len(LONG.imu) // 3
@@ -236,8 +242,8 @@ def test_guesses_by_names(tmp_path: Path, names: tuple[str, str, str], scale: tu
 
 @pytest.mark.parametrize(
     ("east", "north"),
-    [("lon_stdev", "lat_stdev"), ("longitude_std_dev", "latitude_std_dev"), ("LonSigma", "LatSigma"),
-     ("std_lon", "std_lat"), ("easting_std", "northing_std"), ("sdE", "sdN")],
+    several([("lon_stdev", "lat_stdev"), ("longitude_std_dev", "latitude_std_dev"), ("LonSigma", "LatSigma"),
+             ("std_lon", "std_lat"), ("sdE", "sdN"), ("easting_std", "northing_std")]),
 )  # fmt: skip
 def test_guesses_stated_deviations(tmp_path: Path, east: str, north: str):
     imu, gps = DRIVE.imu, DRIVE.gps
@@ -250,8 +256,9 @@ def test_guesses_stated_deviations(tmp_path: Path, east: str, north: str):
     np.testing.assert_allclose(got.std_y, 0.5 * gps.std_y, rtol=1e-9)
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("s", 1), ("ms", 10**3), ("us", 10**6), ("ns", 10**9)])
-@pytest.mark.parametrize("begin", [0, EPOCH])
+@pytest.mark.parametrize(
+    ("unit", "factor", "begin"), diagonal([("s", 1), ("ms", 10**3), ("us", 10**6), ("ns", 10**9)], [0, EPOCH])
+)
 def test_guesses_the_unit_of_times(tmp_path: Path, unit: str, factor: int, begin: int):
     imu, gps = DRIVE.imu, DRIVE.gps
     for name, time, more in (
@@ -270,13 +277,15 @@ def test_guesses_the_unit_of_times(tmp_path: Path, unit: str, factor: int, begin
 
 @pytest.mark.parametrize(
     ("name", "ticks"),
-    [
-        *(
-            (name, 1e3)
-            for name in ("ts_ms", "boot_ms", "Uptime [ms]", "iTOW_ms", "device_time_ms", "elapsed")
-        ),
-        *(("time_of_day", 1e3), ("tod_s", 1.0), ("seconds_of_week", 1.0)),
-    ],
+    several(
+        [
+            *(
+                (name, 1e3)
+                for name in ("ts_ms", "boot_ms", "Uptime [ms]", "iTOW_ms", "device_time_ms", "elapsed")
+            ),
+            *(("time_of_day", 1e3), ("tod_s", 1.0), ("seconds_of_week", 1.0)),
+        ]
+    ),
 )
 def test_a_loggers_own_clock_is_the_time_where_there_is_no_other(tmp_path: Path, name: str, ticks: float):
     imu, gps = foreign_imu().drop("stamp"), foreign_gps()
@@ -597,10 +606,9 @@ def test_a_prefix_that_imu_and_places_share_means_nothing(tmp_path: Path, prefix
     assert got.gps.alt is not None
 
 
-@pytest.mark.parametrize("prefix", ["Car.", "ekf.", "est."])
-@pytest.mark.parametrize("names", ["lat lon", "x y"])
 @pytest.mark.parametrize(
-    "outside", quickly([("",), ("t",), ("ax",), ("gz",)], lambda outside: outside in ("", "ax"))
+    ("prefix", "names", "outside"),
+    diagonal(["Car.", "ekf.", "est."], ["lat lon", "x y"], ["", "t", "ax", "gz"]),
 )
 def test_places_behind_a_shared_prefix_need_the_imu_and_degrees(
     tmp_path: Path, prefix: str, names: str, outside: str
@@ -616,29 +624,16 @@ def test_places_behind_a_shared_prefix_need_the_imu_and_degrees(
         imported(tmp_path / "log.csv")
 
 
+OTHERS = ("ekf.", "acc_", "P.", "sensor/", "gt_", "wp_", "vel_", "Car.", "compass_", "delta_", "v.")
+
+
 @pytest.mark.parametrize(
-    "prefix",
+    ("prefix", "names"),
     quickly(
-        [
-            (p,)
-            for p in (
-                "ekf.",
-                "wp_",
-                "acc_",
-                "vel_",
-                "P.",
-                "Car.",
-                "sensor/",
-                "gt_",
-                "compass_",
-                "delta_",
-                "v.",
-            )
-        ],
-        lambda prefix: prefix in ("ekf.", "acc_", "P.", "sensor/", "gt_"),
+        product(OTHERS, ["lat lon", "x y"]),
+        lambda prefix, names: (at := OTHERS.index(prefix)) < 5 and (names == "x y") == (at % 2 == 1),
     ),
 )
-@pytest.mark.parametrize("names", ["lat lon", "x y"])
 def test_places_need_a_receivers_prefix(tmp_path: Path, prefix: str, names: str):
     """Accelerations, estimates, variances, way points and steps have such names, too."""
     columns = dict(zip(("t", *names.split()), FIXES.values(), strict=True))
@@ -792,7 +787,7 @@ def test_the_sign_of_an_axis_without_gravity_means_nothing(tmp_path: Path):
     assert not any("negative" in note for note in imported(tmp_path / "log.csv").notes)
 
 
-@pytest.mark.parametrize("name", ["fix", "fix_type", "GPS_fixType", "fixQuality"])
+@pytest.mark.parametrize("name", some(["fix", "fix_type", "GPS_fixType", "fixQuality"]))
 def test_rows_without_a_fix_are_left_out(tmp_path: Path, name: str):
     imu, gps = DRIVE.imu, DRIVE.gps
     pl.DataFrame({"t": imu.time, "ax": imu.ax, "ay": imu.ay, "gz": imu.gz}).write_csv(tmp_path / "imu.csv")

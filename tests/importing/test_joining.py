@@ -16,6 +16,7 @@ from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.opening import Request
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import TableChoice
+from support import diagonal
 
 RATE = 0.5
 """rad/s of the circle: the course wraps every 12.6 s."""
@@ -110,11 +111,14 @@ def test_samples_of_one_time_keep_every_bit(circle: Path):
     np.testing.assert_array_equal(joined(circle, recipe).truth.theta, theta)
 
 
-@pytest.mark.parametrize("chosen", [{"imu": "imu.csv"}, {"imu": "imu.csv", "gps": "fixes.csv"}])
-@pytest.mark.parametrize("others", [("gps",), ("truth",), ("gps", "truth"), ("gps", "odometer")])
-def test_a_chosen_table_is_that_of_the_role_s_log(
-    circle: Path, chosen: dict[str, str], others: tuple[str, ...]
-):
+@pytest.mark.parametrize(
+    ("chosen", "others"),
+    diagonal(
+        [{"imu": "imu.csv"}, {"imu": "imu.csv", "gps": "fixes.csv"}],
+        ["gps", "truth", "gps truth", "gps odometer"],
+    ),
+)
+def test_a_chosen_table_is_that_of_the_role_s_log(circle: Path, chosen: dict[str, str], others: str):
     """--imu-table next to --gps or --truth: other logs need no table of this name."""
     (circle / "places.csv").rename(circle / "fixes.csv")
     shutil.copy(circle / "imu.csv", circle / "spare_imu.csv")
@@ -127,15 +131,16 @@ def test_a_chosen_table_is_that_of_the_role_s_log(
         "truth": separate / "fixes.csv",
         "odometer": separate / "odometer.csv",
     }
-    drive = imported(circle, choice=TableChoice(chosen), **{role: files[role] for role in others}).drive
+    drive = imported(
+        circle, choice=TableChoice(chosen), **{role: files[role] for role in others.split()}
+    ).drive
     assert len(drive.imu) == len(TIME) and len(drive.gps) == len(FIXES)
     assert (drive.truth is not None) == ("truth" in others)
     with pytest.raises(InputError, match=r"no table 'none\.csv'; choose from fixes\.csv, imu\.csv"):
         imported(circle, choice=TableChoice({"imu": "none.csv"}), gps=files["gps"])
 
 
-@pytest.mark.parametrize("late", [7200, -3600, 36_000, 100_000, 30])
-@pytest.mark.parametrize("rate", [100, 1000])
+@pytest.mark.parametrize(("late", "rate"), diagonal([7200, -3600, 36_000, 100_000, 30], [100, 1000]))
 def test_tables_of_the_imu_that_do_not_overlap_are_described_before_the_import(
     tmp_path: Path, late: int, rate: int
 ):

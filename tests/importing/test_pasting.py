@@ -12,8 +12,8 @@ from scipy.io import savemat
 
 from cli.conftest import Command, sigmaswarm
 from fuzzing.seeds import SEEDS, SHORT
-from importing.logs import EPOCH
-from sigmaswarm import diagnose, read_drive, simulate, write_drive
+from importing.logs import EPOCH, city_drive
+from sigmaswarm import diagnose, read_drive, write_drive
 from sigmaswarm.geodesy import enu_to_geodetic
 from support import quickly
 
@@ -44,7 +44,7 @@ def test_a_sound_log(tmp_path: Path, sigmaswarm: Command, monkeypatch: pytest.Mo
     assert len(read_drive(tmp_path / "drive").gps) > 5
 
 
-DRIVE = simulate("urban", duration=90.0, imu_rate=50.0, run=1, gps="white-1m")
+DRIVE = city_drive()
 ODD = {
     "acc_fwd_g": DRIVE.imu.ax / G,
     "acc_right_g": -DRIVE.imu.ay / G,

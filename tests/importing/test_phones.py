@@ -9,6 +9,7 @@ import pytest
 
 from importing.logs import EPOCH, a_drive, assert_close, imported
 from sigmaswarm.errors import InputError
+from support import diagonal
 
 DRIVE = a_drive()
 IMU, GPS = DRIVE.imu, DRIVE.gps
@@ -48,8 +49,7 @@ def sensor_logger(folder: Path, system: str) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("system", ["android", "ios"])
-@pytest.mark.parametrize("form", ["folder", "zip"])
+@pytest.mark.parametrize(("system", "form"), diagonal(["android", "ios"], ["folder", "zip"]))
 def test_sensor_logger(tmp_path: Path, system: str, form: str):
     folder = sensor_logger(tmp_path / "export", system)
     got = imported(zipped(folder) if form == "zip" else folder).drive
@@ -125,8 +125,7 @@ def phyphox(folder: Path, separator: str = ",") -> Path:
     return folder
 
 
-@pytest.mark.parametrize("separator", [",", ";", "\t"])
-@pytest.mark.parametrize("form", ["folder", "zip"])
+@pytest.mark.parametrize(("separator", "form"), diagonal([",", ";", "\t"], ["folder", "zip"]))
 def test_phyphox(tmp_path: Path, separator: str, form: str):
     folder = phyphox(tmp_path / "export", separator)
     got = imported(zipped(folder) if form == "zip" else folder).drive
@@ -141,8 +140,7 @@ LANGUAGES = {
 }
 
 
-@pytest.mark.parametrize("language", LANGUAGES)
-@pytest.mark.parametrize("form", ["folder", "zip"])
+@pytest.mark.parametrize(("language", "form"), diagonal(LANGUAGES, ["folder", "zip"]))
 def test_phyphox_in_other_languages(tmp_path: Path, language: str, form: str):
     """Tables are found by their units; the linear acceleration, whose name comes first, is not taken."""
     accelerometer, gyroscope, place, time, *words = LANGUAGES[language].split()

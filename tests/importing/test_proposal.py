@@ -11,6 +11,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from importing.logs import city_drive
 from sigmaswarm import import_log
 from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.errors import InputError
@@ -33,7 +34,7 @@ from support import diagonal, quickly, some
 
 START = 1_700_000_000
 G = 9.80665
-DRIVE = simulate("urban", duration=90.0, imu_rate=50.0, run=1, gps="white-1m")
+DRIVE = city_drive()
 
 
 def write_log(folder: Path, drive: Drive = DRIVE, *, clockwise: float = -1.0, right: float = -1.0) -> Path:

@@ -261,7 +261,7 @@ IMU_UNITS = [
     ("form", "letter", "unit", "factor"),
     quickly(
         [(form, *unit) for form in ("{} [{}]", "{} ({})") for unit in IMU_UNITS],
-        lambda form, *unit: (IMU_UNITS.index(unit) % 2 == 0) == (form == "{} [{}]"),
+        lambda form, *unit: IMU_UNITS.index(unit) % 5 == 2 * (form == "{} [{}]"),
     ),
 )
 def test_units_of_the_imu(tmp_path: Path, letter: str, unit: str, factor: float, form: str):
@@ -330,36 +330,34 @@ def test_g_in_a_name_may_mean_gravity(tmp_path: Path):
     np.testing.assert_allclose(imported(tmp_path).drive.imu.az, 2 * IMU.az)
 
 
-@pytest.mark.parametrize(
-    ("unit", "factor"),
-    [
-        ("km", 1e3),
-        ("ft", 0.3048),
-        ("mm", 1e-3),
-        ("cm", 0.01),
-        ("mi", 1609.344),
-        ("nmi", 1852.0),
-        ("meters", 1.0),
-        ("in", 0.0254),
-    ],
-)
+LENGTHS = [
+    *(("km", 1e3), ("ft", 0.3048), ("mm", 1e-3), ("cm", 0.01)),
+    *(("mi", 1609.344), ("nmi", 1852.0), ("meters", 1.0), ("in", 0.0254)),
+]
+SPEEDS = [
+    *(("km/h", 1 / 3.6), ("knots", 1852 / 3600), ("mph", 0.44704)),
+    *(("cm/s", 0.01), ("kts", 1852 / 3600), ("ft/s", 0.3048)),
+]
+
+
+def test_factors_of_units():
+    """All units of the tests of imports, which are quick for some of them only."""
+    units = [(unit, "acceleration" if letter == "a" else "rate", k) for letter, unit, k in IMU_UNITS]
+    units += [(unit, "length", k) for unit, k in LENGTHS] + [(unit, "speed", k) for unit, k in SPEEDS]
+    for text, dimension, factor in units:
+        unit = parse_unit(text)
+        assert unit is not None and unit.dimension == dimension
+        assert unit.factor == pytest.approx(factor, rel=1e-12), text
+
+
+@pytest.mark.parametrize(("unit", "factor"), several(LENGTHS, 3))
 def test_units_of_places(tmp_path: Path, unit: str, factor: float):
     (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
     write_fixes(tmp_path, GPS.x / factor, GPS.y / factor, f"t,x [{unit}],y [{unit}]")
     assert_close(imported(tmp_path).drive.gps, GPS, "x y", 1e-6)
 
 
-@pytest.mark.parametrize(
-    ("unit", "factor"),
-    [
-        ("km/h", 1 / 3.6),
-        ("knots", 1852 / 3600),
-        ("mph", 0.44704),
-        ("cm/s", 0.01),
-        ("kts", 1852 / 3600),
-        ("ft/s", 0.3048),
-    ],
-)
+@pytest.mark.parametrize(("unit", "factor"), several(SPEEDS))
 def test_units_of_speeds(tmp_path: Path, unit: str, factor: float):
     (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
     write_fixes(tmp_path)
@@ -708,7 +706,7 @@ HUGE = (
 )
 
 
-@pytest.mark.parametrize("value", ["-999", "1e10", "9999", "nan", "-32768", "3.4028235e38", *HUGE])
+@pytest.mark.parametrize("value", some(["-999", "1e10", "9999", "-32768", "nan", "3.4028235e38", *HUGE], 4))
 def test_placeholders_of_the_imu_are_no_samples(tmp_path: Path, value: str):
     rows = [[*r[:3], value, *r[4:]] if k in (5, 6, 500) else r for k, r in enumerate(ROWS)]
     (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(rows)]))
@@ -843,7 +841,7 @@ FRAMES: dict[str, complex] = {
     ("frame", "mirrored", "place"),
     quickly(
         product(FRAMES, (False, True), ("lat,lon", "x,y")),
-        lambda _, mirrored, place: mirrored == (place == "x,y"),
+        lambda frame, mirrored, place: mirrored == (place == "x,y") == (list(FRAMES).index(frame) % 2 == 1),
     ),
 )
 def test_a_truth_with_other_axes_is_refused_and_the_remedy_helps(

@@ -8,13 +8,12 @@ import numpy as np
 import polars as pl
 import pytest
 
-from importing.logs import EPOCH, imported
+from importing.logs import EPOCH, city_drive, imported
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic
-from sigmaswarm.simulation.scenarios import simulate
 from support import diagonal, several
 
-DRIVE = simulate("urban", duration=90.0, imu_rate=50.0, run=1, gps="white-1m")
+DRIVE = city_drive()
 IMU, GPS = DRIVE.imu, DRIVE.gps
 START = 1234.5  # s, of the counter at t = 0
 

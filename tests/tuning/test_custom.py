@@ -62,7 +62,7 @@ def test_an_unknown_length_is_estimated(objective: str):
         "optimizer": "pso",
         "zero_velocity_at_bounds": True,
     }
-    tuning = tune(LOGS, model=PENDULUM, objective=objective, **options)
+    tuning = tune(LOGS[:1], model=PENDULUM, objective=objective, **options)
     assert tuning.parameters["length"] == pytest.approx(0.8, rel=0.02)
     if objective == "innovation-nll":
         assert tuning.parameters["r_angle"] == pytest.approx(4e-4, rel=0.4)

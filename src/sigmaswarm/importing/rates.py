@@ -43,6 +43,8 @@ MIN_TURNS = 20  # smallest number of changes of course
 OUTLIER_SIGMAS = 3.0
 # Cutoff of the least-squares fit: smallest singular value of the integrated rates, relative to the largest
 MIN_AXIS_SHARE = 0.2
+MAX_VALUES = 200_000  # largest number of values of an axis that are computed together, for several delays
+MIN_DURATION_VARIANCE = 1e-12  # smallest variance of the durations, relative to their mean square
 
 
 class RateUnit(NamedTuple):
@@ -114,36 +116,54 @@ def turn_ratio(drive: Drive) -> tuple[float, float]:
     noise = float(np.median(np.hypot(np.diff(x, 2), np.diff(y, 2)))) / 2.9 if len(time) > 2 else 0.0
     course, rows = chord_course(time, x, y, chord=float(np.clip(20 * noise, 0.5, 20.0)))
     at, best = time[rows], (0.0, 0.0)
-    for apart in TURN_INTERVALS:
-        later = np.searchsorted(at, at + apart)
-        first = np.flatnonzero(later < len(at))
-        first = first[at[later[first]] - at[first] < MAX_INTERVAL_RATIO * apart]
-        later = later[first]
-        turns, lasted = np.asarray(wrap_angle(course[later] - course[first])), at[later] - at[first]
-        for delay in DELAYS:
-            ends = [[np.interp(at[k] - delay, imu.time, angle) for angle in angles] for k in (first, later)]
-            best = max(best, _fitted(np.subtract(ends[1], ends[0]).T, turns, lasted))
+    block = max(MAX_VALUES // max(len(at), 1), 1)
+    for k in range(0, len(DELAYS), block):
+        delays = DELAYS[k : k + block]
+        delayed = np.array([[np.interp(at - delay, imu.time, angle) for angle in angles] for delay in delays])
+        for apart in TURN_INTERVALS:
+            later = np.searchsorted(at, at + apart)
+            first = np.flatnonzero(later < len(at))
+            first = first[at[later[first]] - at[first] < MAX_INTERVAL_RATIO * apart]
+            later = later[first]
+            turns, lasted = np.asarray(wrap_angle(course[later] - course[first])), at[later] - at[first]
+            if len(turns) >= MIN_TURNS:
+                best = max(best, _fitted(delayed[:, :, later] - delayed[:, :, first], turns, lasted))
     return best
 
 
 def _fitted(measured: Array, turns: Array, lasted: Array) -> tuple[float, float]:
-    """Regress the turns of the course (n,) on the measured angles (n, axes), rad.
+    """Regress the turns of the course (n,) on the measured angles (delays, axes, n), rad, for each delay.
 
-    Return the explained fraction of the variance, and the norm of the coefficients; 0 and 0 if the turns are few or
-    small. ``lasted`` (n,): durations, s. The axes have different biases, so angles proportional to the duration are
-    removed; otherwise the fit would cancel the biases by a combination of the axes with large factors.
+    Return the largest explained fraction of the variance, and the norm of its coefficients; 0 and 0 if the turns are
+    few or small. ``lasted`` (n,): durations, s. The axes have different biases, so angles proportional to the duration
+    are removed; otherwise the fit would cancel the biases by a combination of the axes with large factors.
     """
-    share, ratio = 0.0, 0.0
+    both = np.concatenate([measured, np.broadcast_to(turns, (len(measured), 1, len(turns)))], axis=1)
+    used, valid = np.ones((len(both), len(turns)), np.bool_), np.ones(len(both), np.bool_)
+    share = ratio = np.zeros(len(both))
     for _ in range(4):
-        if len(turns) < MIN_TURNS or np.std(turns) < MIN_TURN_STD:
-            return 0.0, 0.0
-        constant = np.column_stack([np.ones(len(turns)), lasted])
-        both = np.column_stack([measured, turns])
-        both = both - constant @ np.linalg.lstsq(constant, both, rcond=1e-6)[0]
-        measured, turns = both[:, :-1], both[:, -1]
-        factors = np.asarray(np.linalg.lstsq(measured, turns, rcond=MIN_AXIS_SHARE)[0], np.float64)
-        left = turns - measured @ factors
-        share, ratio = 1.0 - float(left @ left / (turns @ turns)), float(np.linalg.norm(factors))
-        kept = np.abs(left) <= OUTLIER_SIGMAS * float(np.median(np.abs(left))) / 0.6745
-        measured, turns, lasted = measured[kept], turns[kept], lasted[kept]
-    return share, ratio
+        count = np.maximum(np.sum(used, axis=1), 1)
+        mean = np.sum(both, axis=2, where=used[:, None]) / count[:, None]
+        both = np.where(used[:, None], both - mean[:, :, None], 0.0)
+        spread = np.sqrt(np.sum(both[:, -1] ** 2, axis=1) / count)
+        valid &= (count >= MIN_TURNS) & (spread >= MIN_TURN_STD)
+        longer = np.where(used, lasted - (used @ lasted / count)[:, None], 0.0)
+        power = np.sum(longer**2, axis=1)
+        known = power > MIN_DURATION_VARIANCE * (used @ lasted**2)
+        longer /= np.sqrt(np.where(known, power, np.inf))[:, None]
+        both -= (both @ longer[:, :, None]) * longer[:, None]
+        angles, left = both[:, :-1], both[:, -1]
+        variance = np.maximum(np.sum(left**2, axis=1), 1e-300)
+        # Normal equations are accurate enough here, and quicker than `numpy.linalg.lstsq` for each delay
+        values, vectors = np.linalg.eigh(angles @ angles.transpose(0, 2, 1))
+        known = values > MIN_AXIS_SHARE**2 * values[:, -1:]
+        along = (vectors.transpose(0, 2, 1) @ (angles @ left[:, :, None]))[:, :, 0]
+        factors = vectors @ np.divide(along, values, where=known, out=np.zeros_like(along))[:, :, None]
+        left = left - (factors.transpose(0, 2, 1) @ angles)[:, 0]
+        share, ratio = 1.0 - np.sum(left**2, axis=1) / variance, np.sqrt(np.sum(factors**2, axis=(1, 2)))
+        size = np.abs(left)
+        ordered = np.sort(np.where(used, size, np.inf), axis=1)
+        middle = np.stack([(count - 1) // 2, count // 2], axis=1)
+        median = np.mean(np.take_along_axis(ordered, middle, axis=1), axis=1)
+        used &= size <= (OUTLIER_SIGMAS / 0.6745 * median)[:, None]
+    return max(zip((share * valid).tolist(), (ratio * valid).tolist(), strict=True))

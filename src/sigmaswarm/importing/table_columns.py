@@ -97,6 +97,8 @@ Numbers = TypeVar("Numbers", pl.Series, pl.Expr)
 
 def is_placeholder(numbers: Numbers) -> Numbers:
     """Mark finite numbers (float64) that usually stand for a missing value."""
+    if isinstance(numbers, pl.Series):  # one query is quicker than one for each operation
+        return numbers.to_frame().select(is_placeholder(pl.first())).to_series()
     return numbers.is_in(PLACEHOLDERS) | is_huge(numbers)
 
 
@@ -110,8 +112,11 @@ class Columns:
     names: dict[str, Name] = field(default_factory=dict[str, Name])
     # expressions of latitude and longitude, deg, that are in several columns
     degrees: dict[str, str] = field(default_factory=dict[str, str])
-    # Cached numbers and 99th percentiles of columns, since each axis of a sensor needs those of all axes
+    # Cached numbers, magnitudes and 99th percentiles of columns, since each axis of a sensor needs those of all axes
     _numbers: dict[str, pl.Series] = field(default_factory=dict[str, pl.Series], init=False)
+    _norms: dict[tuple[str, ...], pl.Series] = field(
+        default_factory=dict[tuple[str, ...], pl.Series], init=False
+    )
     _largest: dict[str, float] = field(default_factory=dict[str, float], init=False)
     _wrapped: dict[str, bool] = field(default_factory=dict[str, bool], init=False)
 
@@ -143,6 +148,12 @@ class Columns:
 
     def norms(self, axes: Sequence[str]) -> pl.Series:
         """Return the magnitudes of a vector, without placeholders and zeros; empty for fewer than three columns."""
+        key = (*axes, *(self.names[a].column for a in axes))
+        if key not in self._norms:
+            self._norms[key] = self._norms_of(axes)
+        return self._norms[key]
+
+    def _norms_of(self, axes: Sequence[str]) -> pl.Series:
         series = [self._signed(a) for a in axes]
         if len(axes) < 3 or any(s.dtype.is_nested() for s in series):
             return pl.Series([], dtype=pl.Float64)

@@ -201,10 +201,14 @@ def split(line: str, separator: str) -> list[str]:
 
 def is_value(cell: str) -> bool:
     cell = cell.strip()
-    if len(cell) > 40 or not cell or not _OTHER_SEPARATORS.isdisjoint(cell):
+    if len(cell) > 40:
+        return False
+    if _NUMBER.fullmatch(cell):
+        return True
+    if not cell or not _OTHER_SEPARATORS.isdisjoint(cell):
         return False
     dated = cell[0].isdigit() and any(mark in cell for mark in ":-/") and not re.search(r": *[A-Za-z]", cell)
-    return dated or any(form.fullmatch(cell) for form in (_NUMBER, _DIGITS, _GROUPED))
+    return dated or any(form.fullmatch(cell) for form in (_DIGITS, _GROUPED))
 
 
 def _separator(lines: Sequence[str]) -> str:
