@@ -20,12 +20,12 @@ from importing.logs import imported
 from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
-from sigmaswarm.importing.choices import assign
 from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.opening import Request
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.row_times import _gaps_of, gaps_by_distance
 from sigmaswarm.importing.source import TableChoice
+from sigmaswarm.workbench.columns import assign
 from support import diagonal, make_drive, some
 
 N, HZ, EVERY = 800, 20, 4
