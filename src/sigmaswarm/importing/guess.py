@@ -16,12 +16,13 @@ from sigmaswarm.importing.names import Name, plain_words, read_name, read_names,
 from sigmaswarm.importing.quantities import heading, quantity, with_gravity
 from sigmaswarm.importing.source import Fault, Guess, Part, Role
 from sigmaswarm.importing.table_columns import (
-    ColumnExpression,
     Columns,
+    Conversion,
     column_numbers,
     is_placeholder,
     median_of,
     quoted_column,
+    refused,
 )
 from sigmaswarm.importing.ticks import rates_by_clock
 from sigmaswarm.importing.times import time_of_rows
@@ -363,7 +364,7 @@ def _candidates(
     return {role: [t for t in found if t in tables] for role, tables in chosen.items()}
 
 
-def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[str, ColumnExpression]]:
+def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[str, Conversion]]:
     """Yield the columns of a role as expressions; ``rows_of``: role whose usual rate determines the unit of times."""
     filled: dict[str, Role] = {"gz": "imu", "ax": "imu", "x": "gps", "lat": "gps"}
     keys: dict[Role, str] = {of: columns.names[what].column for what, of in filled.items() if what in columns}
@@ -376,7 +377,7 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
         yield from found.items()
         located = True
     elif role in ("gps", "truth") and columns.has("x", "y") and (fault := degrees_as_meters(columns, role)):
-        yield "lat", ColumnExpression("", fault=fault)
+        yield "lat", refused(fault)
         located = True
     kept = [_of_first_sensor(columns, role)] if role in _NUMBERED else []
     if kept := list(filter(None, [*kept, _with_fix(columns) if role == "gps" else None])):
@@ -397,7 +398,7 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
             yield ("heading" if what == "bearing" and heads else course), heading(columns, what, role)
         elif what == "std_heading" and columns.names[what].unit is None:
             degrees = "radians" in heading(columns, "bearing", role).expression
-            yield what, ColumnExpression(f"radians({columns.text(what)})" if degrees else columns.text(what))
+            yield what, Conversion(f"radians({columns.text(what)})" if degrees else columns.text(what))
         else:
             found = quantity(columns, what, role)
             yield what.removeprefix("wheel_"), replace(found, **gravity.get(what, {}))
@@ -405,12 +406,12 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
         yield from _std_of_messages(columns.frame.columns)
 
 
-def _both(first: ColumnExpression, second: ColumnExpression) -> ColumnExpression:
+def _both(first: Conversion, second: Conversion) -> Conversion:
     texts = filter(None, (first.expression, second.expression))
-    return ColumnExpression(" and ".join(texts), "; ".join(filter(None, (first.note, second.note))))
+    return Conversion(" and ".join(texts), "; ".join(filter(None, (first.note, second.note))))
 
 
-def _of_first_sensor(columns: Columns, role: Role) -> ColumnExpression | None:
+def _of_first_sensor(columns: Columns, role: Role) -> Conversion | None:
     """Return the condition of the rows of the first sensor if the rows of several sensors alternate in a table."""
     keys, numbers, several = _NUMBERED[role]
     axes = [name.column for what, name in columns.names.items() if what in keys]
@@ -429,19 +430,19 @@ def _of_first_sensor(columns: Columns, role: Role) -> ColumnExpression | None:
         ):
             one, another = (f"{column} == {sensor}" for sensor in sensors[:2])
             note = f"the rows of several {several}s alternate, and those with {one} are read"
-            return ColumnExpression(one, f'{note}; for another {several} write --map "{role}.keep={another}"')
+            return Conversion(one, f'{note}; for another {several} write --map "{role}.keep={another}"')
     return None
 
 
-def _std_of_messages(names: Sequence[str]) -> Iterator[tuple[str, ColumnExpression]]:
+def _std_of_messages(names: Sequence[str]) -> Iterator[tuple[str, Conversion]]:
     """Yield the standard deviations of NavSatFix messages in a table; `joining` leaves out values of 0."""
     for what, element in (("std_x", 0), ("std_y", 4)):
         found = [n for n in names if re.search(rf"position_covariance\W?_?{element}\W?$", n, re.IGNORECASE)]
         if len(found) == 1:
-            yield what, ColumnExpression(f"sqrt({quoted_column(found[0])})")
+            yield what, Conversion(f"sqrt({quoted_column(found[0])})")
 
 
-def _with_fix(columns: Columns) -> ColumnExpression | None:
+def _with_fix(columns: Columns) -> Conversion | None:
     """Return the condition of rows with a fix from a column of flags, or a note if it would exclude many likely fixes.
 
     In some codes, 0 is a fix without fixed ambiguities.
@@ -460,11 +461,11 @@ def _with_fix(columns: Columns) -> ColumnExpression | None:
     if not kept.any():
         return None
     if kept.sum() >= (1 - MAX_DROPPED) * len(fixes) or _jump(fixes.select(names), kept):
-        return ColumnExpression(text)
+        return Conversion(text)
     seen = (
         f"{(~kept).sum()} of {len(fixes)} fixes are used, although the condition {text} is not true for them"
     )
-    return ColumnExpression("", note=f'{seen}; to leave these fixes out, write --map "gps.keep={text}"')
+    return Conversion("", note=f'{seen}; to leave these fixes out, write --map "gps.keep={text}"')
 
 
 def _jump(places: pl.DataFrame, kept: pl.Series) -> bool:
