@@ -783,7 +783,7 @@ def test_slow_rates_in_degrees_and_fast_ones_in_radians(tmp_path: Path, v: Any, 
 def test_turns_that_explain_most_of_the_course_confirm_the_unit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, share: float, ratio: float, noted: int
 ):
-    monkeypatch.setattr("sigmaswarm.importing.rates.turn_ratio", lambda _: (share, ratio))
+    monkeypatch.setattr("sigmaswarm.importing.imu_units.turn_ratio", lambda _: (share, ratio))
     write(tmp_path)
     assert sum("no turn of the path confirms" in note for note in imported(tmp_path).notes) == noted
 

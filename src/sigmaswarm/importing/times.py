@@ -1,12 +1,14 @@
 """Find the columns with the time of a table."""
 
+import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from itertools import product
 
 import polars as pl
 
-from sigmaswarm.importing.dates import as_text, parse_dates
+from sigmaswarm.importing.dates import SECOND, as_text, parse_dates
+from sigmaswarm.importing.expressions import ROW, compile_expression, row_times, time_span
 from sigmaswarm.importing.names import (
     CLOCK,
     STAMP,
@@ -17,7 +19,7 @@ from sigmaswarm.importing.names import (
     read_names,
     split_words,
 )
-from sigmaswarm.importing.source import Role
+from sigmaswarm.importing.source import Log, Role
 from sigmaswarm.importing.table_columns import Conversion, column_numbers, median_of, quoted_column
 from sigmaswarm.importing.time_units import (
     COUNTER_UNITS,
@@ -40,6 +42,7 @@ _HIGH, _LOW = (
     (*map(tuple, zip(words.split())),) for words in ("hi high upper msb msw h", "lo low lower lsb lsw l")
 )
 WORD = 2**32
+EVER = (-math.inf, math.inf)  # span of a table without times, s
 
 
 def find_time(frame: pl.DataFrame, role: Role) -> Conversion | None:
@@ -102,6 +105,23 @@ def _pasted(frame: pl.DataFrame, keys: Collection[str]) -> dict[int, list[str]]:
 def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
     found = find_time(frame, role)
     return found.expression or None if found else None
+
+
+def sample_rate(frame: pl.DataFrame, time: str | None) -> float | None:
+    """Return the rate, Hz, from the median step of ``time`` or of a recognized time; None if there is no time."""
+    if len(frame) < 2 or (time := time or time_of(frame)) is None:
+        return None
+    steps = row_times(time, frame).diff().drop_nulls()
+    step = steps.filter(steps > 0).median()
+    return SECOND / step if isinstance(step, int | float) and step > 0 else None
+
+
+def span_of_table(log: Log, table: str, time: str) -> tuple[float, float]:
+    """Return the earliest and the latest time of a whole table, s; `EVER` if the times of some rows can't be read."""
+    columns = log.tables[table].columns
+    used = compile_expression(time, (*columns, ROW)).columns & {*columns}
+    spans = [time_span(time, rows) or EVER for _, rows, _ in log.batches({table: used or columns})] or [EVER]
+    return min(low for low, _ in spans), max(high for _, high in spans)
 
 
 def rising_time(frame: pl.DataFrame, role: Role) -> str:
