@@ -20,12 +20,12 @@ from importing.logs import imported
 from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
-from sigmaswarm.importing.choices import assign
 from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.opening import Request
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.row_times import _gaps_of, gaps_by_distance
 from sigmaswarm.importing.source import TableChoice
+from sigmaswarm.workbench.columns import assign
 from support import diagonal, make_drive, some
 
 N, HZ, EVERY = 800, 20, 4
@@ -782,7 +782,7 @@ def test_slow_rates_in_degrees_and_fast_ones_in_radians(tmp_path: Path, v: Any, 
 def test_turns_that_explain_most_of_the_course_confirm_the_unit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, share: float, ratio: float, noted: int
 ):
-    monkeypatch.setattr("sigmaswarm.importing.rates.turn_ratio", lambda _: (share, ratio))
+    monkeypatch.setattr("sigmaswarm.importing.imu_units.turn_ratio", lambda _: (share, ratio))
     write(tmp_path)
     assert sum("no turn of the path confirms" in note for note in imported(tmp_path).notes) == noted
 

@@ -11,7 +11,7 @@ from importing.test_datasets import imu_csv
 from importing.test_receivers import GPS, nmea, pynmeagps, pyubx2, ubx
 from sigmaswarm.drives.drive import Gps
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.importing.assemble import _motion
+from sigmaswarm.importing.truth import _motion
 
 HEADING = np.linspace(-3.0, 3.0, len(GPS))  # rad from east
 NORTH = np.degrees(np.pi / 2 - HEADING) % 360.0

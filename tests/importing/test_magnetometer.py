@@ -13,7 +13,7 @@ from importing.logs import EPOCH, ORIGIN, imported
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic, wrap_angle
-from sigmaswarm.importing.magnetometer import part_of
+from sigmaswarm.importing.guess import magnetometer_part
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import TableChoice
 from support import quickly
@@ -194,10 +194,10 @@ def test_axes_are_found_by_name_in_a_chosen_table():
         ("Magnetometer x (µT)", "Magnetometer y (µT)"),
         ("mx", "my"),
     ):
-        part = part_of("t", ("t", "x", "y", "accel_b_x", "accel_b_y", x, y, f"{x}_raw", f"{y}_raw"))
+        part = magnetometer_part("t", ("t", "x", "y", "accel_b_x", "accel_b_y", x, y, f"{x}_raw", f"{y}_raw"))
         assert [text.strip("`") for text in part.columns.values()] == [x, y]
-    assert part_of("t", ("x", "y", "z")).columns == {"mx": "x", "my": "y", "mz": "z"}
-    assert not part_of("t", ("ax", "ay")).columns
+    assert magnetometer_part("t", ("x", "y", "z")).columns == {"mx": "x", "my": "y", "mz": "z"}
+    assert not magnetometer_part("t", ("ax", "ay")).columns
 
 
 def test_a_bag_with_a_magnetic_field(tmp_path: Path):

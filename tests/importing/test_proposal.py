@@ -19,16 +19,10 @@ from sigmaswarm.geodesy import enu_to_geodetic
 from sigmaswarm.importing.convert import import_drive
 from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.opening import Request
-from sigmaswarm.importing.proposal import (
-    CHECKED_TIME,
-    Meaning,
-    Proposal,
-    _busiest_part,
-    check_proposal,
-    meaning_of,
-    propose_columns,
-)
+from sigmaswarm.importing.proposal import Proposal
+from sigmaswarm.importing.proposal_check import CHECKED_TIME, _busiest_part, check_proposal
 from sigmaswarm.importing.source import TableChoice
+from sigmaswarm.importing.word_meanings import Meaning, meaning_of, propose_columns
 from sigmaswarm.simulation.scenarios import simulate
 from support import diagonal, quickly, some
 

@@ -22,8 +22,8 @@ from sigmaswarm.importing.inspection import inspect_request
 from sigmaswarm.importing.opening import Request
 from sigmaswarm.importing.readers import dialect
 from sigmaswarm.importing.recipe import Recipe
-from sigmaswarm.importing.shared_frame import require_same_axes
-from sigmaswarm.importing.source import Part, TableChoice
+from sigmaswarm.importing.source import TableChoice
+from sigmaswarm.importing.truth import require_same_axes
 from sigmaswarm.importing.units import parse_unit
 from support import diagonal, quickly, several, some
 
@@ -872,12 +872,12 @@ def test_the_remedy_for_a_turned_truth_is_a_rotation(degrees: float):
     t, angle = np.arange(0.0, 200.0), np.exp(1j * np.radians(degrees))
     track = 10.0 * t + 300j * np.sin(0.03 * t)
     truth, gps = ({"x": z.real, "y": z.imag} for z in (track * angle, track))
-    parts = [Part("truth", {"x": "x", "y": "y"})]
+    texts = {"x": "x", "y": "y"}
     if degrees == 0.5:
-        assert require_same_axes({"truth": t, "gps": t}, truth, gps, parts) == ""
+        assert require_same_axes({"truth": t, "gps": t}, truth, gps, texts) == ""
         return
     with pytest.raises(InputError) as caught:
-        require_same_axes({"truth": t, "gps": t}, truth, gps, parts)
+        require_same_axes({"truth": t, "gps": t}, truth, gps, texts)
     (a, b), (c, d) = (map(float, re.findall(r"(-?[0-9.]+)\*", m)) for m in maps_in(str(caught.value)))
     np.testing.assert_allclose(
         [[a, b], [c, d]], [[angle.real, angle.imag], [-angle.imag, angle.real]], atol=1e-5

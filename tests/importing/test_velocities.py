@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 
 from importing.logs import imported
-from sigmaswarm.importing.velocities import without_wrong_velocity
+from sigmaswarm.importing.positions import without_wrong_velocity
 from sigmaswarm.simulation.scenarios import simulate
 from support import some
 
@@ -75,7 +75,7 @@ def test_rows_without_a_speed_or_course_are_not_compared(rows: slice, name: str,
     fixes, said = road(), list[str]()
     fixes["speed"] *= 3.6 if wrong else 1.0
     fixes[name][rows] = np.nan
-    got = without_wrong_velocity(T, {n: c for n, c in fixes.items() if n != "t"}, "gps", (), said.append)
+    got = without_wrong_velocity(T, {n: c for n, c in fixes.items() if n != "t"}, "gps", {}, said.append)
     assert ("speed" in got, len(said)) == (not wrong, wrong)
     assert not wrong or re.search(r"the speed is 3\.[56]\d* times", said[0])
 

@@ -11,12 +11,13 @@ from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.table_columns import (
     MAX_DAMAGED_SHARE,
     NO_VALUE,
-    ColumnExpression,
     Columns,
+    Conversion,
     column_numbers,
     is_placeholder,
     median_of,
     quoted_column,
+    refused,
     unknown_unit,
 )
 from sigmaswarm.importing.units import in_si, other_units, possible_units
@@ -46,7 +47,7 @@ def map_options(columns: Columns, role: Role, whats: Sequence[str], form: str) -
     return "--map " + " ".join(f'"{role}.{what}={form.format(columns.text(what))}"' for what in whats)
 
 
-def geographic_position(columns: Columns, role: Role) -> dict[str, ColumnExpression]:
+def geographic_position(columns: Columns, role: Role) -> dict[str, Conversion]:
     """Convert latitude and longitude to degrees, by their unit, form or magnitude, and by the letters N, S, E, W."""
     both = ("lat", "lon")
     dms = _are_dms(*(columns.frame[columns.names[what].column] for what in both))
@@ -67,18 +68,18 @@ def geographic_position(columns: Columns, role: Role) -> dict[str, ColumnExpress
             forms[what] = f"{{}}/{arcs[name.unit.factor]}"
         else:
             fault = unknown_unit(name, what, "angle", role).partition("; ")[0]
-            return {what: ColumnExpression("", fault=f"{fault}; {_with_other_units(columns, role)}")}
-    found = ColumnExpression("{}") if forms else _place_form(columns, role)
+            return {what: refused(f"{fault}; {_with_other_units(columns, role)}")}
+    found = Conversion("{}") if forms else _place_form(columns, role)
     if found.fault:
         return dict.fromkeys(both, found)
-    places: dict[str, ColumnExpression] = {}
+    places: dict[str, Conversion] = {}
     hemispheres = _hemispheres(columns)
     for what in both:
         text = forms.get(what, found.expression).replace("{}", columns.text(what))
         condition, fault = hemispheres.get(what, ("", ""))
         text = f"where({condition}, -abs({text}), {text})" if condition else text
         remedy = f'{fault}, write --map "{role}.{what}={text}"'
-        places[what] = ColumnExpression("", fault=remedy) if fault else ColumnExpression(text, found.note)
+        places[what] = refused(remedy) if fault else Conversion(text, found.note)
     return places
 
 
@@ -154,7 +155,7 @@ def degrees_as_meters(columns: Columns, role: Role) -> str:
     )
 
 
-def from_ecef(columns: Columns) -> dict[str, ColumnExpression]:
+def from_ecef(columns: Columns) -> dict[str, Conversion]:
     """Convert x, y, z from the center of the earth (ECEF, WGS84) to degrees (Bowring); {} for other coordinates.
 
     UTM coordinates near 57 degrees have the norm of ECEF coordinates, but their z is an altitude.
@@ -175,10 +176,10 @@ def from_ecef(columns: Columns) -> dict[str, ColumnExpression]:
     angle = f"atan2({z}*1.00336409, hypot({x}, {y}))"
     lat = f"degrees(atan2({z} + 42841.3115*sin({angle})**3, hypot({x}, {y}) - 42697.6727*cos({angle})**3))"
     note = f"{x}, {y} and {z} are read as coordinates from the center of the earth (ECEF)"
-    return {"lat": ColumnExpression(lat, note), "lon": ColumnExpression(f"degrees(atan2({y}, {x}))")}
+    return {"lat": Conversion(lat, note), "lon": Conversion(f"degrees(atan2({y}, {x}))")}
 
 
-def _place_form(columns: Columns, role: Role) -> ColumnExpression:
+def _place_form(columns: Columns, role: Role) -> Conversion:
     """Guess the unit of latitude and longitude from their magnitude; {} in the expression stands for the column."""
     both = ("lat", "lon")
     cells = [columns.frame[columns.names[what].column] for what in both]
@@ -187,36 +188,34 @@ def _place_form(columns: Columns, role: Role) -> ColumnExpression:
         columns = replace(columns, frame=apart)
     lat, lon = (columns.numbers(what).filter(columns.numbers(what) != 0).abs() for what in both)
     if not len(lat) or not len(lon):
-        return ColumnExpression("{}")
+        return Conversion("{}")
     low, high = map(median_of, (lat, lon))
     if low < 1.571 and high < 3.1416:
         radians, degrees = (map_options(columns, role, both, form) for form in ("degrees({})", "{}"))
         options = f"{radians} for radians, {degrees} for degrees"
         fault = f"latitude and longitude are below 1.6 and 3.2 and may be radians; write {options}"
-        return ColumnExpression("", fault=fault)
+        return refused(fault)
     if low <= 90 and high <= 360:
-        return ColumnExpression("{}")
+        return Conversion("{}")
     if low <= 180 and high <= 90:
         exchanged = f'--map "{role}.lat={columns.text("lon")}" "{role}.lon={columns.text("lat")}"'
         fault = f"the latitude of about {low:.6g} exceeds 90: latitude and longitude are exchanged; write {exchanged}"
-        return ColumnExpression("", fault=fault)
+        return refused(fault)
     minutes = all((v % 100 >= 60).sum() <= MAX_DAMAGED_SHARE * len(v) for v in (lat, lon))
     if low <= 9000 and high <= 18060 and minutes:
         note = "latitude and longitude are read as degrees and minutes, ddmm.mmmm"
         other = f"; if they are arcminutes, write {map_options(columns, role, both, '{}/60')}"
-        return ColumnExpression("ddmm({})", note + other * (low <= 5400 and high <= 10800))
+        return Conversion("ddmm({})", note + other * (low <= 5400 and high <= 10800))
     if [columns.names[what].plain for what in both] == ["position_lat", "position_long"] and low > 1e6:
-        return ColumnExpression(
+        return Conversion(
             "{}*180/2147483648", "latitude and longitude are read as semicircles, as in FIT files"
         )
     if low <= 9e8 and high <= 36e8 and (low > 90e6 or high > 180e6):
         other = f"; if they are milliarcseconds, write {map_options(columns, role, both, '{}/3.6e6')}"
         note = "latitude and longitude are read as 1e-7 degrees"
-        return ColumnExpression(
-            "{}*1e-7", note + (other if low <= 90 * 3.6e6 and high <= 180 * 3.6e6 else "")
-        )
+        return Conversion("{}*1e-7", note + (other if low <= 90 * 3.6e6 and high <= 180 * 3.6e6 else ""))
     fault = f"latitude and longitude of about {low:.6g} and {high:.6g} are not degrees"
-    return ColumnExpression("", fault=f"{fault}; {_with_other_units(columns, role)}")
+    return refused(f"{fault}; {_with_other_units(columns, role)}")
 
 
 def _with_other_units(columns: Columns, role: Role) -> str:

@@ -23,6 +23,7 @@ from sigmaswarm.importing.dates import SECOND, as_text, gps_time, parse_dates, p
 from sigmaswarm.wording import list_names, printable, quoted
 
 MAX_LENGTH = 1000  # characters; this also limits the nesting
+ROW = "row"  # name of an added column of row numbers, from 0, unless the table has this column
 # Largest number of times that polars evaluates a column; nested functions use their arguments repeatedly
 MAX_USES = 1000
 
@@ -298,6 +299,29 @@ def time_expression(text: str, frame: pl.DataFrame) -> pl.Expr:
     if len(exact) == len(terms):
         return pl.sum_horizontal(exact, ignore_nulls=False) if len(exact) > 1 else exact[0]
     return _rounded(compile_expression(text, frame.columns))
+
+
+def with_row_numbers(frame: pl.DataFrame, first: int = 0) -> pl.DataFrame:
+    """Add the column `ROW`, unless the table has it; ``first``: number of the first row."""
+    if ROW in frame.columns:
+        return frame
+    return frame.with_columns(pl.int_range(first, first + len(frame)).alias(ROW))
+
+
+def row_times(text: str, frame: pl.DataFrame) -> pl.Series:
+    """Return the time of each row, ns; null where it is missing, or if the column contains lists or no dates."""
+    numbered = with_row_numbers(frame)
+    try:
+        return numbered.select(time_expression(text, numbered).alias("t"))["t"]
+    except pl.exceptions.PolarsError:
+        return pl.Series("t", [None] * len(frame), dtype=pl.Int64)
+
+
+def time_span(text: str, frame: pl.DataFrame) -> tuple[float, float] | None:
+    """Return the earliest and the latest time of the rows, s; None if no row has a time."""
+    times = row_times(text, frame)
+    low, high = times.min(), times.max()
+    return (low / SECOND, high / SECOND) if isinstance(low, int) and isinstance(high, int) else None
 
 
 def _rounded(expression: Expression) -> pl.Expr:

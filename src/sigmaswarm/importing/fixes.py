@@ -12,9 +12,9 @@ from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.drives.reader import has_table, read_with_warnings
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import placed_fixes
-from sigmaswarm.importing.convert import complete_recipe
+from sigmaswarm.importing.completion import complete_parts, completed
 from sigmaswarm.importing.dates import MIN_DATE, SECOND, Nanoseconds
-from sigmaswarm.importing.gather import complete_parts, gather
+from sigmaswarm.importing.gather import gather
 from sigmaswarm.importing.joining import join
 from sigmaswarm.importing.opening import Request, opened
 from sigmaswarm.importing.positions import Say, Values
@@ -52,9 +52,9 @@ def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
 def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.bool_]]:
     """Return times (n,), ns, columns (n,), and a mask (n,) of fixes with integer ambiguities."""
     request = Request(source=path)
-    with opened(request) as (logs, guesses):
-        log, guess = logs[path], guesses[path]
-        parts = complete_recipe(request, guesses).roles.get("gps", ()) or guess.roles.get("truth", ())
+    with opened(request) as plan:
+        log, guess = plan.log("gps"), plan.guess("gps")
+        parts = completed(plan).parts("gps") or guess.roles.get("truth", ())
         if not parts:
             there = list_names(log.tables)
             raise InputError(
@@ -66,9 +66,10 @@ def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.boo
         read = gather(log, [*parts, *fixed], lambda done: None, request.limits)
         for note in (*guess.notes, *log.remarks):
             say(note)
-    time, values = join(read[: len(parts)], "gps", (), say)
+    samples = join(read[: len(parts)], "gps", (), say)
+    time = samples.time
     sure = np.isin(time, read[-1].finish()[0]) if fixed else np.ones(len(time), dtype=np.bool_)
-    return time, values, sure
+    return time, samples.values, sure
 
 
 def _of_drive(other: Drive, drive: Drive, offset: float) -> ReceiverLog:

@@ -1,8 +1,8 @@
 """Evaluate the expressions of a drive's columns for the batches of a log; leave out and count unusable rows."""
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from shlex import quote
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -13,22 +13,20 @@ from sigmaswarm.drives.tables import Mask
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import SECOND, Nanoseconds
 from sigmaswarm.importing.expressions import (
+    ROW,
     Expression,
     compile_expression,
-    is_valid_expression,
     time_expression,
+    with_row_numbers,
 )
-from sigmaswarm.importing.guess import SAMPLE_ROWS
 from sigmaswarm.importing.names import read_name
+from sigmaswarm.importing.opening import Plan
 from sigmaswarm.importing.quantities import MAX_QUARTILE_RATIO
-from sigmaswarm.importing.source import FILES, ImportProgress, Limits, Log, Part, Role
+from sigmaswarm.importing.source import ImportProgress, Limits, Log, Part, Role
 from sigmaswarm.importing.table_columns import MAX_DAMAGED_SHARE, NO_NUMBER, NO_VALUE, is_huge, is_placeholder
-from sigmaswarm.importing.time_units import wrong_unit
-from sigmaswarm.importing.times import of_one_table, rising_time, time_of
-from sigmaswarm.wording import list_names, printable, quoted
+from sigmaswarm.wording import count_of, printable, quoted, rows_left_out
 
-ROW = "row"  # name of an added column of row numbers, from 0, unless the table has this column
-IF_RATE_IS_KNOWN = "if the rate is known"  # begins a remedy
+MAX_FAULTS = 3  # largest number of faults in one message
 # Largest number of rows without a time that count as lines of a header or a footer
 MAX_TIMELESS_ROWS = 10
 # Smallest distance of a placeholder from the median of the other values, in units of their 1% to 99% range
@@ -46,13 +44,6 @@ def _is_every_nth(known: Mask) -> bool:
     return len(steps) > 0 and 1 < float(np.median(steps)) >= float(steps.max()) / MAX_ROW_STEPS
 
 
-def with_row_numbers(frame: pl.DataFrame, first: int = 0) -> pl.DataFrame:
-    """Add the column `ROW`, unless the table has it; ``first``: number of the first row."""
-    if ROW in frame.columns:
-        return frame
-    return frame.with_columns(pl.int_range(first, first + len(frame)).alias(ROW))
-
-
 @dataclass
 class PartColumns:
     """Columns of a part: ``t``, ns, and others; null where the log has no value."""
@@ -65,10 +56,6 @@ class PartColumns:
     timeless: int = 0  # number of rows without a time
     # For each column of the table: the placeholder of missing values, and its count
     placeholders: dict[str, tuple[float, int]] = field(default_factory=dict[str, tuple[float, int]])
-    period: int = 0  # ns, period of a clock that wraps; 0 for other clocks, and before `unwrap`
-    unordered: bool = False  # True if the time decreases even after `unwrap`
-    set_back: int = 0  # ns, sum of the backward steps of the clock before the chosen recording
-    set_ahead: bool = False  # True if the clock jumps ahead between recordings
     counted: bool = False  # True if the time is computed from row numbers alone
     # If the time is computed from row numbers: names and cells of the columns that may be clocks
     clocks: tuple[str, ...] = ()
@@ -107,6 +94,19 @@ class PartColumns:
         steps = pl.concat(self.rows)["t"].diff() if self.rows else pl.Series([0])
         return float(steps.filter(steps > 0).sum()) / SECOND
 
+    def omissions(self, role: Role) -> Iterator[str]:
+        """Yield sentences on rows and values that are left out."""
+        table = printable(self.part.table)
+        if self.unkept:
+            keep = f"since {self.part.columns['keep']} is not true"
+            yield f"{role}: {self.unkept} of {self.seen} rows of {table} are left out, {keep}"
+        if self.timeless:
+            yield f"{role}: {rows_left_out(self.timeless, f' of {table}')}, since the time is missing"
+        for name, (value, count) in self.placeholders.items():
+            are = "is" if count == 1 else "are"
+            values = f"{count_of(count, 'value')} of {printable(name)} {are} left out"
+            yield f"{role}: {table}: {values}, since {value:g} is a placeholder"
+
     def finish(self) -> tuple[Nanoseconds, dict[str, Array]]:
         """Return the times (n,), ns, and the columns (n,), NaN where the log has no value."""
         if not self.rows:
@@ -122,9 +122,14 @@ class PartColumns:
 
         The part with the most rows is the first. Optional columns that belong to no required column stay in it.
         """
-        whole = pl.concat(self.rows) if self.rows else pl.DataFrame({"t": []})
-        names = whole.columns[1:]
-        known = whole.select(pl.col(names).is_finite().fill_null(False)).cast(pl.Float64).to_numpy()
+        if not self.rows:
+            return [self]
+        whole = pl.concat(self.rows)
+        self.rows, names = [whole], whole.columns[1:]
+        filled = whole.select(pl.col(names).is_finite().fill_null(False))
+        if not names or all(filled.select(pl.all().all()).row(0)):
+            return [self]
+        known = filled.cast(pl.Float64).to_numpy()
         common = known.T @ known  # number of rows with both columns
         rows = np.diag(common)
         steady = np.array([_is_every_nth(column > 0) for column in known.T], dtype=np.bool_)
@@ -135,16 +140,15 @@ class PartColumns:
         group = connected_components(common >= np.maximum(MIN_COMMON_ROWS * shared, 1))[1]
         own = {k: [n for n, g in zip(names, group, strict=True) if g == k] for k in group}
         sensors = [some for some in own.values() if not {*required}.isdisjoint(some)]
-        empty = any(not common[k, k] for k, name in enumerate(names) if name in required)
-        if len(sensors) < 2 or empty:
+        count = dict(zip(names, rows, strict=True))
+        if len(sensors) < 2 or any(not count[name] for name in names if name in required):
             return [self]
-        sensors.sort(key=lambda some: -int(common[names.index(some[0]), names.index(some[0])]))
+        sensors.sort(key=lambda some: -int(count[some[0]]))
         sensors[0] += [n for n in names if not any(n in some for some in sensors)]
-        pieces = [
-            whole.select("t", *some).filter(pl.any_horizontal(pl.col(some).is_finite())) for some in sensors
+        self.rows, *others = [
+            [whole.select("t", *some).filter(pl.any_horizontal(pl.col(some).is_finite()))] for some in sensors
         ]
-        self.rows = pieces[:1]
-        return [self, *(PartColumns(self.part, self.expressions, [piece]) for piece in pieces[1:])]
+        return [self, *(PartColumns(self.part, self.expressions, rows) for rows in others)]
 
     def _require_numbers(self, frame: pl.DataFrame, log: Log) -> None:
         texts = {c for e in self.expressions.values() for c in e.numbers if frame.schema[c] == pl.String}
@@ -212,76 +216,6 @@ def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
     return ((numbers - middle).abs() > MIN_PLACEHOLDER_DISTANCE * (high - low) + 1e-9).fill_null(False)
 
 
-def complete_parts(
-    part: Part, log: Log, role: Role, first: Mapping[str, pl.DataFrame] | None = None
-) -> list[Part]:
-    """Complete a part; a part without a table becomes one part for each table that contains its columns.
-
-    ``first``: first rows of the tables, if they have been read.
-    """
-    return [_complete(fitted, log, role, first) for fitted in _with_tables(part, log, role)]
-
-
-def _complete(part: Part, log: Log, role: Role, first: Mapping[str, pl.DataFrame] | None) -> Part:
-    """Add the likely time to a part without a time, and check the part's expressions."""
-    columns = log.tables[part.table].columns
-    batches = log.batches({part.table: columns}) if first is None else [("", first[part.table], 0.0)]
-    rows = next((rows.head(SAMPLE_ROWS) for _, rows, _ in batches if len(rows)), None)
-    if rows is not None:
-        if "t" not in part.columns and (time := time_of(rows)) is not None:
-            part = replace(part, columns={"t": time, **part.columns})
-        elif unit := wrong_unit(part.columns.get("t", ""), rows, role):
-            raise InputError(f"{log.path}: {unit if len(log.tables) == 1 else of_one_table(unit, role)}")
-    if "t" not in part.columns and (rows is not None or first is None):
-        where = log.path if log.path.name == part.table else f"{log.path}, {printable(part.table)}"
-        time = "--time {}" if role == "imu" and len(log.tables) == 1 else f'--map "{role}.t={{}}"'
-        column, rate = "" if rows is None else rising_time(rows, role), 100 if role == "imu" else 1
-        remedy = f"specify it with {time.format(column)}, or, " * bool(column)
-        raise InputError(
-            f"{where}: no column is recognized as the time of the {role}; {remedy}{IF_RATE_IS_KNOWN}, compute it "
-            f"from the row number, for example {time.format(f'{ROW}/{rate}')} for {rate} Hz (replace {rate} by the "
-            "rate of this log)"
-        )
-    for text in part.columns.values():
-        try:
-            compile_expression(text, (*columns, ROW))
-        except InputError as error:
-            raise InputError(f"{log.path}, {printable(part.table)}: {error}") from None
-    return part
-
-
-def _with_tables(part: Part, log: Log, role: Role) -> list[Part]:
-    """Find the tables of a part.
-
-    The only table of a log fits any part that names no table, or that names another file.
-    """
-    if part.table in log.tables:
-        return [part]
-    if len(log.tables) == 1:
-        ((name, table),) = log.tables.items()
-        if not part.table or table.kind == FILES:
-            return [replace(part, table=name)]
-    if part.table:
-        there = list_names(log.tables)
-        raise InputError(f"{log.path}: has no table {quoted(part.table)} for the {role}; choose from {there}")
-    homes = {
-        name: [n for n, table in log.tables.items() if is_valid_expression(text, table.columns)]
-        for name, text in part.columns.items()
-    }
-    fitting = [n for n in log.tables if all(n in tables for tables in homes.values())]
-    apart = {tables[0]: None for name, tables in homes.items() if name != "t" and len(tables) == 1}
-    if not fitting and all(len(tables) == 1 for name, tables in homes.items() if name != "t"):
-        return [
-            Part(table, {name: text for name, text in part.columns.items() if table in homes[name]})
-            for table in apart
-        ]
-    chosen = quote(fitting[0]) if len(fitting) == 1 else "TABLE"
-    raise InputError(
-        f"{log.path}: has several tables ({list_names(log.tables)}); choose one for {', '.join(part.columns)} with "
-        f"--{role}-table {chosen}, or write a recipe with table = ..."
-    )
-
-
 def gather(log: Log, parts: Sequence[Part], progress: ImportProgress, limits: Limits) -> list[PartColumns]:
     gathered: list[PartColumns] = []
     wanted: dict[str, set[str]] = {}
@@ -300,3 +234,40 @@ def gather(log: Log, parts: Sequence[Part], progress: ImportProgress, limits: Li
                 limits.check_rows(columns.seen, log.path, table)
         progress(done)
     return gathered
+
+
+Gathered = dict[Role, list[PartColumns]]
+
+
+def gather_all(plan: Plan, progress: ImportProgress = lambda done: None) -> Gathered:
+    """Read the columns of all roles of a plan with tables; ``progress`` receives the fraction that has been read."""
+    gathered: Gathered = {}
+    sizes = {path: _size(path) for path in plan.logs}
+    total, before = sum(sizes.values()), 0
+    for path, log in plan.logs.items():
+        mine: list[Role] = [role for role in plan.recipe.roles if plan.request.home(role) == path]
+        share = _share(progress, before / total, sizes[path] / total)
+        read = iter(
+            gather(log, [part for role in mine for part in plan.parts(role)], share, plan.request.limits)
+        )
+        gathered |= {role: [next(read) for _ in plan.parts(role)] for role in mine}
+        before += sizes[path]
+    return gathered
+
+
+def durations(gathered: Mapping[Role, Sequence[PartColumns]]) -> dict[Role, float]:
+    """Return the durations of IMU and fixes, s."""
+    return {role: parts[0].duration for role, parts in gathered.items() if role in ("imu", "gps")}
+
+
+def joined_faults(faults: Sequence[str]) -> str:
+    return "; and ".join(faults[:MAX_FAULTS])
+
+
+def _share(progress: ImportProgress, begin: float, part: float) -> ImportProgress:
+    return lambda done: progress(begin + part * done)
+
+
+def _size(path: Path) -> int:
+    files = [path] if path.is_file() else [f for f in path.rglob("*") if f.is_file()]
+    return max(sum(f.stat().st_size for f in files), 1)

@@ -1,6 +1,5 @@
 """Guess the roles of a log's tables by the names, units and sampled values of their columns."""
 
-import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -9,27 +8,24 @@ from shlex import quote
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.common_clock import on_common_clock
+from sigmaswarm.importing.clocks import on_common_clock, rates_by_clock
 from sigmaswarm.importing.coordinates import degree_parts, degrees_as_meters, from_ecef, geographic_position
-from sigmaswarm.importing.expressions import compile_expression
-from sigmaswarm.importing.names import Name, plain_words, read_name, read_names, split_words
+from sigmaswarm.importing.kept_rows import kept_rows
+from sigmaswarm.importing.names import Name, read_name, read_names, split_words
 from sigmaswarm.importing.quantities import heading, quantity, with_gravity
 from sigmaswarm.importing.source import Fault, Guess, Part, Role
 from sigmaswarm.importing.table_columns import (
-    ColumnExpression,
     Columns,
+    Conversion,
     column_numbers,
-    is_placeholder,
     median_of,
     quoted_column,
+    refused,
 )
-from sigmaswarm.importing.ticks import rates_by_clock
 from sigmaswarm.importing.times import time_of_rows
 from sigmaswarm.wording import list_names
 
 Z_DOWN = "x=x,y=-y"  # mounting of an IMU with x forward, y right and z down
-# number of first rows from which units are guessed, in formats whose rows are decoded one by one
-SAMPLE_ROWS = 2000
 # Number and length of the blocks of rows from which units are guessed. The blocks are spread over the table, since a
 # log may begin without fixes and at standstill. Rows of a block are consecutive, so most time steps are those of the
 # log. A block contains fixes even if only 1 of 200 rows has one.
@@ -64,52 +60,16 @@ _ESTIMATE = re.compile(
 _REFERENCE = re.compile(
     r"mocap|vicon|opti_?track|leica|total_?station|survey|(?:^|[^a-z])(?:rtk|ppk)(?:[^a-z]|$)", re.IGNORECASE
 )
-# Names of columns that state whether a row has a fix: 0 means no fix; in ROS, -1 means no fix and 0 means a fix
-_FIXED = "(?:gps|gnss)?_?fix_?(?:type|quality|mode|valid|ok|status)?|(?:(?:gps|gnss)_?)?valid|(?:gps|gnss)_?quality"
-# Names of columns with the number of satellites; 0 means no fix
-_SATELLITES = "(?:gps_|gnss_)?(?:(?:num|n|no|number_of)_?)?(?:sats?|sv|satellites)(?:_used)?"
-# Names of columns that state in words whether a row has a fix
-_STATUS = (
-    rf"{_FIXED}|(?:(?:gps|gnss|nav|pos|position|sol|solution)_?)?(?:status|state|mode|type|solution|quality)"
-)
-# Names of `_STATUS` that autopilots also use; their words resemble those of receivers: AUTO, FOLLOW_GPS, ACTIVE
-_PILOT = "state|mode|type"
-# Words that mean no fix, in lower case and joined by "_"
-_NO_FIX = (
-    r"(?:no|not|un|in)_?(?:\w+_)?(?:valid|fix|fixed|solution|gps|gnss|signal|available)|no|none|false|void|bad|lost|"
-    r"searching|acquiring|insufficient.*|cold_start"
-)
-_FIX = (
-    r".*(?:[23]d|fix|rtk|float|single|ppp|sbas|gps|gnss|valid|active|ok|good|true|yes|int|computed|auto|alone|"
-    r"available|psr).*"
-)
-# Words that mean a fix, and that only a receiver uses
-_SURE_FIX = r".*(?:[23]d|fix|rtk|float|single|ppp|sbas|psr|valid).*"
-# Names of columns that number the sensors, in tables with the rows of several IMUs
-_SENSOR_NUMBER = (
-    "i|instance|index|id|address|serial|"
-    "(?:imu|sensor|device|dev|node|unit)(?:_?(?:id|no|nr|number|index|instance|name))?"
-)
-_RECEIVER_NUMBER = (
-    "i|instance|(?:gps|gnss|receiver|antenna)_?(?:id|no|nr|number|index|instance|name)?|(?:sensor|device)_?id"
-)
-# For each role: columns that are filled in the rows of a sensor, names of its number, and the name of the sensor
-_NUMBERED: dict[str, tuple[tuple[str, ...], str, str]] = {
-    "imu": (("ax", "gz"), _SENSOR_NUMBER, "IMU"),
-    "gps": (("lat", "x"), _RECEIVER_NUMBER, "receiver"),
-}
-MAX_SENSORS = 8  # largest number of IMUs in such a table
-MIN_CHANGES = 0.1  # smallest fraction of rows whose sensor differs from that of the previous row
-MAX_WORDS = 20  # largest number of different words in a column of flags
-# Names of columns in which 3 means a fix in three dimensions, and 1 means no fix
-_DIMENSIONS = ".*(?:type|mode)"
-# largest fraction of the likely fixes that a flag may exclude, unless the positions jump at these fixes
-MAX_DROPPED = 0.2
-MIN_JUMP_RATIO = 5.0  # smallest ratio of a jump to the 90% quantile of the other steps
 # largest ratio of the 90% to the 10% quantile of the magnitude of x, y, z of a magnetometer
 MAX_SIZE_RATIO = 1.3
 # Largest ratio of the median of the magnetometer's z to the magnitude. In positions, x and y may be far smaller than z.
 MAX_VERTICAL_SHARE = 0.99
+# Patterns of a magnetometer's axis names in lower case, the most common first
+_MAGNETIC_AXES = (
+    r"(?:.*[\W_])?mag(?:netic[\W_]?field|[a-z]*)\d*[\W_]*([xyz])(?:[\W_].*)?",
+    r"[mb][\W_]?([xyz])",
+    r"([xyz])",
+)
 _WANTED: dict[Role, tuple[str, ...]] = {
     "imu": ("ax", "ay", "az", "gx", "gy", "gz"),
     "gps": (
@@ -363,7 +323,7 @@ def _candidates(
     return {role: [t for t in found if t in tables] for role, tables in chosen.items()}
 
 
-def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[str, ColumnExpression]]:
+def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[str, Conversion]]:
     """Yield the columns of a role as expressions; ``rows_of``: role whose usual rate determines the unit of times."""
     filled: dict[str, Role] = {"gz": "imu", "ax": "imu", "x": "gps", "lat": "gps"}
     keys: dict[Role, str] = {of: columns.names[what].column for what, of in filled.items() if what in columns}
@@ -376,11 +336,10 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
         yield from found.items()
         located = True
     elif role in ("gps", "truth") and columns.has("x", "y") and (fault := degrees_as_meters(columns, role)):
-        yield "lat", ColumnExpression("", fault=fault)
+        yield "lat", refused(fault)
         located = True
-    kept = [_of_first_sensor(columns, role)] if role in _NUMBERED else []
-    if kept := list(filter(None, [*kept, _with_fix(columns) if role == "gps" else None])):
-        yield "keep", kept[0] if len(kept) == 1 else _both(*kept)
+    if (kept := kept_rows(columns, role)) is not None:
+        yield "keep", kept
     skipped = {"lat", "lon"} | ({"x", "y"} if located else set())
     # "heading" is the course of a receiver with one antenna, unless the table also has a course or a std_heading
     heads = role == "gps" and "bearing" in columns and columns.names["bearing"].is_one("heading")
@@ -397,7 +356,7 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
             yield ("heading" if what == "bearing" and heads else course), heading(columns, what, role)
         elif what == "std_heading" and columns.names[what].unit is None:
             degrees = "radians" in heading(columns, "bearing", role).expression
-            yield what, ColumnExpression(f"radians({columns.text(what)})" if degrees else columns.text(what))
+            yield what, Conversion(f"radians({columns.text(what)})" if degrees else columns.text(what))
         else:
             found = quantity(columns, what, role)
             yield what.removeprefix("wheel_"), replace(found, **gravity.get(what, {}))
@@ -405,106 +364,12 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
         yield from _std_of_messages(columns.frame.columns)
 
 
-def _both(first: ColumnExpression, second: ColumnExpression) -> ColumnExpression:
-    texts = filter(None, (first.expression, second.expression))
-    return ColumnExpression(" and ".join(texts), "; ".join(filter(None, (first.note, second.note))))
-
-
-def _of_first_sensor(columns: Columns, role: Role) -> ColumnExpression | None:
-    """Return the condition of the rows of the first sensor if the rows of several sensors alternate in a table."""
-    keys, numbers, several = _NUMBERED[role]
-    axes = [name.column for what, name in columns.names.items() if what in keys]
-    rows = columns.frame.drop_nulls(axes)
-    for name in read_names(rows.columns) if axes else ():
-        cells, column = rows[name.column], quoted_column(name.column)
-        if not name.is_one(numbers) or not (cells.dtype.is_integer() or cells.dtype == pl.String):
-            continue
-        cells = cells.drop_nulls()
-        sensors = [repr(v) for v in cells.unique().sort()]
-        alternate = (cells != cells.shift()).sum() >= MIN_CHANGES * len(cells)
-        if (
-            2 <= len(sensors) <= MAX_SENSORS
-            and alternate
-            and all(re.fullmatch(r"\w+|'[\w .:-]*'", s) for s in sensors)
-        ):
-            one, another = (f"{column} == {sensor}" for sensor in sensors[:2])
-            note = f"the rows of several {several}s alternate, and those with {one} are read"
-            return ColumnExpression(one, f'{note}; for another {several} write --map "{role}.keep={another}"')
-    return None
-
-
-def _std_of_messages(names: Sequence[str]) -> Iterator[tuple[str, ColumnExpression]]:
-    """Yield the standard deviations of NavSatFix messages in a table; `joining` leaves out values of 0."""
+def _std_of_messages(names: Sequence[str]) -> Iterator[tuple[str, Conversion]]:
+    """Yield the standard deviations of NavSatFix messages in a table; `join` leaves out values of 0."""
     for what, element in (("std_x", 0), ("std_y", 4)):
         found = [n for n in names if re.search(rf"position_covariance\W?_?{element}\W?$", n, re.IGNORECASE)]
         if len(found) == 1:
-            yield what, ColumnExpression(f"sqrt({quoted_column(found[0])})")
-
-
-def _with_fix(columns: Columns) -> ColumnExpression | None:
-    """Return the condition of rows with a fix from a column of flags, or a note if it would exclude many likely fixes.
-
-    In some codes, 0 is a fix without fixed ambiguities.
-    """
-    both = ("lat", "lon") if columns.has("lat", "lon") else ("x", "y")
-    text = _fix_stated(columns.frame) if columns.has(*both) else ""
-    names = [columns.names[what].column for what in both if what in columns]
-    if not text or any(columns.frame.schema[n].is_nested() for n in names):
-        return None
-    rows = columns.frame.with_columns(pl.selectors.float().fill_nan(None)).drop_nulls(names)
-    numbers = [pl.col(n).cast(pl.Float64, strict=False) for n in names]
-    unset = [is_placeholder(number) | (number == 0) for number in numbers]
-    repeated = [pl.col(n) == pl.col(n).shift() for n in names]
-    fixes = rows.filter(~(pl.all_horizontal(unset) | pl.all_horizontal(repeated)).fill_null(value=False))
-    kept = fixes.select(compile_expression(text, fixes.columns).truth.fill_null(value=False)).to_series()
-    if not kept.any():
-        return None
-    if kept.sum() >= (1 - MAX_DROPPED) * len(fixes) or _jump(fixes.select(names), kept):
-        return ColumnExpression(text)
-    seen = (
-        f"{(~kept).sum()} of {len(fixes)} fixes are used, although the condition {text} is not true for them"
-    )
-    return ColumnExpression("", note=f'{seen}; to leave these fixes out, write --map "gps.keep={text}"')
-
-
-def _jump(places: pl.DataFrame, kept: pl.Series) -> bool:
-    """Return True if positions jump to the rows that a flag excludes, or between these rows."""
-
-    def squares(rows: pl.DataFrame) -> pl.Series:
-        east, north = (column.cast(pl.Float64, strict=False).diff().pow(2) for column in rows)
-        return east + north
-
-    usual, before, steps = squares(places.filter(kept)).quantile(0.9), kept.shift(), squares(places)
-    jump = max(median_of(steps.filter(kept != before)), median_of(steps.filter(~kept & ~before)))
-    return usual is not None and jump > MIN_JUMP_RATIO**2 * usual
-
-
-def _fix_stated(frame: pl.DataFrame) -> str:
-    """Return the condition that a row has a fix, from a column of flags in words or numbers; "" without such flags."""
-    names = read_names(frame.columns)
-    for name in names:
-        cells, column = frame[name.column], quoted_column(name.column)
-        if cells.dtype != pl.String or cells.n_unique() > MAX_WORDS:
-            continue
-        texts: list[str] = [text for text in cells.unique(maintain_order=True) if text and "'" not in text]
-        words = {text: "_".join(plain_words(text)) for text in texts}
-        none = [text for text, word in words.items() if re.fullmatch(_NO_FIX, word)]
-        if {*texts} == {"A", "V"}:  # as in RMC: active, void
-            none = ["V"]
-        elif not name.is_one(_STATUS) or not any(
-            re.fullmatch(_SURE_FIX if name.is_one(_PILOT) else _FIX, words[t]) for t in texts if t not in none
-        ):
-            continue
-        if none or (name.is_one(_FIXED) and cells.fill_null("").eq("").any()):
-            return " and ".join(f"{column} != '{text}'" for text in none or [""])
-    flag = next((n for pattern in (_FIXED, _SATELLITES) for n in names if n.is_one(pattern)), None)
-    kinds = sorted({*column_numbers(frame[flag.column])}) if flag else []
-    if flag is None or not kinds:
-        return ""
-    none = (
-        1 if kinds[-1] == 3 and flag.is_one(_DIMENSIONS) else kinds[0] if kinds[0] in (-1, 0) else -math.inf
-    )
-    return f"{quoted_column(flag.column)} > {none:g}" if kinds[0] <= none < kinds[-1] else ""
+            yield what, Conversion(f"sqrt({quoted_column(found[0])})")
 
 
 def _downward(imu: Columns) -> str:
@@ -519,3 +384,12 @@ def points_down(column: str) -> str:
         f"{column} is negative, so the z axis points down. If x points forward and y to the right, add --mount "
         f"{Z_DOWN}, and check the result with `sigmaswarm doctor`"
     )
+
+
+def magnetometer_part(table: str, columns: Sequence[str]) -> Part:
+    """Find the axes by their names in a table of a magnetometer; the part is empty if there are none."""
+    for pattern in _MAGNETIC_AXES:
+        found = {m[1]: column for column in reversed(columns) if (m := re.fullmatch(pattern, column.lower()))}
+        if {"x", "y"} <= found.keys():
+            return Part(table, {f"m{axis}": quoted_column(found[axis]) for axis in "xyz" if axis in found})
+    return Part(table, {})

@@ -1,6 +1,5 @@
 """Compute a magnetometer's heading at the times of the fixes, calibrated with the course of the same drive."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -21,8 +20,6 @@ from sigmaswarm.importing.joining import join
 from sigmaswarm.importing.mounting import parse_mount
 from sigmaswarm.importing.positions import Say, Values
 from sigmaswarm.importing.recipe import Recipe
-from sigmaswarm.importing.source import Part
-from sigmaswarm.importing.table_columns import quoted_column
 
 MIN_HEADING_RANGE = 180  # deg, part of the circle that the headings must cover to determine the hard iron
 BIN = 10  # deg, width of a bin of headings
@@ -40,12 +37,6 @@ MAX_GAP = 1.0  # s, longest interval between samples that is interpolated
 _UNLIKE = (
     "mag: the rotation of the field differs from that of the vehicle (course, gyro); map other columns, or omit the "
     "magnetometer"
-)
-# Patterns of axis names in lower case, the most common first
-_AXES = (
-    r"(?:.*[\W_])?mag(?:netic[\W_]?field|[a-z]*)\d*[\W_]*([xyz])(?:[\W_].*)?",
-    r"[mb][\W_]?([xyz])",
-    r"([xyz])",
 )
 
 
@@ -75,15 +66,6 @@ class Calibration:
         return float(np.arctan2(sin, cos))
 
 
-def part_of(table: str, columns: Sequence[str]) -> Part:
-    """Find the axes by their names in a table that the user chose; the part is empty if there are none."""
-    for pattern in _AXES:
-        found = {m[1]: column for column in reversed(columns) if (m := re.fullmatch(pattern, column.lower()))}
-        if {"x", "y"} <= found.keys():
-            return Part(table, {f"m{axis}": quoted_column(found[axis]) for axis in "xyz" if axis in found})
-    return Part(table, {})
-
-
 def with_magnetometer(
     drive: Drive, parts: Sequence[PartColumns], recipe: Recipe, say: Say, recording: int | None
 ) -> Drive:
@@ -91,9 +73,9 @@ def with_magnetometer(
         raise InputError(
             'mag: the fixes already have a heading; leave it out with --map "gps.heading=", or omit the magnetometer'
         )
-    stamps, values = join(parts, "mag", ("mx", "my"), say, recording)
+    samples = join(parts, "mag", ("mx", "my"), say, recording)
     zero = int(drive.metadata.get("time_origin_s", 0))
-    time, field = (stamps - zero * SECOND) / SECOND, _in_vehicle(values, recipe.mount)
+    time, field = (samples.time - zero * SECOND) / SECOND, _in_vehicle(samples.values, recipe.mount)
     evidence = gather_evidence(drive)
     late = evidence.clock.delay if abs(evidence.clock.delay) > evidence.clock.least else 0.0
     reference, moving = _reference(evidence, time, late)

@@ -1,21 +1,29 @@
-"""Rotate an IMU from the axes of the sensor to those of the vehicle: x forward, y left, z up."""
+"""Mounting of the IMU: its rotation to the axes of the vehicle, x forward, y left, z up, stated or estimated."""
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+import polars as pl
 
 from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.checks.mounting import OR_BACKWARD, check_mounting
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.mounting import rotate_imu
+from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.mounting import with_rotation
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import roll_pitch_yaw, rotation_of
+from sigmaswarm.importing.expressions import compile_expression, with_row_numbers
+from sigmaswarm.importing.recipe import Recipe
+from sigmaswarm.importing.table_columns import AXES, column_numbers, median_of
 
 AUTO = "auto"
+MIN_TILT = math.radians(20.0)  # rad, smallest reported tilt; larger than the slopes of roads
+MAX_DEVIATION = 0.3  # largest relative deviation of the median specific force from gravity
 _AXES = "xyz"
 
 
@@ -108,7 +116,7 @@ def _from_axes(text: str, parts: list[str]) -> Array:
 def rotate(imu: dict[str, Array], rotation: Array) -> dict[str, Array]:
     """Rotate the columns of an IMU, (n,) each, into the axes of the vehicle."""
     turned = dict(imu)
-    for sensor, names in (("accelerometer", ("ax", "ay", "az")), ("gyro", ("gx", "gy", "gz"))):
+    for sensor, names in (("accelerometer", AXES[:3]), ("gyro", AXES[3:])):
         for row, name in enumerate(names):
             used = [names[k] for k in range(3) if rotation[row, k]]
             if lost := [n for n in used if n not in imu]:
@@ -121,3 +129,44 @@ def rotate(imu: dict[str, Array], rotation: Array) -> dict[str, Array]:
                 continue
             turned[name] = np.sum([rotation[row, names.index(n)] * imu[n] for n in used], axis=0)
     return turned
+
+
+def tilted_mount(recipe: Recipe, rows: Mapping[str, pl.DataFrame], *, downward: bool) -> tuple[str, str]:
+    """Return "auto" and a note if the specific force in the first rows is clearly not along +z; otherwise "" and "".
+
+    ``downward``: True if another note reports that the z axis points down.
+    """
+    force = _median_force(recipe, rows)
+    size = math.hypot(*force)
+    if recipe.mount or not abs(size / GRAVITY - 1) < MAX_DEVIATION:
+        return "", ""
+    tilt = math.acos(max(min(force[2] / size, 1.0), -1.0))
+    if tilt < MIN_TILT or (downward and tilt > math.pi - MIN_TILT):
+        return "", ""
+    values = ", ".join(f"{name} {value:.3g}" for name, value in zip(AXES[:3], force, strict=True))
+    note = (
+        f"the specific force points {math.degrees(tilt):.0f} deg away from +z, so the IMU is rotated relative to the "
+        f"vehicle (medians of the first rows: {values} m/s2); --mount {AUTO} estimates the rotation from the log"
+    )
+    return AUTO, note
+
+
+def _median_force(recipe: Recipe, rows: Mapping[str, pl.DataFrame]) -> tuple[float, float, float]:
+    """Return the median specific force, m/s2, of an IMU with six axes; NaN if an axis is missing."""
+    found = dict.fromkeys(AXES, math.nan)
+    for part in recipe.roles.get("imu", ()):
+        frame = rows.get(part.table, pl.DataFrame())
+        for name in found.keys() & part.columns.keys():
+            found[name] = _median(part.columns[name], frame)
+    ax, ay, az, *rates = found.values()
+    return (ax, ay, az) if np.isfinite(rates).all() else (math.nan, math.nan, math.nan)
+
+
+def _median(text: str, frame: pl.DataFrame) -> float:
+    numbered = with_row_numbers(frame)
+    try:
+        values = numbered.select(compile_expression(text, numbered.columns).polars.alias("value"))["value"]
+    except (InputError, pl.exceptions.PolarsError):
+        return math.nan
+    numbers = column_numbers(values.drop_nulls()).drop_nulls()
+    return median_of(numbers) if len(numbers) else math.nan

@@ -1,4 +1,4 @@
-"""Settings of an import; open the logs and guess or choose the tables of each role."""
+"""Settings of an import; open the logs, and guess or choose the tables of each role."""
 
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -9,18 +9,9 @@ from typing import Any
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.formats import open_log
-from sigmaswarm.importing.guess import guess_roles
-from sigmaswarm.importing.magnetometer import part_of
-from sigmaswarm.importing.recipe import Recipe, mapped_roles
-from sigmaswarm.importing.source import (
-    ROLES,
-    Guess,
-    Limits,
-    Log,
-    Part,
-    Role,
-    TableChoice,
-)
+from sigmaswarm.importing.guess import guess_roles, magnetometer_part
+from sigmaswarm.importing.recipe import Recipe, mapped_columns, mapped_roles
+from sigmaswarm.importing.source import ROLES, Guess, Limits, Log, Part, Role, TableChoice
 from sigmaswarm.wording import list_names
 
 
@@ -51,7 +42,38 @@ class Request:
         return other if role not in ("imu", "mag") and other else self.source
 
 
-Guesses = Mapping[Path, Guess]
+@dataclass(frozen=True)
+class Plan:
+    """The open logs of a request, the guess of each, and the recipe with which they become a drive."""
+
+    request: Request
+    logs: Mapping[Path, Log]
+    guesses: Mapping[Path, Guess]
+    recipe: Recipe
+
+    def parts(self, role: Role) -> tuple[Part, ...]:
+        return self.recipe.roles.get(role, ())
+
+    @property
+    def imu_time(self) -> str:
+        """The expression of the IMU's time; "" if the recipe has none."""
+        return self.parts("imu")[0].columns.get("t", "")
+
+    def log(self, role: Role) -> Log:
+        return self.logs[self.request.home(role)]
+
+    def guess(self, role: Role) -> Guess:
+        """Return the guess of the log that contains a role."""
+        return self.guesses[self.request.home(role)]
+
+    def with_roles(self, roles: Mapping[Role, tuple[Part, ...]]) -> "Plan":
+        return replace(self, recipe=replace(self.recipe, roles=roles))
+
+    def is_stated(self, role: Role, column: str) -> bool:
+        """Return True if the user specified a column."""
+        request = self.request
+        timed = column == "t" and request.time is not None and request.home(role) == request.source
+        return (role, column) in mapped_columns(request.maps) or timed or role in request.recipe.roles
 
 
 def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
@@ -77,14 +99,16 @@ def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
 
 
 @contextmanager
-def opened(request: Request) -> Generator[tuple[dict[Path, Log], dict[Path, Guess]]]:
+def opened(request: Request) -> Generator[Plan]:
+    """Open the logs of a request; the recipe is still that of the request."""
     with ExitStack() as stack:
         logs: dict[Path, Log] = {}
         for path in dict.fromkeys(map(request.home, ROLES)):
             form = request.form if path == request.source else None
             log = open_log(path, form, request.limits, request.definitions)
             logs[path] = stack.enter_context(log)
-        yield logs, {path: _guess(log, request) for path, log in logs.items()}
+        guesses = {path: _guess(log, request) for path, log in logs.items()}
+        yield Plan(request, logs, guesses, request.recipe)
 
 
 def _guess(log: Log, request: Request) -> Guess:
@@ -106,7 +130,7 @@ def _guess(log: Log, request: Request) -> Guess:
             guess = _with_chosen(guess, log, role, tables[role])
     if chosen is None:
         return guess
-    part = part_of(chosen, log.tables[chosen].columns if chosen in log.tables else ())
+    part = magnetometer_part(chosen, log.tables[chosen].columns if chosen in log.tables else ())
     return replace(guess, roles={**guess.roles, "mag": (part,)})
 
 
@@ -119,8 +143,7 @@ def _with_chosen(guess: Guess, log: Log, role: Role, table: str) -> Guess:
         raise InputError(
             f"{log.path}: has no table {table!r} for --{role}-table; choose from {list_names(log.tables)}"
         )
-    _, rows, _ = next(iter(log.batches({table: log.tables[table].columns})))
-    other = guess_roles({table: rows}, {role: table})
+    other = guess_roles({table: log.first_rows(table)}, {role: table})
     if len(columns := other.roles.get(role, (Part(table, {}),))[0].columns) < 2:
         raise InputError(
             f"{log.path}: {table} has no columns with recognized names for --{role}-table; name them with --map"

@@ -1,152 +1,27 @@
-"""Propose mappings for unrecognized columns by their names, and check them with the doctor.
+"""Propose mappings for unrecognized columns by their names, values and units.
 
-Names do not state signs and units reliably, so a proposal is shown but never applied. The doctor's findings on the
-resulting drive correct signs, axes and units of the expressions.
+None of these states signs and units reliably, so a proposal is shown but never applied.
 """
 
 import math
-import re
 import shlex
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
-import numpy as np
+import polars as pl
 
-from sigmaswarm.doctor.diagnose import diagnose
-from sigmaswarm.doctor.findings import Diagnosis
-from sigmaswarm.doctor.repairs import ACTIONS
-from sigmaswarm.drives.drive import Drive, Imu
-from sigmaswarm.drives.split import clip
-from sigmaswarm.drives.table_files import MAX_VALUE
-from sigmaswarm.errors import InputError, SigmaswarmError
-from sigmaswarm.importing.names import plain_words, read_name, unit_of
-from sigmaswarm.importing.positions import RADIUS_68
-from sigmaswarm.importing.quantities import gravity_columns
-from sigmaswarm.importing.rates import unit_of_rates
-from sigmaswarm.importing.source import Part, Role
-from sigmaswarm.importing.table_columns import AXES, quoted_column
-from sigmaswarm.importing.units import in_si
+from sigmaswarm.importing.completion import Beginnings
+from sigmaswarm.importing.expressions import compile_expression, is_valid_expression
+from sigmaswarm.importing.opening import Plan
+from sigmaswarm.importing.quantities import RATE, in_units, increments
+from sigmaswarm.importing.source import Log, Role, texts_of
+from sigmaswarm.importing.table_columns import column_numbers
+from sigmaswarm.importing.times import rising_time, sample_rate, span_of_table, time_of_rows
+from sigmaswarm.importing.unnamed import columns_by_units, columns_by_values
+from sigmaswarm.importing.word_meanings import propose_columns
 
-# Words for directions, with their signs in the axes x forward, y left, z up
-FORWARD = {
-    **dict.fromkeys(("fwd", "forward", "forwards", "front", "longitudinal", "long", "lon", "inline", "x"), 1),
-    **dict.fromkeys(("backward", "rear"), -1),
-}
-LEFT = {**dict.fromkeys(("left", "lateral", "lat", "port", "y"), 1), "right": -1, "starboard": -1}
-UP = {**dict.fromkeys(("up", "upward", "vertical", "vert", "z"), 1), "down": -1, "downward": -1}
-CLOCKWISE = {"ccw": 1, "anticlockwise": 1, "counterclockwise": 1, "cw": -1, "clockwise": -1}
-TURNING = (
-    ("gz", {**UP, "yaw": 1, "yawrate": 1, "turn": 1}),
-    ("gx", {**FORWARD, "roll": 1, "rollrate": 1}),
-    ("gy", {**LEFT, "pitch": 1, "pitchrate": 1}),
-)
-MOVING = (("ax", FORWARD), ("ay", LEFT), ("az", UP))
-FORCE = {"a", "gforce", "acc", "accl", "accel", "acceleration", "accelerometer", "force"}
-RATE = {
-    *("gyro", "gyr", "gyroscope", "omega", "w", "pqr", "rate", "angular", "rot", "rotation", "angvel"),
-    *("yawrate", "rollrate", "pitchrate", "yaw", "turn"),
-}
-# Words in the names of angles, and of accelerations without gravity
-ANGLES, FREE = {"attitude", "euler", "orientation", "angle", "angles"}, {"user", "linear", "lin", "free"}
-_ESTIMATES = {
-    "est",
-    "estimate",
-    "estimated",
-    "kf",
-    "ekf",
-    "ukf",
-    "filter",
-    "filtered",
-    "fused",
-    "pred",
-    "cmd",
-}
-_VERSIONS = {"raw", "filt", "lp", "calib", "cal", "corr", "corrected"}  # last words that do not change a name
-_GLUED = r"\b(long|lat|vert|fwd|inline)(acc[a-z]*)"
-_ATTITUDE = {"roll", "pitch", "yaw"}
-ACCURACY = {"hacc", "accuracy", "eph", "sigma", "std", "stdev"}
-# Words in the names of positions in which "long" is the longitude
-PLACE = {"long", "gps", "gnss", "ins", "pos", "position"}
-# Words in the names of accuracies that are not those of the position
-NO_PLACE = {
-    *RATE,
-    *(FORCE - {"a", "acc"}),
-    *("v", "vertical", "altitude", "alt", "height", "speed", "vel", "velocity", "time"),
-    *("heading", "bearing", "course", "roll", "pitch"),
-}
-_AXIS = r"\W*[xyzXYZ012]\W*(?:[(\[].*)?$"  # axis and unit at the end of a name
-# Actions of repairs that can be written as expressions, in the order of application
-CORRECTED = ("rotate", "gyro", "tilt-rates", "accelerometer")
-# Largest difference from integers of the elements of a rotation that counts as a signed permutation of the axes
-EXCHANGE_TOLERANCE = 0.2
-# Warnings of contradictory signs, axes or units
-CONTRADICTIONS = {"gyro-unit", "gyro-tilt", "accelerometer-unit", "accelerometer-up", "gravity-size"}
-UNKNOWN_UNITS = {"gyro-unit", "accelerometer-unit"}
-CHECKED_TIME = 900.0  # s, the longest part of a drive that is checked
-
-
-@dataclass(frozen=True)
-class Meaning:
-    role: Role
-    column: str
-    expression: str
-    # True if a column of angles or of accelerations without gravity may have this name
-    weak: bool = field(default=False, compare=False)
-
-
-def meaning_of(name: str) -> Meaning | None:
-    """Interpret the name of a column word by word; None if it means no column of a drive."""
-    bracketed = re.fullmatch(r"(.+?)\s*[\[(][^\[\]()]*[\])]\s*", name)  # a name and its unit
-    unit = read_name(name).unit if bracketed else None
-    unit = unit if unit and unit.known else None
-    text = bracketed[1] if bracketed and unit else name
-    text = re.sub(r"\[([012])\]$", lambda m: f" {'xyz'[int(m[1])]}", text)
-    split = re.sub(r"^([XYZ])(?=GYRO|ACC)|(?<=[a-z])(?=[A-Z])", r"\1_", text)
-    words = re.findall(r"[a-z]+|\d+", " ".join(plain_words(split)))
-    sign = math.prod(CLOCKWISE[w] for w in words if w in CLOCKWISE)
-    turns = not CLOCKWISE.keys().isdisjoint(words)
-    words = [w for w in words if w not in CLOCKWISE]
-    column_text = quoted_column(name)
-    for count in () if unit else (3, 2, 1):
-        if len(words) > count and words[-1] != "turn" and (found := unit_of(words[-count:])) and found.known:
-            words, unit = words[:-count], found
-            break
-    alone = len(words) < 2  # the import itself recognizes ax
-    while len(words) > 1 and words[-1] in _VERSIONS:
-        words = words[:-1]
-    words = re.sub(_GLUED, r"\1 \2", " ".join(words)).split()  # longacc
-    if not alone and re.fullmatch("[agw][xyz]", words[-1]) and _ESTIMATES.isdisjoint(words):  # bosch_ax
-        words = [*words[:-1], "acc" if words[-1][0] == "a" else "gyro", words[-1][1]]
-    if unit and unit.dimension in ("rate", "acceleration", "length", "angle"):
-        column_text = in_si(unit, column_text)
-    rest = set(words)
-    if not rest & FORCE and (unit is None or unit.dimension == "angle"):
-        if rest & {"lat", "latitude", "breite"}:
-            return Meaning("gps", "lat", quoted_column(name))
-        long = "long" in rest and (unit or {*filter(str.isalpha, rest)} <= PLACE)
-        if rest & {"lon", "lng", "longitude", "lange", "laenge"} or long:
-            return Meaning("gps", "lon", quoted_column(name))
-    horizontal = rest & {"h", "horizontal", "pos", "position"} and rest & {"acc", "accuracy"}
-    length = unit is None or unit.dimension == "length"
-    if (rest & ACCURACY or horizontal) and length and not rest & NO_PLACE:
-        # phones report the radius of a 68% circle as accuracy; receivers report hAcc or eph, for both axes together
-        return Meaning("gps", "std_x", f"{column_text}/{RADIUS_68 if 'accuracy' in rest else 'sqrt(2)'}")
-    rates = RATE | ({"roll", "pitch"} if unit and unit.dimension == "rate" else set())
-    if rest & ACCURACY or not rest & (rates | FORCE) or "gps" in rest:
-        return None
-    angle = not rest & (FORCE | RATE - {"yaw", "turn"})  # the name may be that of an angle
-    dimensions = ("acceleration",) if rest & FORCE else ("rate",) if angle else ("rate", "angle")
-    if (unit and unit.dimension not in dimensions) or (angle and rest & ANGLES):
-        return None
-    for column, directions in MOVING if rest & FORCE else TURNING:
-        if signs := [directions[w] for w in words if w in directions]:
-            sign = math.prod(signs) * (1 if rest & FORCE else sign)
-            weak = angle or not rest.isdisjoint(FREE)
-            return Meaning("imu", column, column_text if sign > 0 else f"-{column_text}", weak)
-    if rest & FORCE or not turns:
-        return None
-    return Meaning("imu", "gz", column_text if sign > 0 else f"-{column_text}")
+IMU_RATES = (10, 20, 25, 40, 50, 100, 104, 125, 200, 208, 250, 400, 416, 500, 800, 1000)  # Hz, usual rates
+MAX_LONGER = 0.03  # largest relative difference between the durations of IMU and fixes
 
 
 @dataclass(frozen=True)
@@ -177,167 +52,123 @@ class Proposal:
         return " ".join([*tables, "--map", *map(shlex.quote, self.maps)])
 
 
-def propose_columns(
-    tables: Mapping[str, Sequence[str]], wanted: Role, known: Mapping[str, str]
-) -> tuple[str, dict[str, str]] | None:
-    """Return the table with the most columns of a role that are not ``known``, and these columns as expressions.
+@dataclass(frozen=True)
+class _Sensor:
+    """The table of a role, with its known columns and the proposed ones, as expressions."""
 
-    ``tables``: names of columns by table.
-    """
-    best: tuple[str, dict[str, str]] | None = None
-    for table, names in tables.items():
-        read = ((re.sub(_AXIS, "", name), meaning_of(name)) for name in names)
-        meant = [(stem, m) for stem, m in read if m and m.role == wanted and m.column not in known]
-        if {read_name(name).plain for name in names} >= _ATTITUDE:  # three angles, not rates
-            meant = [(stem, m) for stem, m in meant if not (m.weak and m.column in AXES[3:])]
-        alike = Counter(stem for stem, _ in meant)
-        chosen: dict[str, Meaning] = {}
-        for _, meaning in sorted(meant, key=lambda pair: (pair[1].weak, -alike[pair[0]])):
-            chosen.setdefault(meaning.column, meaning)
-        found = {column: meaning.expression for column, meaning in chosen.items()}
-        if all(m.weak for column, m in chosen.items() if column in ("ax", "ay", "az")):
-            gravity = {c: name for c, name in gravity_columns(names).items() if c in found}
-            found |= {c: f"({found[c]} + {_in_si(name)})" for c, name in gravity.items()}
-        if found and (best is None or len(found) > len(best[1])):
-            best = table, found
-    return best
+    role: Role
+    log: Log
+    table: str  # "" if it is unknown
+    rows: pl.DataFrame  # first rows of the table
+    known: Mapping[str, str]
+    proposed: Mapping[str, str]
+    key: str = ""  # a column that the expressions use, and that the role's rows therefore fill
+    chosen: bool = False  # True if the proposal chooses the table
+
+    @property
+    def columns(self) -> dict[str, str]:
+        return {**self.known, **self.proposed}
+
+    def shares_table(self, other: "_Sensor") -> bool:
+        return (self.log.path, self.table) == (other.log.path, other.table)
+
+    def with_time(self, time: str) -> "_Sensor":
+        return replace(self, proposed={"t": time, **self.proposed})
 
 
-def _in_si(name: str) -> str:
-    unit, text = read_name(name).unit, quoted_column(name)
-    return in_si(unit, text) if unit and unit.known else text
+def propose(plan: Plan, first: Beginnings) -> Proposal | None:
+    """Propose columns of IMU and fixes that the recipe lacks; None if there are none."""
+    imu, gps = (_with_columns("imu", plan, first), _with_columns("gps", plan, first))
+    imu, gps = (_with_own_time(one, (imu, gps)) if one.proposed else one for one in (imu, gps))
+    if time := _time_by_rows(imu, gps, first):
+        shared = gps.shares_table(imu) and "t" not in gps.columns
+        imu, gps = imu.with_time(time), gps.with_time(time) if shared else gps
+    found = {one.role: one.proposed for one in (imu, gps) if one.proposed}
+    return Proposal({one.role: one.table for one in (imu, gps) if one.chosen}, found) if found else None
 
 
-def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Proposal, str, bool]:
-    """Correct a proposal with the doctor's findings; return the proposal, the evidence, and True if it can be imported.
+def _with_columns(role: Role, plan: Plan, first: Beginnings) -> _Sensor:
+    """Find columns by their values or names or, if the recipe has none of the role, by increments or units."""
+    log, parts = plan.log(role), plan.parts(role)
+    there, known = first[log.path], texts_of(parts)
+    frames = {table: there[table] for table in [p.table for p in parts if p.table in there] or there}
+    names = {table: frame.columns for table, frame in frames.items()}
 
-    ``make`` makes the drive. A proposal with unknown units counts as one that cannot be imported.
-    """
+    def by(find: Callable[[pl.DataFrame], dict[str, str]]) -> tuple[str, dict[str, str]] | None:
+        found = ((table, find(frame)) for table, frame in frames.items() if not known)
+        return next((one for one in found if one[1]), None)
 
-    def made(proposal: Proposal) -> Drive:
-        return _busiest_part(make(proposal))
-
-    try:
-        drive = _plausible(made(proposal))
-        named = proposal
-        if (scaled := _with_shown_unit(proposal, drive)) != proposal:
-            proposal, drive = scaled, made(scaled)
-        first = diagnose(drive)
-        corrected = _corrected(proposal, drive, first)
-        places = proposal.columns.get("gps", {})
-        if "mirrored-fixes" in first.codes and {"lat", "lon"} <= places.keys():
-            exchanged = {**places, "lat": places["lon"], "lon": places["lat"]}
-            corrected = replace(proposal, columns={**proposal.columns, "gps": exchanged})
-        last = diagnose(made(corrected)) if corrected != proposal else first
-    except SigmaswarmError as error:
-        return (
-            proposal,
-            f"the mapping follows from the columns' names and values alone and could not be checked: {error}",
-            False,
-        )
-    if corrected != proposal and _faults(last) >= _faults(first):
-        corrected, last = proposal, first
-    column = places.get("std_x", "").partition("/")[0].strip("`")
-    stated = (unit := unit_of(plain_words(column)[-1:] or [""])) and unit.known
-    if column and not stated and "gps-noise" in last.codes:  # hAcc may be in mm
-        fixes = {name: text for name, text in corrected.columns["gps"].items() if name != "std_x"}
-        columns = {**corrected.columns, "gps": fixes}
-        corrected = replace(corrected, columns={role: texts for role, texts in columns.items() if texts})
-        last = replace(last, findings=tuple(f for f in last.findings if f.code != "gps-noise"))
-    changed = "corrected with" if corrected != named else "checked with"
-    basis = (
-        f"the mapping follows from the columns' names and values, and was {changed} the motion of the fixes"
+    proposed = (
+        by(lambda frame: columns_by_values(frame, role))
+        or propose_columns(names, role, known)
+        or by(lambda frame: increments(frame.columns) if role == "imu" else {})
+        or by(lambda frame: columns_by_units(frame, role))
     )
-    serious = [f.code for f in last.findings if f.severity == "serious"]
-    warned = [f.code for f in last.findings if f.severity == "warning" and not f.code.startswith("unseen-")]
-    if serious or CONTRADICTIONS & {*warned}:
-        left = [*serious, *warned]
-        return corrected, f"{basis}; the doctor still finds {', '.join(left)}", UNKNOWN_UNITS.isdisjoint(left)
-    unseen = sorted(code for code in last.codes if code.startswith("unseen-") and code != "unseen-clock")
-    blind = f", but this log does not show all of them ({', '.join(unseen)})" if unseen else ""
-    also = f"; the doctor also warns of {', '.join(warned)}" if warned else ""
-    return corrected, f"{basis}: signs, axes and units agree{blind}{also}", True
+    table, columns = proposed or (parts[0].table if parts else "", {})
+    rows = there.get(table, pl.DataFrame())
+    sensor = _Sensor(role, log, table, rows, known, {}, _key({**known, **columns}, rows.columns))
+    if proposed is None:
+        return sensor
+    rest = _elsewhere(names, table, {**known, **columns}) if role == "imu" and not parts else {}
+    chosen = not parts and len(there) > 1 and not rest
+    return replace(sensor, proposed=in_units(rows, role, columns) | rest, chosen=chosen)
 
 
-def _busiest_part(drive: Drive) -> Drive:
-    """Return the part of at most `CHECKED_TIME`, s, with the longest path along every tenth fix."""
-    imu = drive.imu.time
-    fixes = drive.gps.select((drive.gps.time >= imu[0]) & (drive.gps.time <= imu[-1]))
-    position, time = fixes.x + 1j * fixes.y, fixes.time
-    if drive.duration <= CHECKED_TIME or len(time) < 20:
-        return drive
-    path = np.append(0.0, np.cumsum(np.abs(np.diff(position[::10]))))
-    ends = np.interp(time[::10] + CHECKED_TIME, time[::10], path)
-    start = float(time[::10][np.argmax(ends - path)])
-    return clip(drive, start, start + CHECKED_TIME)
+def _with_own_time(sensor: _Sensor, both: Sequence[_Sensor]) -> _Sensor:
+    """Add the time of the table, and write the rate into expressions of increments."""
+    keys: dict[Role, str] = {one.role: one.key for one in both if one.shares_table(sensor) and one.key}
+    if "t" not in sensor.known and len(sensor.rows):
+        time = time_of_rows(sensor.rows, sensor.role, keys, "imu" if "imu" in keys else sensor.role)
+        sensor = sensor.with_time(time.expression) if time and time.expression else sensor
+    rate = sample_rate(sensor.rows, sensor.columns.get("t")) or 0.0
+    proposed = {name: text.replace(RATE, f"{rate:.6g}") for name, text in sensor.proposed.items()}
+    return replace(sensor, proposed=proposed)
 
 
-def _with_shown_unit(proposal: Proposal, drive: Drive) -> Proposal:
-    imu = proposal.columns.get("imu", {})
-    rates = {name: imu[name] for name in AXES[3:] if name in imu}
-    columns = {name: re.sub(r"^radians\((.+)\)$", r"\1", text) for name, text in rates.items()}
-    shown = unit_of_rates(drive, {"imu": [Part("", rates)]}, columns).expressions
-    return replace(proposal, columns={**proposal.columns, "imu": {**imu, **shown}}) if shown else proposal
+def _time_by_rows(imu: _Sensor, gps: _Sensor, first: Beginnings) -> str:
+    """Return the time of an IMU without a time: an unnamed clock, or the row number and the duration of the fixes."""
+    # columns that are mapped by hand belong to the only table
+    table, places = (one.table or _only(first[one.log.path]) for one in (imu, gps))
+    rows = first[imu.log.path].get(table, pl.DataFrame())
+    timed = "t" in imu.columns or not (table and places and {"ax", "gz"} <= imu.columns.keys())
+    if timed or time_of_rows(rows, "imu", {}, "imu") is not None:
+        return ""
+    if time := rising_time(rows, "imu"):
+        return time
+    steps = (column_numbers(values).diff().drop_nulls() for values in rows)
+    counted = any(len(of) and (of > 0).all() for of in steps)  # a counter is better than row numbers
+    return "" if counted else _time_of_fixes(imu.log, table, gps.log, places, gps.columns.get("t", ""))
 
 
-def _plausible(drive: Drive) -> Drive:
-    """Reject numbers that no sensor reports, since they would overflow the doctor's sums."""
-    for table in (drive.imu, drive.gps):
-        for name, values in vars(table).items():
-            if name != "time" and values is not None and np.abs(values).max(initial=0.0) > MAX_VALUE:
-                raise InputError(f"{name} has numbers beyond {MAX_VALUE:g}; delete the damaged rows")
-    return drive
+def _only(tables: Mapping[str, pl.DataFrame]) -> str:
+    return next(iter(tables)) if len(tables) == 1 else ""
 
 
-def _faults(diagnosis: Diagnosis) -> tuple[int, int]:
-    """Count serious findings, and findings that other expressions can correct."""
-    left = [f for f in diagnosis.findings if f.repair is not None and f.repair.action in CORRECTED]
-    return sum(f.severity == "serious" for f in diagnosis.findings), len(left)
+def _time_of_fixes(log: Log, table: str, fixes: Log, places: str, time: str) -> str:
+    """Return the IMU's time as an expression of its row number, at the usual rate with the duration of the fixes."""
+    if not time or not log.tables[table].columns:
+        return ""
+    count = sum(len(rows) for _, rows, _ in log.batches({table: log.tables[table].columns[:1]}))
+    begin, end = span_of_table(fixes, places, time)
+    if not count or not 0 < end - begin < math.inf:
+        return ""
+    rate = min(IMU_RATES, key=lambda r: abs(math.log(count / r / (end - begin))))
+    begins = f"{begin:.10g} + " if begin else ""
+    return f"{begins}row/{rate}" if abs(count / rate - (end - begin)) < MAX_LONGER * (end - begin) else ""
 
 
-def _corrected(proposal: Proposal, drive: Drive, diagnosis: Diagnosis) -> Proposal:
-    """Apply the doctor's repairs of signs, exchanged axes and factors to the expressions.
-
-    The repairs are applied to an IMU whose columns are unit vectors, which shows their effect on each column.
-    """
-    units = dict(zip(AXES, np.eye(len(AXES)), strict=True))
-    probe = replace(drive, imu=Imu(np.arange(len(AXES), dtype=np.float64), **units))
-    repairs = [f.repair for f in diagnosis.findings if f.repair is not None and f.repair.action in CORRECTED]
-    for repair in sorted(repairs, key=lambda r: CORRECTED.index(r.action)):
-        values = np.array(repair.values)
-        if repair.action == "rotate":
-            if np.abs(values - np.round(values)).max() >= EXCHANGE_TOLERANCE:
-                continue
-            values = np.round(values)
-        probe = ACTIONS[repair.action](probe, *values.tolist())
-    imu = proposal.columns.get("imu", {})
-    corrected: dict[str, str] = {}
-    for name in AXES:
-        row = np.asarray(getattr(probe.imu, name))
-        k = int(np.argmax(np.abs(row)))
-        if np.count_nonzero(row) == 1 and {name, AXES[k]} <= imu.keys():
-            corrected[name] = _times(imu[AXES[k]], float(row[k]))
-    return replace(proposal, columns={**proposal.columns, "imu": {**imu, **corrected}}) if imu else proposal
+def _key(texts: Mapping[str, str], columns: Sequence[str]) -> str:
+    for name in ("ax", "gz", "lat", "x"):
+        if name in texts and is_valid_expression(texts[name], columns):
+            return next(iter(compile_expression(texts[name], columns).columns), "")
+    return ""
 
 
-def reversed_forces(parts: Sequence[Part], make: Callable[[Proposal], Drive]) -> Proposal | None:
-    """Propose the opposite sign for the accelerations if the doctor finds this fault; otherwise return None.
-
-    Phones with iOS report accelerations with the sign of gravity, which no rotation corrects.
-    """
-    texts = {name: text for part in parts for name, text in part.columns.items() if name in AXES[:3]}
-    named = Proposal({}, {"imu": texts})
-    try:
-        codes = diagnose(_busiest_part(_plausible(make(named)))).codes
-    except SigmaswarmError:
-        return None
-    other = {name: _times(text, -1.0) for name, text in texts.items()}
-    return Proposal({}, {"imu": other}) if "accelerometer-sign" in codes else None
-
-
-def _times(expression: str, factor: float) -> str:
-    if factor < 0:
-        return _times(expression[1:] if expression.startswith("-") else f"-{expression}", -factor)
-    if math.isclose(factor, math.pi / 180, rel_tol=1e-6):
-        return f"radians({expression})"
-    return expression if factor == 1.0 else f"{expression}*{factor:.9g}"
+def _elsewhere(names: Mapping[str, Sequence[str]], table: str, known: Mapping[str, str]) -> dict[str, str]:
+    """Find missing IMU columns in another table; return {} if several tables have columns of these names."""
+    others = {other: columns for other, columns in names.items() if other != table}
+    if {"ax", "ay", "gz"} <= known.keys() or (proposed := propose_columns(others, "imu", known)) is None:
+        return {}
+    chosen, texts = proposed
+    rest = [columns for other, columns in names.items() if other != chosen]
+    return {} if any(is_valid_expression(t, columns) for t in texts.values() for columns in rest) else texts

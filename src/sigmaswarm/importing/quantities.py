@@ -18,10 +18,11 @@ from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.table_columns import (
     AXES,
     DIMENSIONS,
-    ColumnExpression,
     Columns,
+    Conversion,
     median_of,
     quoted_column,
+    refused,
     unknown_unit,
 )
 from sigmaswarm.importing.units import COUNTS, in_si, parse_unit
@@ -46,14 +47,12 @@ _GYROS = (
 )
 
 
-def quantity(columns: Columns, what: str, role: Role) -> ColumnExpression:
+def quantity(columns: Columns, what: str, role: Role) -> Conversion:
     name, text, dimension = columns.names[what], columns.text(what), DIMENSIONS[what]
     if name.unit is None and what == "alt" and columns.largest(what) > MAX_ALTITUDE:
         seen = f"{name.column} is left out, since {columns.largest(what):.6g} is not an altitude in m"
         example = map_options(columns, role, ["alt"], "{}*1e-3")
-        return ColumnExpression(
-            "", note=f"{seen}; map the column: {example} if it is in mm, *1e-2 if it is in cm"
-        )
+        return Conversion("", note=f"{seen}; map the column: {example} if it is in mm, *1e-2 if it is in cm")
     if name.unit is None:
         if dimension in ("acceleration", "rate"):
             return _without_unit(columns, what, role)
@@ -61,20 +60,18 @@ def quantity(columns: Columns, what: str, role: Role) -> ColumnExpression:
         if what == "speed" and read_name(name.column).meaning is None:  # in another language
             other = map_options(columns, role, ["speed"], "{}/3.6")
             note = f"{text} is read as m/s; if it is in km/h, write {other}"
-        return ColumnExpression(text, note)
+        return Conversion(text, note)
     if name.unit.dimension == dimension:
-        return ColumnExpression(in_si(name.unit, text))
+        return Conversion(in_si(name.unit, text))
     if name.unit.text.strip().lower() in COUNTS and dimension in ("acceleration", "rate"):
-        return ColumnExpression("", fault=_raw_counts(columns, what, role))
+        return refused(_raw_counts(columns, what, role))
     likely = ""
     if dimension == "acceleration":  # gravity shows the unit
         bare = {w: replace(n, unit=None) if n.unit == name.unit else n for w, n in columns.names.items()}
         likely = _without_unit(replace(columns, names=bare), what, role).expression
     sentence = unknown_unit(name, what, dimension, role, likely)
     return (
-        ColumnExpression("", fault=sentence)
-        if what in REQUIRED
-        else ColumnExpression("", note=f"{sentence}; this column is left out")
+        refused(sentence) if what in REQUIRED else Conversion("", note=f"{sentence}; this column is left out")
     )
 
 
@@ -104,7 +101,7 @@ def with_gravity(columns: Columns) -> dict[str, dict[str, str]]:
     return {a: {"expression": in_si(unit, text) if unit else text, "note": note} for a, text in texts.items()}
 
 
-def _without_unit(columns: Columns, what: str, role: Role) -> ColumnExpression:
+def _without_unit(columns: Columns, what: str, role: Role) -> Conversion:
     """Read accelerations as g, mg or cm/s2 if their magnitude then equals gravity, and rates above 5 as deg/s.
 
     Other values are read in SI units. Values that are too large for a car, and rates of whole numbers, are refused as
@@ -121,7 +118,7 @@ def _without_unit(columns: Columns, what: str, role: Role) -> ColumnExpression:
         # steady, like gravity; accelerations without gravity are small at rest
         steady = high <= MAX_QUARTILE_RATIO * low
         if steady and (0.9 < size < 1.12 or (0.8 < usual.get("az", 0.0) < 1.2 and size < 5.0)):
-            return ColumnExpression(
+            return Conversion(
                 f"{text}*9.80665", "accelerations are read as g, since gravity has a value of about 1"
             )
         still = math.hypot(*(median_of(columns.numbers(a)) for a in axes))  # without turns and vibration
@@ -129,30 +126,28 @@ def _without_unit(columns: Columns, what: str, role: Role) -> ColumnExpression:
         if 930 < gravity < 1050 and largest < 8000:
             return _mg_or_gal(columns, what, role, axes, gravity)
         raw = max(usual[a] for a in axes) > 30 or largest > MAX_ACCELERATION
-        return ColumnExpression("", fault=_raw_counts(columns, what, role)) if raw else ColumnExpression(text)
+        return refused(_raw_counts(columns, what, role)) if raw else Conversion(text)
     whole = all((columns.numbers(a) == columns.numbers(a).round()).all() for a in axes)
     if largest > MAX_RATE or (whole and largest > 0):
-        return ColumnExpression("", fault=_raw_counts(columns, what, role))
+        return refused(_raw_counts(columns, what, role))
     if largest > 5.0:
         option = map_options(columns, role, axes, "{}")
         note = f"angular rates are read as deg/s, since their values exceed 5; if they are in rad/s, write {option}"
-        return ColumnExpression(f"radians({text})", note)
-    return ColumnExpression(text)
+        return Conversion(f"radians({text})", note)
+    return Conversion(text)
 
 
-def _mg_or_gal(
-    columns: Columns, what: str, role: Role, axes: Sequence[str], gravity: float
-) -> ColumnExpression:
+def _mg_or_gal(columns: Columns, what: str, role: Role, axes: Sequence[str], gravity: float) -> Conversion:
     """Read accelerations as mg or cm/s2, whichever is nearer to ``gravity``; refuse them halfway between."""
     forms = {"cm/s2": "{}*1e-2", "mg": "{}*0.00980665"}
     maps = {unit: map_options(columns, role, axes, form) for unit, form in forms.items()}
     seen = f"gravity has a value of about {gravity:.4g}"
     if abs(gravity - MIDDLE_OF_MG_AND_GAL) < MAX_NEAR_MIDDLE:
         options = ", or ".join(f"{option} if they are in {unit}" for unit, option in maps.items())
-        return ColumnExpression("", fault=f"accelerations are in cm/s2 or mg, since {seen}; write {options}")
+        return refused(f"accelerations are in cm/s2 or mg, since {seen}; write {options}")
     unit, other = ("cm/s2", "mg") if gravity < MIDDLE_OF_MG_AND_GAL else ("mg", "cm/s2")
     note = f"accelerations are read as {unit}, since {seen}; if they are in {other}, write {maps[other]}"
-    return ColumnExpression(forms[unit].format(columns.text(what)), note)
+    return Conversion(forms[unit].format(columns.text(what)), note)
 
 
 def _raw_counts(columns: Columns, what: str, role: Role) -> str:
@@ -196,7 +191,7 @@ def in_units(frame: pl.DataFrame, role: Role, texts: Mapping[str, str]) -> dict[
     }
 
 
-def heading(columns: Columns, what: str, role: Role) -> ColumnExpression:
+def heading(columns: Columns, what: str, role: Role) -> Conversion:
     """Convert a direction to rad counter-clockwise from east; bearings and courses in deg are clockwise from north."""
     name, text = columns.names[what], columns.text(what)
     if name.unit is not None and name.unit.dimension != "angle":
@@ -206,11 +201,9 @@ def heading(columns: Columns, what: str, role: Role) -> ColumnExpression:
     degrees = "radians" in angle
     if what == "bearing" or (what == "course" and degrees):
         note = f"{name.column} is read as {'degrees' if degrees else 'radians'} clockwise from north"
-        return ColumnExpression(
-            f"radians(90-{text})" if angle == f"radians({text})" else f"pi/2-{angle}", note
-        )
+        return Conversion(f"radians(90-{text})" if angle == f"radians({text})" else f"pi/2-{angle}", note)
     assumed = what == "theta" and name.unit is None and degrees
-    return ColumnExpression(angle, f"{name.column} is read as degrees" if assumed else "")
+    return Conversion(angle, f"{name.column} is read as degrees" if assumed else "")
 
 
 RATE = "SAMPLES_PER_S"  # stands for the rate, Hz, in the expressions

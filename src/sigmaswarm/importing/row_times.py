@@ -8,7 +8,8 @@ import polars as pl
 from sigmaswarm.arrays import Array
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.sensors import white_noise
-from sigmaswarm.importing.gather import ROW, PartColumns
+from sigmaswarm.importing.expressions import ROW
+from sigmaswarm.importing.gather import PartColumns
 from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.table_columns import column_numbers, quoted_column
 from sigmaswarm.wording import count_of, printable

@@ -18,6 +18,7 @@ from sigmaswarm.wording import list_names, printable, quoted
 Role = Literal["imu", "gps", "truth", "odometer", "mag"]
 ROLES: tuple[Role, ...] = ("imu", "gps", "truth", "odometer", "mag")
 CHUNK = 5000  # rows of a batch
+SAMPLE_ROWS = 2000  # number of first rows from which units are guessed, if rows are decoded one by one
 FILES = "columns"
 ImportProgress = Callable[[float], None]  # receives the fraction of the log that has been read, 0 to 1
 Wanted = Mapping[str, Collection[str]]
@@ -75,6 +76,11 @@ class Part:
 
     table: str
     columns: Mapping[str, str]
+
+
+def texts_of(parts: Iterable[Part]) -> dict[str, str]:
+    """Return the expressions of parts, by column of the drive."""
+    return {name: text for part in parts for name, text in part.columns.items()}
 
 
 @dataclass(frozen=True)
@@ -143,12 +149,10 @@ class Guess:
 
         ``read`` receives role, column and guessed expression, and returns True for a column that is read in this way.
         """
-        guessed = {
-            (r, n): text for r, parts in self.roles.items() for p in parts for n, text in p.columns.items()
-        }
+        guessed = {role: texts_of(parts) for role, parts in self.roles.items()}
         for note in self.notes:
             about = self.about.get(note, ())
-            if not about or any(read(*one, guessed.get(one, "")) for one in about):
+            if not about or any(read(r, n, guessed.get(r, {}).get(n, "")) for r, n in about):
                 yield note
 
 
@@ -172,6 +176,11 @@ class Log:
 
     def guessed(self, guess: Guess) -> "Log":
         return Log(self.path, self.tables, self.batches, lambda _: guess, self.remarks, self.mixed)
+
+    def first_rows(self, table: str) -> pl.DataFrame:
+        """Return the first batch of a table with all columns; an empty frame if the table has no rows."""
+        batches = self.batches({table: self.tables[table].columns})
+        return next((rows for _, rows, _ in batches if len(rows)), pl.DataFrame())
 
 
 def log_of_frames(

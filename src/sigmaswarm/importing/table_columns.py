@@ -15,13 +15,17 @@ from sigmaswarm.wording import quoted
 
 
 @dataclass(frozen=True)
-class ColumnExpression:
-    """Expression of a time, or of another column of a drive."""
+class Conversion:
+    """Expression of a column of a drive, with the assumption that it makes, or the reason not to use it."""
 
     expression: str
     note: str = ""  # an assumption
     fault: str = ""  # reason not to use the expression
     ticks: str = ""  # text of a counter whose unit is guessed from its steps
+
+
+def refused(fault: str, ticks: str = "") -> Conversion:
+    return Conversion("", fault=fault, ticks=ticks)
 
 
 def scaled_column(text: str) -> tuple[str, float] | None:

@@ -15,10 +15,11 @@ from sigmaswarm.importing.dates import (
 from sigmaswarm.importing.names import Name
 from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.table_columns import (
-    ColumnExpression,
+    Conversion,
     column_numbers,
     median_of,
     quoted_column,
+    refused,
     scaled_column,
     unknown_unit,
 )
@@ -95,19 +96,17 @@ def has_words(values: pl.Series) -> bool:
     )
 
 
-def column_time(name: Name, frame: pl.DataFrame, role: Role) -> ColumnExpression:
+def column_time(name: Name, frame: pl.DataFrame, role: Role) -> Conversion:
     """Read the time in one column: dates in text, or numbers, by the unit in the name or by their size and steps."""
     values, text = frame[name.column], quoted_column(name.column)
     if has_words(values):
         return date_time([name.column], frame)
     if values.dtype.is_temporal():
-        return ColumnExpression(text)
+        return Conversion(text)
     if name.is_one("sample_?time_?fine"):
         if step_of(values) * 1e-4 > SLOWEST_IMU:
-            return ColumnExpression(f"{text}*1e-6", f"{name.column} is read as us, as in logs of Movella DOT")
-        return ColumnExpression(
-            f"{text}*1e-4", f"{name.column} is read as ticks of 0.1 ms, as in logs of Xsens"
-        )
+            return Conversion(f"{text}*1e-6", f"{name.column} is read as us, as in logs of Movella DOT")
+        return Conversion(f"{text}*1e-4", f"{name.column} is read as ticks of 0.1 ms, as in logs of Xsens")
     if values.dtype.is_integer() and median_of(values) > 19e12:  # perhaps the digits of a date
         digits = date_time([name.column], frame.select(pl.col(name.column).cast(pl.String)))
         if not digits.fault:
@@ -115,11 +114,11 @@ def column_time(name: Name, frame: pl.DataFrame, role: Role) -> ColumnExpression
     if name.unit is None:
         return time_of_numbers(values, text, role)
     if name.unit.dimension == "time":
-        return ColumnExpression(in_si(name.unit, text))
-    return ColumnExpression("", fault=unknown_unit(name, "t", "time", role))
+        return Conversion(in_si(name.unit, text))
+    return refused(unknown_unit(name, "t", "time", role))
 
 
-def date_time(columns: Sequence[str], frame: pl.DataFrame) -> ColumnExpression:
+def date_time(columns: Sequence[str], frame: pl.DataFrame) -> Conversion:
     """Read dates in text by the format that fits most of them; refuse texts that fit two formats, or no format well."""
     texts = frame.select(as_text(columns).alias("date"))["date"].drop_nulls()
     texts = texts.filter(texts.str.contains(r"\d")).unique(maintain_order=True)  # a placeholder counts once
@@ -134,13 +133,13 @@ def date_time(columns: Sequence[str], frame: pl.DataFrame) -> ColumnExpression:
     if len(columns) == 1 and most < MIN_FITTING_SHARE * len(texts):
         durations = texts.to_frame("date").select(parse_durations(pl.col("date"))).to_series().count()
         if durations >= MIN_FITTING_SHARE * len(texts):
-            return ColumnExpression(f"duration({called})", "times are read as durations")
+            return Conversion(f"duration({called})", "times are read as durations")
     if not fitting:
         message = f"{quoted(texts[0])} is not a date of a known format" if len(texts) else "contains no dates"
         option = (
             f"--time \"utc({called}, '%d.%m.%Y %H:%M:%S%.f')\" with its format, or write the times as numbers"
         )
-        return ColumnExpression("", fault=f"column {quoted(columns[0])}: {message}; write {option}")
+        return refused(f"column {quoted(columns[0])}: {message}; write {option}")
     form = fitting[0]
     if most < MIN_FITTING_SHARE * len(texts):
         left = texts.to_frame("date").filter(_date_in(form).is_null()).item(0, 0)
@@ -149,18 +148,14 @@ def date_time(columns: Sequence[str], frame: pl.DataFrame) -> ColumnExpression:
             f"column {quoted(columns[0])}: {quoted(left)} has a format different from that of {most} of "
             f"{len(texts)} texts"
         )
-        return ColumnExpression(
-            "", fault=f'{message}; correct rows like this, or leave them out with --time "{whole}"'
-        )
+        return refused(f'{message}; correct rows like this, or leave them out with --time "{whole}"')
     orders = [(word, f) for word in ("day", "month", "year") for f in fitting if f.startswith(f"%{word[0]}/")]
     if len(orders) > 1:
         options = (f"--time \"utc({called}, '{f}')\" if the {word} comes first" for word, f in orders)
         message = f"{printable(texts[0])} may be two different days"
-        return ColumnExpression(
-            "", fault=f"column {quoted(columns[0])}: {message}; write {' or '.join(options)}"
-        )
+        return refused(f"column {quoted(columns[0])}: {message}; write {' or '.join(options)}")
     note = "" if not form or "%d" in form else f"{called}: the times of day have no date"
-    return ColumnExpression(f"utc({called}, '{form}')" if form else f"utc({called})", note)
+    return Conversion(f"utc({called}, '{form}')" if form else f"utc({called})", note)
 
 
 def _fitting_counts(texts: pl.Series, forms: Iterable[str]) -> dict[str, int]:
@@ -175,14 +170,14 @@ def _date_in(form: str) -> pl.Expr:
     return parse_dates(dates if form else pl.when(dates.str.contains(r"^\d{4}-\d")).then(dates), form)
 
 
-def time_of_numbers(values: pl.Series, text: str, role: Role) -> ColumnExpression:
+def time_of_numbers(values: pl.Series, text: str, role: Role) -> Conversion:
     """Read numbers without a unit: by their size if they count from a known epoch, otherwise by plausible steps."""
     numbers = column_numbers(values)
     size, step = median_of(numbers.abs()), step_of(values)
     column = text.strip("`")
     for begin, end, epoch, scale, what in _EPOCHS:
         if begin < size < end and MIN_STEP < step * scale < 4 * MAX_STEP[role]:
-            return ColumnExpression(f"({text} - {epoch})*{scale:g}", f"{column} is read as {what}")
+            return Conversion(f"({text} - {epoch})*{scale:g}", f"{column} is read as {what}")
     dated = [unit for unit, scale in COUNTER_UNITS.items() if _DATES_S[0] < size * scale < _DATES_S[1]]
     dated = [unit for unit in dated if unit != "s" or step == 0 or step < MAX_STEP[role]]
     if not dated and 0 < step < (FASTEST_IMU if role == "imu" else MIN_STEP / 2):
@@ -193,8 +188,8 @@ def time_of_numbers(values: pl.Series, text: str, role: Role) -> ColumnExpressio
         rates = ", ".join(f'"{text}*1e-{k}" for {10**k / step:.4g} Hz' for k in (3, 2))
         what = f"column {quoted(column)} increases by {step:g} per row"
         message = f"{what}, so it may count ms, hundredths of a second, or rows"
-        return ColumnExpression(
-            "", fault=f'{message}; specify the unit with --time: {rates}, or "{text}/100" for 100 rows per s'
+        return refused(
+            f'{message}; specify the unit with --time: {rates}, or "{text}/100" for 100 rows per s'
         )
     if role == "imu" and not dated and unit != "s" and step * COUNTER_UNITS[unit] > SLOWEST_IMU:
         rates = ", ".join(
@@ -202,25 +197,24 @@ def time_of_numbers(values: pl.Series, text: str, role: Role) -> ColumnExpressio
             for u in ("ms", "us")
         )
         message = f"column {quoted(column)}: steps of {step:g} {UNKNOWN_TICK}"
-        return ColumnExpression(
-            "",
-            fault=f'{message}; specify the unit with --time: {rates}, "{text}*1e-4" for ticks of 0.1 ms, or the '
+        return refused(
+            f'{message}; specify the unit with --time: {rates}, "{text}*1e-4" for ticks of 0.1 ms, or the '
             f'rate of the counter, for example "{text}/32768" for 32,768 ticks per s',
             ticks=text,
         )
     if unit == "s":
-        return ColumnExpression(text)
+        return Conversion(text)
     note, ticks = f"the times in {column} are read as {unit}", "" if dated else text
-    return ColumnExpression(scaled(text, UNITS[unit]), note, ticks=ticks)
+    return Conversion(scaled(text, UNITS[unit]), note, ticks=ticks)
 
 
-def _too_short(numbers: pl.Series, text: str, column: str, step: float, role: Role) -> ColumnExpression:
+def _too_short(numbers: pl.Series, text: str, column: str, step: float, role: Role) -> Conversion:
     """Read numbers as fractions of a day, or refuse them, since their steps are too short for seconds."""
     if MIN_STEP < step * 86400 < 4 * MAX_STEP[role] and numbers.is_between(1e-3, 1).all():
-        return ColumnExpression(f"{text}*86400", f"{column} is read as days (fractions of a day)")
+        return Conversion(f"{text}*86400", f"{column} is read as days (fractions of a day)")
     message = f'--time "{text}*86400" for days, *3600 for hours, *60 for minutes, *1 for seconds'
     seen = f"column {quoted(column)}: steps of {step:.2g} are too short for seconds"
-    return ColumnExpression("", fault=f"{seen}; specify the unit: {message}")
+    return refused(f"{seen}; specify the unit: {message}")
 
 
 def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:

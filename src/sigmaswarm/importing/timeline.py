@@ -20,13 +20,8 @@ BITS = (16, 24, 31, 32)  # lengths of counters, bits
 DECIMAL_PERIODS = tuple(10**k * SECOND for k in range(7))
 # Periods after which counters wrap, ns
 WRAPS: tuple[tuple[int, str], ...] = (
-    (2**32 * 1000, "a counter of 2^32 microseconds"),
-    (2**32 * 1_000_000, "a counter of 2^32 milliseconds"),
-    (2**31 * 1000, "a counter of 2^31 microseconds"),
-    (2**31 * 1_000_000, "a counter of 2^31 milliseconds"),
-    (2**24 * 1000, "a counter of 2^24 microseconds"),
-    (2**24 * 1_000_000, "a counter of 2^24 milliseconds"),
-    (2**16 * 1_000_000, "a counter of 2^16 milliseconds"),
+    *((2**bits * 1000, f"a counter of 2^{bits} microseconds") for bits in (24, 31, 32)),
+    *((2**bits * 1_000_000, f"a counter of 2^{bits} milliseconds") for bits in BITS),
     (2**32, "a counter of 2^32 nanoseconds"),
     (WEEK * SECOND, "the time of week"),
     (86_400 * SECOND, "the time of day"),

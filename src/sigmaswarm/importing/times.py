@@ -1,12 +1,14 @@
 """Find the columns with the time of a table."""
 
+import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from itertools import product
 
 import polars as pl
 
-from sigmaswarm.importing.dates import as_text, parse_dates
+from sigmaswarm.importing.dates import SECOND, as_text, parse_dates
+from sigmaswarm.importing.expressions import ROW, compile_expression, row_times, time_span
 from sigmaswarm.importing.names import (
     CLOCK,
     STAMP,
@@ -17,8 +19,8 @@ from sigmaswarm.importing.names import (
     read_names,
     split_words,
 )
-from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.table_columns import ColumnExpression, column_numbers, median_of, quoted_column
+from sigmaswarm.importing.source import Log, Role
+from sigmaswarm.importing.table_columns import Conversion, column_numbers, median_of, quoted_column
 from sigmaswarm.importing.time_units import (
     COUNTER_UNITS,
     column_time,
@@ -40,9 +42,10 @@ _HIGH, _LOW = (
     (*map(tuple, zip(words.split())),) for words in ("hi high upper msb msw h", "lo low lower lsb lsw l")
 )
 WORD = 2**32
+EVER = (-math.inf, math.inf)  # span of a table without times, s
 
 
-def find_time(frame: pl.DataFrame, role: Role) -> ColumnExpression | None:
+def find_time(frame: pl.DataFrame, role: Role) -> Conversion | None:
     names = read_names(frame.columns)
     several = _seconds_and_rest(names, frame) or _words(names, frame, role)
     several = several or _header_stamp(names, frame, role) or _week(names, frame)
@@ -62,7 +65,7 @@ def find_time(frame: pl.DataFrame, role: Role) -> ColumnExpression | None:
 
 def time_of_rows(
     frame: pl.DataFrame, role: Role, keys: Mapping[Role, str], rows_of: Role
-) -> ColumnExpression | None:
+) -> Conversion | None:
     """Find the time of a role in a table whose rows contain only some of the sensors.
 
     ``keys``: a column that is filled in the rows of each role; ``rows_of``: role whose usual rate determines the unit.
@@ -104,6 +107,23 @@ def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
     return found.expression or None if found else None
 
 
+def sample_rate(frame: pl.DataFrame, time: str | None) -> float | None:
+    """Return the rate, Hz, from the median step of ``time`` or of a recognized time; None if there is no time."""
+    if len(frame) < 2 or (time := time or time_of(frame)) is None:
+        return None
+    steps = row_times(time, frame).diff().drop_nulls()
+    step = steps.filter(steps > 0).median()
+    return SECOND / step if isinstance(step, int | float) and step > 0 else None
+
+
+def span_of_table(log: Log, table: str, time: str) -> tuple[float, float]:
+    """Return the earliest and the latest time of a whole table, s; `EVER` if the times of some rows can't be read."""
+    columns = log.tables[table].columns
+    used = compile_expression(time, (*columns, ROW)).columns & {*columns}
+    spans = [time_span(time, rows) or EVER for _, rows, _ in log.batches({table: used or columns})] or [EVER]
+    return min(low for low, _ in spans), max(high for _, high in spans)
+
+
 def rising_time(frame: pl.DataFrame, role: Role) -> str:
     """Return the time, s, as an expression of the first increasing column without a known name; otherwise "".
 
@@ -118,7 +138,7 @@ def rising_time(frame: pl.DataFrame, role: Role) -> str:
     return ""
 
 
-def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> ColumnExpression | None:
+def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Conversion | None:
     """Find the stamp in a message's header; it takes precedence over the receive time."""
     stamp = next((n for n in names if n.is_one(STAMP)), None)
     if stamp is None or not (column_numbers(frame[stamp.column]) > 0).any():
@@ -126,7 +146,7 @@ def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Col
     return column_time(stamp, frame, role)
 
 
-def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[ColumnExpression | None, Sequence[Name]]:
+def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[Conversion | None, Sequence[Name]]:
     """Find a date in six columns (year to second) and fractions in others; return the date and the used names."""
     parts = {**PARTS_OF_SECONDS, "milli": 1e-3, "micro": 1e-6, "nano": 1e-9}
     for begin in dict.fromkeys(name.words[:-1] for name in names):
@@ -145,11 +165,11 @@ def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[ColumnExpress
         text = f"utc({', '.join(map(quoted_column, columns))}, '{form}')"
         text += "".join(f" + {scaled(quoted_column(n.column), scale)}" for n, scale in rest)
         note = "the time is computed from the columns of year, month, day, hour, minute and second"
-        return ColumnExpression(text, note), [*found.values(), *(n for n, _ in rest)]
+        return Conversion(text, note), [*found.values(), *(n for n, _ in rest)]
     return None, ()
 
 
-def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> ColumnExpression | None:
+def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> Conversion | None:
     """Find whole seconds in one column, and fractions in another whose name begins in the same way."""
     pairs = [
         (first, rest, PARTS_OF_SECONDS[rest.words[-1]])
@@ -164,11 +184,11 @@ def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> ColumnExpre
         falls = rest.words[-1] != "ms" or (part.diff() < 0).any()  # otherwise ms may be the whole time
         if len(whole) and len(part) and fits and falls:
             text = f"{quoted_column(first.column)} + {scaled(quoted_column(rest.column), scale)}"
-            return ColumnExpression(text, f"the time is the sum of {first.column} and {rest.column}")
+            return Conversion(text, f"the time is the sum of {first.column} and {rest.column}")
     return None
 
 
-def _words(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> ColumnExpression | None:
+def _words(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Conversion | None:
     """Find a 64-bit time that is split into two 32-bit columns: time_hi and time_lo."""
     for high, low in product(names, names):
         known = is_time("_".join(high.words[:-1])) and high.words[:-1] == low.words[:-1]
@@ -181,11 +201,11 @@ def _words(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> ColumnExpr
         both = values[0] * WORD + values[1].set(values[1] < 0, None).fill_null(values[1] + WORD)
         found = time_of_numbers(both, f"({first}*{WORD} + {second})", role)
         note = f"the time is {high.column} and {low.column}, two 32-bit words"
-        return found if found.fault else ColumnExpression(found.expression, note)
+        return found if found.fault else Conversion(found.expression, note)
     return None
 
 
-def _week(names: Sequence[Name], frame: pl.DataFrame) -> ColumnExpression | None:
+def _week(names: Sequence[Name], frame: pl.DataFrame) -> Conversion | None:
     week = next((n for n in names if n.is_one(WEEK)), None)
     tow = next((n for n in names if n.is_one(TIME_OF_WEEK)), None)
     if week is None or tow is None or not len(column_numbers(frame[week.column])):
@@ -196,12 +216,12 @@ def _week(names: Sequence[Name], frame: pl.DataFrame) -> ColumnExpression | None
         largest = float(column_numbers(frame[tow.column]).max() or 0)  # pyright: ignore[reportArgumentType]
         unit = next((u for u, scale in COUNTER_UNITS.items() if largest * scale <= 604_800), "ns")
         seconds = scaled(quoted_column(tow.column), COUNTER_UNITS[unit])
-    return ColumnExpression(
+    return Conversion(
         f"gps_time({quoted_column(week.column)}, {seconds})", "GPS week and time of week are converted to UTC"
     )
 
 
-def _dates_and_times(names: Sequence[Name], frame: pl.DataFrame) -> list[tuple[Name, bool, ColumnExpression]]:
+def _dates_and_times(names: Sequence[Name], frame: pl.DataFrame) -> list[tuple[Name, bool, Conversion]]:
     """Combine a column of days with a text column of times of day (a clock).
 
     For each pair, return the clock, True if the names are the usual ones, and the time. Clocks with at most half as
@@ -232,7 +252,7 @@ def _prefixed(names: Sequence[Name], words: str) -> list[tuple[Name, str]]:
     return found
 
 
-def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> ColumnExpression | None:
+def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Conversion | None:
     """Find a column that is named like a time and is not always 0, preferably a changing one; else a running clock.
 
     Dates of an unknown format are refused only if no other column is a time.
@@ -240,7 +260,7 @@ def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> ColumnExp
     times = [
         n for n in names if n.meaning == "t" and not (n.unit and n.unit.dimension == "speed")
     ]  # Tempo [km/h]
-    unread: ColumnExpression | None = None
+    unread: Conversion | None = None
     for name in sorted(times, key=lambda name: frame[name.column].n_unique() < 2):
         numbers = column_numbers(frame[name.column])
         if len(numbers) > 1 and (numbers == 0).all():

@@ -8,7 +8,7 @@ from nicegui import ui
 from nicegui.events import MultiUploadEventArguments
 
 from sigmaswarm import write_drive
-from sigmaswarm.importing import choices as columns
+from sigmaswarm.workbench import columns
 from sigmaswarm.workbench.elements import box, button, card, command, line, link, select, text
 from sigmaswarm.workbench.open_log import OpenLog
 from sigmaswarm.workbench.panels import FIND, MountingPanel, TablePanel

@@ -8,7 +8,7 @@ from nicegui import ui
 
 import sigmaswarm
 from sigmaswarm import Agreement, Drive, Inspection, agreements, find_mount
-from sigmaswarm.importing import choices as columns
+from sigmaswarm.workbench import columns
 from sigmaswarm.workbench.elements import Page, message, text
 from sigmaswarm.workbench.state import Workbench, attempt
 

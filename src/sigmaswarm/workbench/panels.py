@@ -11,9 +11,9 @@ from nicegui.events import GenericEventArguments
 from sigmaswarm import Inspection, Range, TablePreview, parse_mount
 from sigmaswarm.arrays import Array
 from sigmaswarm.geodesy import roll_pitch_yaw
-from sigmaswarm.importing import choices as columns
-from sigmaswarm.importing.choices import CUSTOM, NAMES, TARGETS, UNUSED, Uses
 from sigmaswarm.reports.style import BLUE, GREEN, VERMILION
+from sigmaswarm.workbench import columns
+from sigmaswarm.workbench.columns import CUSTOM, NAMES, TARGETS, UNUSED, Uses
 from sigmaswarm.workbench.elements import box, button, card, line, message, number, select, table, text
 from sigmaswarm.workbench.open_log import OpenLog
 from sigmaswarm.workbench.plots import sparkline

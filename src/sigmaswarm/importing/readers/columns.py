@@ -2,26 +2,27 @@
 
 import math
 import re
-import subprocess
-import sys
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from itertools import count, pairwise
+from itertools import pairwise
 from pathlib import Path, PurePosixPath
-from typing import Any, cast
 
 import polars as pl
 
-from sigmaswarm.drives.table_files import POLARS_ERRORS, one_file
+from sigmaswarm.drives.table_files import POLARS_ERRORS
 from sigmaswarm.errors import InputError
+from sigmaswarm.file_sizes import require_text
 from sigmaswarm.importing.dates import SECOND
 from sigmaswarm.importing.expressions import time_expression
-from sigmaswarm.importing.guess import SAMPLE_ROWS, guess_roles, spread_rows
-from sigmaswarm.importing.readers.dialect import BLANKS, Dialect, dialect_of, is_table, uneven_row
-from sigmaswarm.importing.readers.packed import paths_in, unpacked
-from sigmaswarm.importing.readers.points import with_points
+from sigmaswarm.importing.guess import guess_roles, spread_rows
+from sigmaswarm.importing.readers.dialect import dialect_of, is_table
+from sigmaswarm.importing.readers.scanning import broken_table, collect, scan
 from sigmaswarm.importing.source import (
     FILES,
+    SAMPLE_ROWS,
     Batch,
     Guess,
     Limits,
@@ -29,13 +30,13 @@ from sigmaswarm.importing.source import (
     Table,
     TableChoice,
     Wanted,
+    errors_as_damage,
     first_bytes,
     is_empty,
     no_log_error,
-    require_filled,
 )
 from sigmaswarm.importing.times import time_of
-from sigmaswarm.wording import list_names, printable, quoted
+from sigmaswarm.wording import list_names, quoted
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")
 OTHER_SUFFIXES = (".dat", ".asc", ".log")
@@ -199,205 +200,58 @@ def log_of_files(
     return Log(path, tables, batches, guess, list(remarks))
 
 
-def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.LazyFrame:
-    """Scan a table file; the types of a CSV's columns are determined from all rows.
-
-    ``shown_as``: name of the file in messages. ``remarks``: receives sentences for the user.
-    """
-    require_filled(file, shown_as)
-    if first_bytes(file, 4) == b"PAR1":
-        _require_decodable(file, shown_as, limits)
-        try:
-            frame = pl.scan_parquet(**one_file(file))
-            limits.check_rows(frame.select(pl.len()).collect().item(), shown_as, shown_as.name)
-            names = frame.collect_schema().names()
-        except (*POLARS_ERRORS, OSError) as error:
-            raise broken_table(shown_as, shown_as.name, error) from None
-        _check_names(names, shown_as, limits)
-    else:
-        _require_closed_quotes(file, shown_as)
-        dialect = dialect_of(file, shown_as)
-        names = dialect.names
-        remarks += dialect.remarks
-        _check_names(names, shown_as, limits)
-        frame = _text(file, dialect, shown_as)
-    # the integers that encode categories have no meaning
-    frame = frame.with_columns(pl.col(pl.Categorical, pl.Enum).cast(pl.String))
-    old = frame.collect_schema().names()
-    frame = frame.rename(dict(zip(old, _plain(names, shown_as, remarks), strict=True)))
-    try:
-        return with_points(frame)
-    except POLARS_ERRORS as error:
-        raise broken_table(shown_as, shown_as.name, error) from None
-
-
-_DECODE = """
-import sys, polars
-rows = polars.scan_parquet(sys.argv[1], glob=False)
-count = rows.select(polars.len()).collect().item()
-sys.exit(count <= int(sys.argv[2]) and count != sum(map(len, rows.collect_batches())))
-"""
-
-
-def _require_decodable(file: Path, shown_as: Path, limits: Limits) -> None:
-    """Decode a Parquet file in another process, since damaged bytes may abort polars, or make it omit rows silently."""
-    words = [sys.executable, "-c", _DECODE, str(file), str(limits.rows)]
-    ended = subprocess.run(words, capture_output=True, check=False)
-    if ended.returncode:
-        raise InputError(f"{shown_as}: can't be decoded as a Parquet file; export it again")
-
-
-def _check_names(names: Sequence[str], shown_as: Path, limits: Limits) -> None:
-    if len(names) < 2:
-        raise InputError(
-            f"{shown_as}: has only one column, {quoted(''.join(names))}; specify the format with --format, or separate "
-            "cells by commas"
-        )
-    limits.first_columns(iter(names), shown_as)
-
-
-def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
-    """Scan the rows of a text table as columns c1, c2, ..., with decimal points and without thousands separators."""
-    columns = [f"c{k}" for k in range(1, len(dialect.names) + dialect.surplus + 1)]
-    try:
-        if dialect.separator == BLANKS:
-            cells = (
-                pl.col("line").str.strip_chars().str.replace_all(r"\s+", " ").str.splitn(" ", len(columns))
-            )
-            lines = text_lines(file, dialect.skip, comment_prefix="#", encoding="utf8")
-            frame = lines.select(cells.struct.rename_fields(columns).alias("cells")).unnest("cells")
-        else:
-            frame = _separated(file, dialect, columns)
-        there = frame.collect_schema()
-        last = [
-            pl.col(c).cast(pl.String).str.strip_chars().ne("").any() for c in columns[len(dialect.names) :]
-        ]
-        if last and any(frame.select(pl.any_horizontal(last)).collect().row(0)):
-            raise pl.exceptions.ComputeError("a row has more cells than the header")
-    except pl.exceptions.NoDataError:
-        return pl.LazyFrame(schema=dict.fromkeys(columns[: len(dialect.names)], pl.String))
-    except (*POLARS_ERRORS, OSError) as error:
-        if (uneven := uneven_row(file, dialect)) is not None:
-            row, cells = uneven
-            raise InputError(
-                f"{shown_as}, row {row}: has {cells} cells, but the header has {len(dialect.names)}; delete the row, "
-                "or write a header with a name for each column"
-            ) from None
-        try:  # some rows may end with surplus empty cells
-            frame = _separated(file, dialect, None, truncate_ragged_lines=True)
-            frame = frame.rename(dict(zip(frame.collect_schema(), columns, strict=False)))
-            there = frame.collect_schema()
-        except POLARS_ERRORS:
-            raise broken_table(shown_as, shown_as.name, error) from None
-    missing = [pl.lit(None, pl.Float64).alias(c) for c in columns if c not in there]
-    texts = [columns[k] for k in dialect.numeric if there.get(columns[k]) == pl.String]
-    grouped = _grouped(frame, texts, shown_as)
-    commas = {columns[k] for k in dialect.comma_columns if columns[k] in texts}
-    commas = commas - grouped.keys() | {c for c, group in grouped.items() if group != ","}
-    plain = {c: pl.col(c).str.strip_chars() for c in (*commas, *grouped)}
-    plain |= {c: plain[c].str.replace_all(group, "", literal=True) for c, group in grouped.items()}
-    plain |= {c: plain[c].str.replace(",", ".", literal=True) for c in commas}
-    return frame.with_columns(*missing, *plain.values()).select(columns[: len(dialect.names)])
-
-
-def _grouped(frame: pl.LazyFrame, columns: Sequence[str], shown_as: Path) -> dict[str, str]:
-    """Return the thousands separator of each column with a number such as 1.234,5, so that it can be removed."""
-    forms = {
-        **{
-            group: rf"^[+-]?\d{{1,3}}(?:\{group}\d{{3}})+\{mark}\d+$"
-            for group, mark in ((".", ","), (",", "."))
-        },
-        **{group: rf"^[+-]?\d{{1,3}}(?:{group}\d{{3}})+(?:[.,]\d+)?$" for group in "'’ \u00a0\u202f"},
-    }
-    two = {group: rf"|^[+-]?\d{{1,3}}(?:\{group}\d{{3}}){{2,}}$" for group in ".,"}
-    found = frame.select(
-        pl.col(c).str.strip_chars().str.contains(form + two.get(group, "")).any().alias(f"{c}{group}")
-        for c in columns
-        for group, form in forms.items()
-    )
-    seen = collect(found, shown_as, shown_as.name).row(0, named=True) if columns else {}
-    return {c: group for c in columns for group in forms if seen[f"{c}{group}"]}
-
-
-def _separated(file: Path, dialect: Dialect, columns: Sequence[str] | None, **options: Any) -> pl.LazyFrame:
-    """Scan cells; the types are determined once, since polars would determine them again at each reading."""
-    settings: dict[str, Any] = {
-        "separator": dialect.separator,
-        "has_header": False,
-        "skip_lines": dialect.skip,
-        "decimal_comma": bool(dialect.comma_columns) and dialect.separator != ",",
-        "encoding": dialect.encoding,
-        "comment_prefix": "#",
-        **options,
-    }
-    cells = pl.scan_csv(**one_file(file), **settings, new_columns=columns, infer_schema_length=None)
-    types = cells.collect_schema()
-    return pl.scan_csv(**one_file(file), **settings, schema=types, missing_columns="insert")
-
-
-def text_lines(file: Path, skip: int, encoding: str = "utf8-lossy", **options: Any) -> pl.LazyFrame:
-    """Scan the lines of a text, without the first ``skip``, as a column ``line``; empty lines are null."""
-    return pl.scan_csv(
-        **one_file(file),
-        separator="\x1f",
-        has_header=False,
-        new_columns=["line"],
-        quote_char=None,
-        skip_lines=skip,
-        infer_schema=False,
-        encoding=cast("Any", encoding),
-        **options,
-    )
-
-
-def _plain(names: Sequence[str], file: Path, remarks: list[str]) -> list[str]:
-    plain: dict[str, None] = {}
-    # Next suffix of each name; for 100,000 equal names, a search from 0 would take minutes
-    numbers: dict[str, Iterator[int]] = {}
-    others: dict[str, list[str]] = {}
-    for name in names:
-        bare = name.strip().replace("`", "'")  # expressions quote names with backticks
-        first = re.sub(r"_duplicated_\d+$", "", bare) if bare not in plain else bare
-        if first in plain:
-            free = numbers.setdefault(first, count())
-            bare = next(other for i in free if (other := f"{first}_duplicated_{i}") not in plain)
-            others.setdefault(first, []).append(bare)
-        plain[bare] = None
-    for first, again in others.items():
-        if first:
-            often = "twice; the second is" if len(again) == 1 else f"{len(again) + 1} times; the others are"
-            called = list_names(again, mark="'")
-            remarks.append(f"{file.name}: column {quoted(first)} appears {often} called {called}")
-    return list(plain)
-
-
-def _require_closed_quotes(file: Path, shown_as: Path) -> None:
-    """Refuse an odd number of quotes, since everything after an unclosed quote would be read as one cell."""
-    with file.open("rb") as stream:
-        quotes = sum(block.count(b'"') for block in iter(lambda: stream.read(1 << 20), b""))
-    if quotes % 2:
-        raise InputError(f'{shown_as}: a quote (") is not closed; close or delete it')
-
-
 def _expected_rows(file: Path) -> int:
     head = first_bytes(file, 65536)
     return int(file.stat().st_size / max(len(head) / max(head.count(b"\n"), 1), 1.0)) if file.is_file() else 1
 
 
-def collect(
-    rows: pl.LazyFrame,
-    path: Path,
-    table: str,
-    read: Callable[[pl.LazyFrame], pl.DataFrame] = pl.LazyFrame.collect,
-) -> pl.DataFrame:
-    """Return the rows that ``read`` selects, by default all; convert errors of polars to one-line errors."""
-    try:
-        return read(rows)
-    except POLARS_ERRORS as error:
-        raise broken_table(path, table, error) from None
+def names_in(path: Path) -> set[str]:
+    """Return the names of the files in a folder or a zip; empty for other files."""
+    if path.is_dir():
+        return {file.name for file in path.iterdir() if file.is_file()}
+    return {inside.name for inside in paths_in(path)}
 
 
-def broken_table(path: Path, table: str, error: Exception) -> InputError:
-    where = path if path.name == table else path / table
-    reason = printable(" ".join(str(error).split("\n")[0].split()), 160)
-    return InputError(f"{where}: can't be read as a table ({reason}); export it again")
+def paths_in(path: Path) -> list[PurePosixPath]:
+    if path.suffix.lower() == ".zip" and zipfile.is_zipfile(path):
+        try:
+            with zipfile.ZipFile(path) as archive:
+                return [PurePosixPath(name) for name in archive.namelist()]
+        except Exception:  # the zip's directory is damaged
+            return []
+    return []
+
+
+def unpacked(path: Path, names: Collection[str], limits: Limits, stack: ExitStack) -> Path:
+    """Return the folder of the named text files: the given folder, or a temporary folder with the files of a zip."""
+    if path.is_dir():
+        return path
+    folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+    with (
+        errors_as_damage(path, "is damaged or not a zip file", "export it again"),
+        zipfile.ZipFile(path) as archive,
+    ):
+        for name, member in _wanted(archive, path, names, limits).items():
+            with archive.open(member) as packed, (folder / name).open("wb") as file:
+                shutil.copyfileobj(packed, file)
+            _, lines = require_text(folder / name, path / name)
+            limits.check_rows(lines, path, name)
+    return folder
+
+
+def _wanted(
+    archive: zipfile.ZipFile, path: Path, names: Collection[str], limits: Limits
+) -> dict[str, zipfile.ZipInfo]:
+    """Find the named files in the outermost folder that contains at least one of them."""
+    found = [(PurePosixPath(m.filename), m) for m in archive.infolist() if not m.is_dir()]
+    found = [(inside, m) for inside, m in found if inside.name in names]
+    folders = {inside.parent for inside, _ in found}
+    outermost = min(folders, key=lambda f: (len(f.parts), str(f)), default=None)
+    wanted = {inside.name: m for inside, m in found if inside.parent == outermost}
+    limits.check_unpacked(sum(m.file_size for m in wanted.values()), path)
+    for name, member in wanted.items():
+        if member.flag_bits & 1:
+            raise InputError(
+                f"{path}: contains {name}, which is encrypted; unpack the zip, and name the folder"
+            )
+    return wanted

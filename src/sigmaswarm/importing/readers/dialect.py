@@ -12,8 +12,7 @@ from shlex import quote
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.names import read_name
-from sigmaswarm.importing.readers.packed_cells import NAMED, packed_cells
-from sigmaswarm.importing.readers.row_kinds import MAX_ROWS, require_one_kind
+from sigmaswarm.importing.readers.rows_of_kinds import MAX_ROWS, NAMED, packed_cells, require_one_kind
 from sigmaswarm.importing.source import first_bytes
 from sigmaswarm.importing.table_columns import NO_NUMBER, NO_VALUE
 from sigmaswarm.importing.units import COUNTS, parse_unit

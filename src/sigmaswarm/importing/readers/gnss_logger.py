@@ -12,7 +12,8 @@ import polars as pl
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.positions import FLAT_NOTE, RADIUS_68
-from sigmaswarm.importing.readers.columns import collect, log_of_files, text_lines
+from sigmaswarm.importing.readers.columns import log_of_files
+from sigmaswarm.importing.readers.scanning import collect, text_lines
 from sigmaswarm.importing.source import (
     Guess,
     Limits,

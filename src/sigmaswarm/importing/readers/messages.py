@@ -13,14 +13,21 @@ import numpy as np
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.guess import SAMPLE_ROWS, guess_roles
+from sigmaswarm.importing.guess import guess_roles
 from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.readers.fields import getter, has_header
-from sigmaswarm.importing.readers.frames import frame_of, placement, static_topic
 from sigmaswarm.importing.readers.px4 import AXES_NOTE, part_of
-from sigmaswarm.importing.readers.topics import STANDARD, Topics, prefix
+from sigmaswarm.importing.readers.topics import (
+    STANDARD,
+    Topics,
+    frame_of,
+    placement,
+    prefix,
+    static_topic,
+)
 from sigmaswarm.importing.source import (
     CHUNK,
+    SAMPLE_ROWS,
     Batch,
     Guess,
     Log,

@@ -12,7 +12,8 @@ import polars as pl
 
 from sigmaswarm.drives.table_files import one_file
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.readers.columns import collect, log_of_files
+from sigmaswarm.importing.readers.columns import log_of_files
+from sigmaswarm.importing.readers.scanning import collect
 from sigmaswarm.importing.source import Guess, Limits, Log, Part, Role
 
 ORIGIN = (42.293227, -83.709657, 270.0)  # deg, deg, m, of the truth's frame

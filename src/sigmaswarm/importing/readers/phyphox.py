@@ -14,8 +14,7 @@ from pathlib import Path
 import polars as pl
 
 from sigmaswarm.importing.positions import FLAT_NOTE, RADIUS_68
-from sigmaswarm.importing.readers.columns import log_of_names
-from sigmaswarm.importing.readers.packed import names_in
+from sigmaswarm.importing.readers.columns import log_of_names, names_in
 from sigmaswarm.importing.source import Guess, Limits, Log, Part, Role, first_bytes
 from sigmaswarm.importing.table_columns import median_of
 

@@ -13,8 +13,7 @@ import polars as pl
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.positions import FLAT_NOTE, RADIUS_68
-from sigmaswarm.importing.readers.columns import log_of_names
-from sigmaswarm.importing.readers.packed import names_in
+from sigmaswarm.importing.readers.columns import log_of_names, names_in
 from sigmaswarm.importing.source import Guess, Limits, Log, Role, roles_of
 
 FILES = ("TotalAcceleration.csv", "Accelerometer.csv", "Gravity.csv", "Gyroscope.csv", "Location.csv")

@@ -2,15 +2,19 @@
 
 import math
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from sigmaswarm.arrays import Array
 from sigmaswarm.errors import InputError
+from sigmaswarm.geodesy import roll_pitch_yaw
 from sigmaswarm.importing.guess import points_down
 from sigmaswarm.importing.readers.fields import getter, stamp_of
-from sigmaswarm.importing.source import Guess, Part, Role, Table, TableChoice
+from sigmaswarm.importing.source import Guess, Part, Placement, Role, Table, TableChoice
 from sigmaswarm.wording import list_names
 
 _IMU = {
@@ -29,6 +33,10 @@ _RECEIVER = re.compile(r"gps|gnss|fix|ublox|novatel|septentrio|(?:^|/)vel$", re.
 _HEADING = re.compile(r"heading|compass", re.IGNORECASE)
 _SATELLITES = re.compile(r"gps|gnss", re.IGNORECASE)
 STANDARD: dict[str, tuple[Mapping[str, str], ...]] = {"imu": (_IMU,), "gps": (_FIX, _POSITION)}
+# Names of the vehicle's frame, with x forward, y left, z up (REP-105)
+BASES = ("base_link", "base_footprint")
+Pose = tuple[Array, Array]  # rotation (3, 3) and translation (3,), m, of a frame in another
+Tree = Mapping[str, tuple[str, Pose]]  # the parent of each frame, and the frame's pose in the parent
 
 
 def _yaw(at: str) -> str:
@@ -58,12 +66,11 @@ class Topics:
 
     def guess(self) -> Guess:
         roles: dict[Role, tuple[Part, ...]] = {}
-        metadata: dict[str, Any] = {}
+        metadata, downward = dict[str, Any](), ""
         inertial = self._having(_IMU)
         if imu := self._topic("imu", {t for t in inertial if not _HEADING.search(t)} or inertial):
-            roles["imu"] = (self._part(imu, self._imu(imu)),)
-            self._note_frame(imu)
-            metadata = self._stated_noise(imu)
+            part, metadata, downward = self._imu(imu)
+            roles["imu"] = (part,)
         # navsat_transform_node publishes fixes as positions
         placed = {t for t in self._having(_POSITION) if _SATELLITES.search(t)}
         fixes = self._topic("gps", {t for t in self._having(_FIX) or placed if not _TRUTH.search(t)})
@@ -98,7 +105,7 @@ class Topics:
                 )
             roles["odometer"] = (self._part(wheels, {"speed": speed}),)
             self.notes.append(f"{wheels} is used as the wheel speed, m/s forward")
-        return Guess(roles, tuple(self.notes), metadata=metadata, downward=self._downward(imu) if imu else "")
+        return Guess(roles, tuple(self.notes), metadata=metadata, downward=downward)
 
     def _having(self, paths: Mapping[str, str]) -> set[str]:
         return {t for t, table in self.tables.items() if prefix(table, paths) is not None}
@@ -136,25 +143,36 @@ class Topics:
         found = ((prefix(self.tables[topic], {"speed": path}), path) for path in _SPEEDS)
         return next((at + path for at, path in found if at is not None), "")
 
-    def _imu(self, topic: str) -> dict[str, str]:
-        found = self._named(topic, _IMU)
-        at = found["ax"].removesuffix(_IMU["ax"])
-        covariances = [f"{at}{kind}_covariance[0]" for kind in ("linear_acceleration", "angular_velocity")]
-        # the first covariance is -1 if the sensor does not measure the vector
-        if set(covariances) <= set(self.tables[topic].columns):
-            found["keep"] = " and ".join(f"{c} != -1" for c in covariances)
-        return found
+    def _imu(self, topic: str) -> tuple[Part, dict[str, Any], str]:
+        """Return the part of the IMU, keys of drive.toml, and a sentence if the z axis points down, else "".
 
-    def _stated_noise(self, topic: str) -> dict[str, Any]:
-        """Return the variances of gz and ax that the first message states, for drive.toml; {} if it states none."""
-        before = self._named(topic, _IMU)["ax"].removesuffix(_IMU["ax"])
-        columns = [f"{before}angular_velocity_covariance[8]", f"{before}linear_acceleration_covariance[0]"]
-        message = self.first(topic)
-        if message is None or not set(columns) <= set(self.tables[topic].columns):
-            return {}
-        stated = [getter(column)(message[2]) for column in columns]
-        known = all(value is not None and 0 < value < math.inf for value in stated)
-        return {"imu_stated_noise": [float(value) for value in stated]} if known else {}
+        The first message contains the direction of gravity and may state the variances of gz and ax.
+        """
+        found, there = self._named(topic, _IMU), {*self.tables[topic].columns}
+        at = found["ax"].removesuffix(_IMU["ax"])
+        rate, force = (f"{at}{kind}_covariance" for kind in ("angular_velocity", "linear_acceleration"))
+        # the first covariance is -1 if the sensor does not measure the vector
+        keep = (
+            {"keep": f"{force}[0] != -1 and {rate}[0] != -1"}
+            if {f"{force}[0]", f"{rate}[0]"} <= there
+            else {}
+        )
+        part, first = self._part(topic, found | keep), self.first(topic)
+        if first is None:
+            return part, {}, ""
+        message = first[2]
+        if name := getattr(getattr(message, "header", None), "frame_id", ""):
+            self.notes.append(
+                f"{topic} is in the frame {name!r}, whose axes are assumed to be x forward, y left, z up (REP-103); "
+                "specify other axes with --mount"
+            )
+        variances = (f"{rate}[8]", f"{force}[0]")
+        stated = [getter(column)(message) for column in variances if {*variances} <= there]
+        noise = [float(value) for value in stated if value is not None and 0 < value < math.inf]
+        metadata = {"imu_stated_noise": noise} if len(noise) == len(variances) else {}
+        forces = [getter(found[axis])(message) for axis in ("ax", "ay", "az")]
+        down = all(isinstance(value, float) for value in forces) and forces[-1] < -0.5 * math.hypot(*forces)
+        return part, metadata, points_down(found["az"]) if down else ""
 
     def _position(self, topic: str) -> dict[str, str]:
         """Return the columns of fixes (NavSatFix, or poses in m east and north), with their standard deviations."""
@@ -213,19 +231,65 @@ class Topics:
                 self.notes.append(f"{topic}: the header stamps are not set, so receive times are used")
         return Part(topic, {"t": time, **columns})
 
-    def _downward(self, topic: str) -> str:
-        """Return a sentence if the z axis points down according to the first message of an IMU; otherwise ""."""
-        message = self.first(topic)
-        columns = [self._named(topic, _IMU)[axis] for axis in ("ax", "ay", "az")]
-        force = [getter(column)(message[2]) for column in columns] if message else [0.0]
-        known = all(isinstance(value, float) for value in force)
-        return points_down(columns[2]) if known and force[-1] < -0.5 * math.hypot(*force) else ""
 
-    def _note_frame(self, topic: str) -> None:
-        message = self.first(topic)
-        header = getattr(message[2], "header", None) if message else None
-        if name := getattr(header, "frame_id", ""):
-            self.notes.append(
-                f"{topic} is in the frame {name!r}, whose axes are assumed to be x forward, y left, z up (REP-103); "
-                "specify other axes with --mount"
-            )
+def static_topic(tables: Mapping[str, Table]) -> str | None:
+    return next(
+        (t for t, table in tables.items() if t.endswith("tf_static") and "tf" in table.kind.lower()), None
+    )
+
+
+def frame_of(message: Any) -> str:
+    """Return the frame in a message's header; for Odometry, child_frame_id, or base_link if this is empty."""
+    child = getattr(message, "child_frame_id", None)
+    name = child if child is not None else getattr(getattr(message, "header", None), "frame_id", "")
+    return name.strip("/") or (BASES[0] if child is not None else "")
+
+
+def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | None:
+    """Find the poses of IMU and antenna in the vehicle's frame or, without it, in a common ancestor of their frames.
+
+    Return None if the transforms do not connect the IMU with such a frame. ``messages`` are of type tf2_msgs/TFMessage;
+    a later transform of the same frame replaces an earlier one.
+    """
+    tree: dict[str, tuple[str, Pose]] = {}
+    for message in messages:
+        for stamped in getattr(message, "transforms", ()):
+            if (pose := _pose_of(stamped.transform)) is not None:
+                tree[stamped.child_frame_id.strip("/")] = stamped.header.frame_id.strip("/"), pose
+    known = {*tree, *(parent for parent, _ in tree.values())}
+    of_imu, of_antenna = (_ancestors(tree, name) if name in known else {} for name in (imu, antenna))
+    shared = [name for name in of_imu if name in of_antenna]
+    base = next((name for name in (*BASES, *shared) if name in of_imu), None)
+    if base is None:
+        return None
+    rotation, at = of_imu[base]
+    lever = of_antenna[base][1] - at if base in of_antenna else None
+    return Placement(
+        mount=",".join(f"{angle:.9g}" for angle in roll_pitch_yaw(rotation, 6)),
+        lever_arm=None if lever is None else (float(lever[0]), float(lever[1]), float(lever[2])),
+        frames=(base, imu, antenna),
+    )
+
+
+def _pose_of(transform: Any) -> Pose | None:
+    """Convert a transform to rotation and translation; None if it is not finite or its quaternion is not normalized."""
+    r, t = transform.rotation, transform.translation
+    x, y, z, w = q = np.array([r.x, r.y, r.z, r.w], dtype=np.float64)
+    translation, norm = np.array([t.x, t.y, t.z], dtype=np.float64), float(np.linalg.norm(q))
+    if not (np.isfinite(translation).all() and abs(norm - 1.0) < 0.01):
+        return None
+    x, y, z, w = q / norm
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + 2 * (w * cross + cross @ cross), translation
+
+
+def _ancestors(tree: Tree, frame: str) -> dict[str, Pose]:
+    """Return the pose of a frame in itself and in each of its ancestors, the nearest first."""
+    found, pose = dict[str, Pose](), (np.eye(3), np.zeros(3))
+    while frame not in found:  # transforms may form a cycle
+        found[frame] = pose
+        if frame not in tree:
+            break
+        frame, (rotation, translation) = tree[frame]
+        pose = rotation @ pose[0], rotation @ pose[1] + translation
+    return found

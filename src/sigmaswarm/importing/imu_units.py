@@ -1,4 +1,4 @@
-"""If the unit of angular rates is not stated, find it by a comparison with the changes of the fixes' course."""
+"""Detect wrong units of the IMU by the magnitude of gravity and by the changes of the fixes' course."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -8,12 +8,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.checks import GRAVITY
+from sigmaswarm.drives.drive import Drive, Imu
+from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.positions import chord_course
-from sigmaswarm.importing.source import Part, Role
+from sigmaswarm.importing.quantities import PER_G
+from sigmaswarm.importing.source import Part, Role, texts_of
+from sigmaswarm.importing.table_columns import AXES, DIMENSIONS
 from sigmaswarm.importing.units import in_si, parse_unit
 
+FORCES, RATES = AXES[:3], AXES[3:]
+MAX_GRAVITY_ERROR = 0.5  # m/s2, largest deviation of a median magnitude from gravity
+MAX_FORCE = 3 * GRAVITY  # m/s2, largest median magnitude of a vehicle's specific force
+MAX_RATE = math.radians(2000.0)  # rad/s, largest range of common gyros
 _DEGREE = math.pi / 180
 # Expressions of rates without a unit, with the assumed factor to rad/s; {} stands for the column
 ASSUMED_UNITS = {"{}": 1.0, "radians({})": _DEGREE}
@@ -45,6 +54,61 @@ OUTLIER_SIGMAS = 3.0
 MIN_AXIS_SHARE = 0.2
 MAX_VALUES = 200_000  # largest number of values of an axis that are computed together, for several delays
 MIN_DURATION_VARIANCE = 1e-12  # smallest variance of the durations, relative to their mean square
+
+
+def require_gravity_in_force(imu: Imu) -> None:
+    """Reject an IMU with gravity in its angular rates instead of its accelerations."""
+    if imu.az is None or imu.gx is None or imu.gy is None:
+        return
+    if np.median(np.linalg.norm((imu.ax, imu.ay, imu.az), axis=0)) > GRAVITY / 2:
+        return
+    quartiles = np.quantile(np.linalg.norm((imu.gx, imu.gy, imu.gz), axis=0), [0.25, 0.5, 0.75])
+    for low, middle, high in (quartiles, np.degrees(quartiles)):  # the import may have assumed deg/s
+        if abs(middle - GRAVITY) < MAX_GRAVITY_ERROR and high - low < 2 * MAX_GRAVITY_ERROR:
+            raise InputError(
+                f"gx, gy and gz contain gravity (median magnitude {middle:.3g}), and ax, ay and az do not, so the "
+                "columns or files of accelerometer and gyro are exchanged; exchange their names"
+            )
+
+
+def impossible_rates(imu: Imu, parts: Sequence[Part]) -> dict[str, str]:
+    """Return the expressions of the angular rates if these exceed the range of common gyros; otherwise {}."""
+    texts = {n: text for n, text in texts_of(parts).items() if n in RATES}
+    return texts if _largest_rate(imu) > MAX_RATE else {}
+
+
+def _largest_rate(imu: Imu) -> float:
+    return max(float(np.quantile(np.abs(v), 0.99)) for n in RATES if (v := getattr(imu, n)) is not None)
+
+
+def wrong_scale(imu: Imu, parts: Sequence[Part], rates: Mapping[str, str]) -> list[str]:
+    """Describe accelerations that are too large for a vehicle, and ``rates`` (`impossible_rates`), with the remedy."""
+    force, faults = [v for v in (imu.ax, imu.ay, imu.az) if v is not None], list[str]()
+
+    def add(texts: Mapping[str, str], what: str, form: str) -> None:
+        units = {text: read_name(text.strip("`")).unit for text in texts.values()}
+        dimension = DIMENSIONS[next(iter(texts))]
+        stated = {
+            name: in_si(unit, text) if (unit := units[text]) and unit.dimension == dimension else text
+            for name, text in texts.items()
+        }
+        # if the stated unit is already that of SI, it is wrong
+        scaled = {
+            name: form.format(text) if stated[name] == text else stated[name] for name, text in texts.items()
+        }
+        maps = " ".join(f'"imu.{name}={text}"' for name, text in scaled.items())
+        scale = f"so their scale is wrong; specify it, for example --map {maps}"
+        faults.append(f"{', '.join(texts.values())} {what}, {scale}")
+
+    if (size := float(np.median(np.linalg.norm(force, axis=0)))) > MAX_FORCE:
+        known = (*PER_G, GRAVITY**2)  # the latter for m/s2 that were read as g
+        per = min(known, key=lambda k: abs(size / k - 1)) if len(force) == len(FORCES) else PER_G[0]
+        texts = {n: text for n, text in texts_of(parts).items() if n in FORCES}
+        add(texts, f"have a median magnitude of {size:.4g} m/s2", f"({{}})*9.80665/{per:g}")
+    if rates:
+        degrees = _largest_rate(imu) < math.degrees(MAX_RATE)
+        add(rates, f"exceed {MAX_RATE:.3g} rad/s", "radians({})" if degrees else "radians(({})/131)")
+    return faults
 
 
 class RateUnit(NamedTuple):

@@ -1,18 +1,33 @@
-"""Compare axes and origin of truth in meters with those of the fixes."""
+"""Make the truth of a drive: its frame and clock are compared with those of the fixes; missing columns are computed."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.truth_clock import MIN_DELAY, truth_delay
+from sigmaswarm.drives.drive import Truth
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import Origin, enu_to_geodetic, geodetic_to_enu
-from sigmaswarm.importing.positions import MAX_DISTANCE, Values
-from sigmaswarm.importing.source import Part, Role
+from sigmaswarm.importing.joining import Samples
+from sigmaswarm.importing.positions import (
+    MAX_DISTANCE,
+    MIN_SPEED,
+    Say,
+    Values,
+    add_local_position,
+    chord_course,
+    first_place,
+    fitting_angle,
+    without_wrong_velocity,
+)
+from sigmaswarm.importing.recipe import Recipe
+from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.units import factor_of
 
+SEED = 0  # seed of the noise of fixes made from the truth
+MAX_FIXES = 10_000_000  # largest number of such fixes
 MIN_EXPLAINED = 0.9  # smallest fraction of the fixes' variance that a rotated truth must explain
 MIN_ROTATION = np.radians(5)  # rad, smallest reported rotation
 MIN_STRETCH = 0.05  # smallest reported relative difference of scale
@@ -25,8 +40,55 @@ LENGTHS = {unit: factor_of(unit) for unit in ("mm", "cm", "dm", "ft", "yd", "km"
 MIN_FIXES = 10  # smallest number of fixes at times of the truth
 
 
+def made_truth(
+    seconds: Mapping[Role, Array],
+    truth: Samples,
+    origin: Origin | None,
+    gps: Values,
+    recipe: Recipe,
+    say: Say,
+) -> tuple[Truth, Origin | None]:
+    """Return the truth, and the origin of the local frame; by default, the origin is the truth's first position."""
+    time, texts = seconds["truth"], truth.texts
+    placed, origin = _placed(truth.values, origin, gps, texts)
+    message = require_same_axes(seconds, placed, gps, texts) if gps else ""
+    assumed = "lat" in gps and "lat" not in placed and recipe.origin is None
+    if assumed and origin is not None and not message:
+        message = assumed_origin(seconds, placed, gps, origin)
+    if message:
+        say(message)
+    if {"speed", "course"} <= placed.keys() or {"vx", "vy"} <= placed.keys():
+        placed = without_wrong_velocity(time, placed, "truth", texts, say)
+    return Truth(time, **_motion(time, placed, gps, say)), origin
+
+
+def _placed(
+    values: Values, origin: Origin | None, gps: Values, texts: Mapping[str, str]
+) -> tuple[Values, Origin | None]:
+    """Return the truth with x and y, m, and the origin.
+
+    If the fixes have no altitude, the truth also gets the origin's altitude, since an altitude difference of 1000 m
+    would stretch its track by 16 cm per kilometer.
+    """
+    if "lat" in values and "lon" in values:
+        if origin is None and gps:
+            raise InputError(
+                "the truth is in degrees and the fixes are in meters; specify --origin lat,lon,alt"
+            )
+        origin = origin or first_place(values)
+        flat = "lat" in gps and "alt" not in gps
+        values = add_local_position(
+            values, origin[2] if flat else values.get("alt", origin[2]), origin, "truth", texts
+        )
+    if not {"x", "y"} <= set(values) or len(values["x"]) < 2:
+        raise InputError(
+            "truth: no column contains a position; map truth.x and truth.y, or truth.lat and truth.lon"
+        )
+    return values, origin
+
+
 def require_same_axes(
-    seconds: Mapping[Role, Array], truth: Values, gps: Values, parts: Sequence[Part]
+    seconds: Mapping[Role, Array], truth: Values, gps: Values, texts: Mapping[str, str]
 ) -> str:
     """Refuse truth whose x and y are not m east and north, but exchanged, rotated, or in another unit.
 
@@ -70,7 +132,7 @@ def require_same_axes(
     a, side = factor / abs(factor), -1 if mirrored else 1
     if abs(a - (quarter := 1j ** np.round(np.angle(a) / (np.pi / 2)))) < ANGLE_TOLERANCE:
         a = complex(np.round(quarter))
-    x, y = ({n: t for part in parts for n, t in part.columns.items()}[n] for n in ("x", "y"))
+    x, y = texts["x"], texts["y"]
     rows = (a.real, x, -side * a.imag, y), (a.imag, x, side * a.real, y)
     maps = " ".join(f'"truth.{n}={_combined(size, *row)}"' for n, row in zip("xy", rows, strict=True))
     seem = f" (their unit seems to be {unit})" if stretched and known else ""
@@ -131,3 +193,63 @@ def assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, or
     if np.all(np.abs([east, north]) < 5 * spread):
         return f"{message}; {state}"
     return f"{message}, but then the fixes lie {east:.2f} m east and {north:.2f} m north of the truth (mean); {state}"
+
+
+def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
+    """Return the truth's columns; compute a missing velocity from speed or positions, and the heading from velocity."""
+    if "forward" in values and "theta" in values:
+        body = values["forward"] + 1j * values.get("left", np.zeros(len(time)))
+        east_north = body * np.exp(1j * values["theta"])
+        values["vx"], values["vy"] = east_north.real, east_north.imag
+    elif "speed" in values and "course" in values and "vx" not in values:
+        speed, course = values["speed"], values["course"]
+        values["vx"], values["vy"] = speed * np.cos(course), speed * np.sin(course)
+    if "vx" not in values or "vy" not in values:
+        say("truth: the velocity is computed from the differences of the positions")
+        values["vx"], values["vy"] = np.gradient(values["x"], time), np.gradient(values["y"], time)
+    if "theta" not in values:
+        say("truth: the heading is the course, and is constant while the vehicle is slower than 1 m/s")
+        values["theta"] = _held_course(values["vx"], values["vy"])
+    else:
+        course, rows = chord_course(time, values["x"], values["y"])
+        if len(rows) < 5:  # the vehicle is slower than 1 m/s
+            course, rows = chord_course(time, values["x"], values["y"], chord=1.0)
+        values["theta"] = fitting_angle(values["theta"], course, rows, "truth: the heading", say)
+    if gps:
+        east, north = (float(np.median(values[n]) - np.median(gps[n])) for n in ("x", "y"))
+        apart = np.hypot(east, north)
+        if apart > 1000.0:
+            say(
+                f"truth: the median position is {apart:.0f} m from that of the fixes; if the truth has another "
+                "origin, specify --origin"
+            )
+    return {name: values[name] for name in ("x", "y", "vx", "vy", "theta")}
+
+
+def _held_course(vx: Array, vy: Array) -> Array:
+    """Return the course (n,), rad.
+
+    A row below `MIN_SPEED` has the course of the last faster row before it or, if there is none, of the first faster
+    row; 0 if no row is faster.
+    """
+    moving = np.hypot(vx, vy) > MIN_SPEED
+    if not moving.any():
+        return np.zeros(len(vx))
+    last = np.maximum.accumulate(np.where(moving, np.arange(len(vx)), -1))
+    last[last < 0] = int(np.argmax(moving))
+    return np.arctan2(vy, vx)[last]
+
+
+def fixes_of_truth(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]:
+    """Make fixes from the truth at ``rate``, Hz, with white noise of standard deviation ``noise``, m per axis."""
+    given = f"--gps-from-truth {rate:g},{noise:g}"
+    if not (0 < rate <= 1000 and 0 <= noise < np.inf):
+        raise InputError(
+            f"{given} can't be used; specify a rate of at most 1000 Hz and a standard deviation in m, for example 5,1"
+        )
+    if not (truth.time[-1] - truth.time[0]) * rate <= MAX_FIXES:
+        raise InputError(f"{given} would make more than {MAX_FIXES} fixes; check the truth's times")
+    time = np.arange(truth.time[0] + 0.5 / rate, truth.time[-1], 1 / rate)
+    error = noise * np.random.default_rng(SEED).standard_normal((2, len(time)))
+    x, y = (np.interp(time, truth.time, column) for column in (truth.x, truth.y))
+    return time, {"x": x + error[0], "y": y + error[1]}
