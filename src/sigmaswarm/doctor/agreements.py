@@ -70,10 +70,8 @@ def agreements(drive: Drive) -> tuple[Agreement, ...]:
     tuple of Agreement
         If the fixes have no course, agreements that need a moving vehicle are missing.
     """
-    steps = {
-        name: (table.time[1:], np.diff(table.time))
-        for name, table in (("IMU", drive.imu), ("fixes", drive.gps))
-    }
+    times = {"IMU": drive.imu.time, "fixes": drive.gps.time}
+    steps = {name: (time[1:], np.diff(time)) for name, time in times.items()}
     timing = Agreement("timing", "Time from one sample to the next", "s", steps, {})
     return (_gravity(drive), *_of_motion(drive), timing)
 
@@ -103,21 +101,13 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
     if np.count_nonzero(moving) < MIN_FIXES:
         return
     yield _turning(drive, course, moving)
-    gain, sideways = np.gradient(speed, at), speed * smoothed(imu.time, imu.gz, at, course.span)
-    for key, title, name, values, follows, expected in (
-        (
-            "forward",
-            "Longitudinal: ax compared with the change of speed",
-            "ax",
-            imu.ax,
-            "change of speed",
-            gain,
-        ),
-        ("sideways", "Lateral: ay compared with speed times yaw rate", "ay", imu.ay, "speed x gz", sideways),
-    ):
-        means = smoothed(imu.time, values, at, course.span)
-        measured, motion = {name: (at[moving], means[moving])}, {follows: (at[moving], expected[moving])}
-        yield Agreement(key, title, "m/s²", measured, motion)
+    ax, ay, gz = (smoothed(imu.time, values, at, course.span) for values in (imu.ax, imu.ay, imu.gz))
+    gain, sideways = ((at[moving], values[moving]) for values in (np.gradient(speed, at), speed * gz))
+    title = "Longitudinal: ax compared with the change of speed"
+    measured = {"ax": (at[moving], ax[moving])}
+    yield Agreement("forward", title, "m/s²", measured, {"change of speed": gain})
+    title, measured = "Lateral: ay compared with speed times yaw rate", {"ay": (at[moving], ay[moving])}
+    yield Agreement("sideways", title, "m/s²", measured, {"speed x gz": sideways})
     own = {"receiver": (gps.time, gps.speed)} if gps.speed is not None else {}
     own |= {"odometer": (drive.odometer.time, drive.odometer.speed)} if drive.odometer else {}
     if own:

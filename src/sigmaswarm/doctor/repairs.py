@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.doctor.checks.heading import HEADINGS
 from sigmaswarm.doctor.checks.odometer import without_spans
-from sigmaswarm.doctor.checks.velocity import CONVENTIONS
+from sigmaswarm.doctor.checks.receiver import CONVENTIONS, HEADINGS
 from sigmaswarm.doctor.findings import Diagnosis, Repair
 from sigmaswarm.doctor.fixes import with_exchanged_axes
 from sigmaswarm.doctor.mounting import rotate_imu

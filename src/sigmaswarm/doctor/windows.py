@@ -20,7 +20,11 @@ _PARABOLA = _GAUSS * (1 - _NODES**2) / np.sum(_GAUSS * (1 - _NODES**2))
 
 def integral(time: Array, values: Values) -> Values:
     """Integrate by the trapezoidal rule from the first sample, (n,)."""
-    total: Any = np.append(0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time)))
+    total: Any = np.zeros_like(values, shape=len(time))
+    steps = values[1:] + values[:-1]
+    steps *= 0.5
+    steps *= np.diff(time)
+    np.cumsum(steps, out=total[1:])
     return total
 
 

@@ -51,44 +51,29 @@ MAX_ANGLE = 10.0  # deg, largest angle between the mountings of two drives with 
 
 @dataclass(frozen=True)
 class LogProperties:
-    """The properties of a drive that determine the choice of a filter and an objective.
-
-    Attributes
-    ----------
-    interval, fix_interval : median time between two IMU samples, and between two fixes, s
-    axes : the axes of the IMU
-    attitude, std_quantiles, white, lasting, receiver_std : results of `has_attitude`, `stated_std_quantiles`,
-        `has_white_errors`, `has_lasting_errors` and `receiver_std`
-    odometer, accuracy, velocity, heading : True if the drive has wheel speeds; stated standard deviations; speeds and
-        courses; headings
-    driven : time between the last fix and the first fix that is more than 20 m from the start, s; 0 if there is none
-    fixes : number of fixes within the IMU's time span
-    noise, true_std : white noise of the fixes, and standard deviation of their errors (NaN without truth), m per axis;
-        ``true_std`` is used only with objectives that use truth
-    assumed_std : True if ``receiver_std`` is only assumed, since neither the receiver nor the white noise shows it
-    mounting : mounting of the IMU, deg; None if the drive states none
-    """
+    """The properties of a drive that determine the choice of a filter and an objective."""
 
     name: str
     truth: bool
-    interval: float
-    axes: tuple[str, ...]
-    attitude: bool
-    odometer: bool
-    accuracy: bool
-    velocity: bool
-    std_quantiles: tuple[float, float] | None
-    white: bool
-    driven: float
-    receiver_std: tuple[float, float]
-    heading: bool = False
-    lasting: bool = False
-    fixes: int = 0
-    fix_interval: float = np.nan
-    noise: float = np.nan
+    interval: float  # s, median time between two IMU samples
+    axes: tuple[str, ...]  # of the IMU
+    attitude: bool  # `has_attitude`
+    odometer: bool  # True if the drive has wheel speeds
+    accuracy: bool  # True if the fixes have stated standard deviations
+    velocity: bool  # True if the fixes have speeds and courses
+    std_quantiles: tuple[float, float] | None  # `stated_std_quantiles`
+    white: bool  # `has_white_errors`
+    driven: float  # s from the first fix that is more than 20 m from the start to the last fix; 0 if there is none
+    receiver_std: tuple[float, float]  # `receiver_std`
+    heading: bool = False  # True if the fixes have headings
+    lasting: bool = False  # `has_lasting_errors`
+    fixes: int = 0  # number of fixes within the IMU's time span
+    fix_interval: float = np.nan  # s, median time between two fixes
+    noise: float = np.nan  # m per axis, white noise of the fixes
+    # m per axis, standard deviation of the fixes' errors, NaN without truth; used only with objectives that use truth
     true_std: float = np.nan
-    assumed_std: bool = False
-    mounting: Angles | None = None
+    assumed_std: bool = False  # `assumes_std`
+    mounting: Angles | None = None  # deg, mounting of the IMU; None if the drive states none
 
 
 def log_properties(drive: Drive | LogProperties) -> LogProperties:
@@ -180,8 +165,12 @@ def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
     remove the motion and correlated errors.
     """
     third = np.diff(position, n=3)
-    parts = np.concatenate([third.real, third.imag])
-    return float(np.median(np.abs(parts)) / 0.6745 / np.sqrt(20.0)) if len(third) else 0.0
+    return robust_std(third) / float(np.sqrt(20.0)) if len(third) else 0.0
+
+
+def robust_std(off: NDArray[np.complexfloating[Any, Any]]) -> float:
+    """Return a robust standard deviation of real and imaginary parts about zero."""
+    return float(np.median(np.abs(np.concatenate([off.real.ravel(), off.imag.ravel()]))) / 0.6745)
 
 
 def antenna_track(drive: Drive, truth: Truth) -> tuple[Array, NDArray[np.complex128]]:
@@ -205,8 +194,8 @@ def true_std(drive: Drive) -> float:
     if not len(time):
         return float("nan")
     gps = gps.select((gps.time >= time[0]) & (gps.time <= time[-1]))
-    off = [gps.x - np.interp(gps.time, time, track.real), gps.y - np.interp(gps.time, time, track.imag)]
-    return float(np.median(np.abs(off)) / 0.6745) if len(gps) else float("nan")
+    off = gps.x - np.interp(gps.time, time, track.real), gps.y - np.interp(gps.time, time, track.imag)
+    return robust_std(off[0] + 1j * off[1]) if len(gps) else float("nan")
 
 
 def true_gyro_bias(drive: Drive) -> float:

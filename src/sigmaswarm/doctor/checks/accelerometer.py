@@ -6,11 +6,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from sigmaswarm.arrays import Array
+from sigmaswarm.doctor.acceleration_fit import DIAGONAL_TOLERANCE, PlanarMounting
 from sigmaswarm.doctor.checks.gyro import is_upside_down
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_by_margin, confidence_of, finding_of
 from sigmaswarm.doctor.mounting import leveling_rotation
-from sigmaswarm.doctor.verdicts import DIAGONAL_TOLERANCE, PlanarMounting
 from sigmaswarm.doctor.windows import moving_mean, smoothed
 from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
 from sigmaswarm.drives.drive import Imu

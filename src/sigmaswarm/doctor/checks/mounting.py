@@ -184,13 +184,12 @@ def _angle_std(products: Values, rows: int) -> float:
 
 def _path_shows(evidence: Evidence, time: float, angle: float) -> bool:
     """Return True if the IMU's path agrees better with the fixes if the forces after a time, s, are turned, rad."""
-    drive, course, yaw, fit = evidence.drive, evidence.course, evidence.yaw, evidence.acceleration
+    drive, course, fit = evidence.drive, evidence.course, evidence.acceleration
     if course is None or fit is None:
         return False
     force = (drive.imu.ax + 1j * drive.imu.ay) * np.exp(1j * angle * (drive.imu.time > time))
     turned = replace(drive, imu=replace(drive.imu, ax=force.real, ay=force.imag))
-    rate = yaw.factor * getattr(drive.imu, yaw.column)
-    new = fit_acceleration(turned, course, rate, np.array([fit.delay]))
+    new = fit_acceleration(turned, course, evidence.yaw_rate, np.array([fit.delay]))
     return new is not None and all(
         float(size(np.abs(new.residual))) < MAX_RESIDUAL_RATIO * float(size(np.abs(fit.residual)))
         for size in (np.median, np.linalg.norm)

@@ -4,9 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sigmaswarm.doctor.checks.heading import check_heading
-from sigmaswarm.doctor.checks.velocity import velocity_agrees
-from sigmaswarm.doctor.clock_search import MAX_OFFSET
+from sigmaswarm.doctor.checks.receiver import check_heading, velocity_agrees
+from sigmaswarm.doctor.clocks import MAX_OFFSET
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding
 from sigmaswarm.drives.alignment import REPAIR_FINDINGS, StartFailure, find_start

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.doctor.checks.velocity import UNITS
+from sigmaswarm.doctor.checks.receiver import UNITS
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
 from sigmaswarm.doctor.fixes import Course
@@ -174,8 +174,8 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
 
 def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
     """Return two numbers per path: ratio of the odometer's displacement to that of the fixes, and the latter in m."""
-    imu, yaw, time = evidence.drive.imu, evidence.yaw, odometer.time
-    heading = np.interp(time, imu.time, integral(imu.time, yaw.factor * getattr(imu, yaw.column)))
+    imu, time = evidence.drive.imu, odometer.time
+    heading = np.interp(time, imu.time, integral(imu.time, evidence.yaw_rate))
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)
     place = integral(time, east) + 1j * integral(time, north)
     along = integral(time, odometer.speed)

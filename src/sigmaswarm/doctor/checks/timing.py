@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.doctor.clock_drift import clock_drift
+from sigmaswarm.doctor.clocks import OFFSET_SIGMAS
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of, finding_of
 from sigmaswarm.doctor.mounting import MIN_EXPLAINED
-from sigmaswarm.doctor.truth_clock import MIN_DELAY
-from sigmaswarm.doctor.verdicts import MIN_GAIN_TURN, OFFSET_SIGMAS
+from sigmaswarm.doctor.truth import MIN_DELAY
+from sigmaswarm.doctor.yaw_fit import MIN_GAIN_TURN
 from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, GapSummary, gaps_in, outside_of, unshared_times
 from sigmaswarm.drives.drive import Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
@@ -50,7 +50,7 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
             remedy = f"{correction.format('18 s')}, since GPS time is 18 s ahead of UTC"
         repair = Repair("shift-clock", (shift, with_truth))
         yield Finding("clock-offset", "serious", what, where, span, 0.999, remedy, repair)
-    elif drift := clock_drift(evidence):
+    elif drift := evidence.clock_drift:
         percent, fast = 100 * abs(drift.rate), "slow" if drift.rate > 0 else "fast"
         what = (
             f"the IMU's clock is {percent:.3f}% {fast} relative to that of the fixes (standard deviation "
