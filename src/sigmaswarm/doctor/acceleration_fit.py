@@ -88,7 +88,7 @@ def gyro_heading(time: Array, course: Course, rate: Array, delay: float) -> Arra
 def gyro_drift(time: Array, course: Course, rate: Array, delay: float) -> float:
     """Return minus the gyro's bias, rad/s, estimated from the drift between the course and the integrated yaw rate."""
     _, off = _off_course(time, course, rate, delay)
-    step = max(round(DRIFT_SPAN / float(np.median(np.diff(course.time)))), 1)
+    step = max(round(DRIFT_SPAN / course.interval), 1)
     if len(off) <= step:
         return 0.0
     at = course.time[course.moving]
@@ -130,7 +130,7 @@ def fit_acceleration(
 
 def usable_windows(imu: Array, course: Course, longest: float) -> NDArray[np.intp]:
     """Return the fixes (w, n) of usable windows: no gap in the times ``imu``, s, and motion at over 30% of fixes."""
-    interval = float(np.median(np.diff(course.time)))
+    interval = course.interval
     length = float(np.clip(np.count_nonzero(course.moving) * interval / 2, 5.0, longest))
     rows = windows_of(course.time, (course.time > imu[0] + 1) & (course.time < imu[-1] - 1), length)
     gaps = np.diff(imu) > 0.3

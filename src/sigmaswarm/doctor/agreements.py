@@ -79,7 +79,7 @@ def agreements(drive: Drive) -> tuple[Agreement, ...]:
 def _gravity(drive: Drive) -> Agreement:
     imu, ends = drive.imu, drive.imu.time[[0, -1]]
     at = np.arange(ends[0], ends[1], 1 / RATE)
-    names = [name for name in ("ax", "ay", "az") if getattr(imu, name) is not None]
+    names = [name for name in imu.axes if name[0] == "a"]
     measured = {name: (at, smoothed(imu.time, getattr(imu, name), at, AVERAGING_TIME)) for name in names}
     expected = {"ax, ay at rest: 0": (ends, np.zeros(2))}
     expected |= {"az at rest: 9.81": (ends, np.full(2, GRAVITY))} if "az" in names else {}

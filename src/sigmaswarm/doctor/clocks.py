@@ -219,7 +219,7 @@ def search_offset(drive: Drive, course: Course, *, scaled: bool = False) -> floa
 
 def _pairs(course: Course) -> tuple[np.ndarray, np.ndarray]:
     """Return the indices of pairs of fixes about 5 s apart between which the car never stops."""
-    interval = float(np.median(np.diff(course.time)))
+    interval = course.interval
     step = max(round(TURN_INTERVAL / interval), 1)
     first = np.arange(max(len(course.time) - step, 0))
     moves = np.append(0, np.cumsum(course.moving))
@@ -252,11 +252,8 @@ def clock_drift(drive: Drive, course: Course, fit: YawFit, yaw: Yaw, fix_noise: 
     within = course.time[rows] - course.time[rows].mean(axis=1, keepdims=True)
     weight = np.minimum(np.abs(course.velocity[rows]) / 10, 1.0)
     rest = without_lines(weight, within)
-    seen, delay, length = (
-        rest(course.angle[rows]),
-        np.array([fit.delay, 0.0, 0.0]),
-        float(np.ptp(course.time)),
-    )
+    seen, length = rest(course.angle[rows]), float(np.ptp(course.time))
+    delay = np.array([fit.delay, 0.0, 0.0])
     pace = 1.0 / np.maximum(np.abs(course.velocity), MIN_SPEED)  # s/m
 
     def linearized(delay: Array) -> tuple[Array, Array, Array]:

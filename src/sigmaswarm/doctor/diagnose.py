@@ -2,20 +2,17 @@
 
 from dataclasses import replace
 
-from sigmaswarm.doctor.checks.accelerometer import check_accelerometer
-from sigmaswarm.doctor.checks.gyro import check_gyro, check_tilt
-from sigmaswarm.doctor.checks.mounting import (
-    OR_BACKWARD,
-    check_handled,
-    check_mirrored,
-    check_mounting,
-    check_reverse,
+from sigmaswarm.doctor.checks import (
+    accelerometer,
+    gyro,
+    mounting,
+    noise,
+    observability,
+    odometer,
+    receiver,
+    timing,
 )
-from sigmaswarm.doctor.checks.noise import check_noise
-from sigmaswarm.doctor.checks.observability import check_observability, check_use
-from sigmaswarm.doctor.checks.odometer import check_odometer
-from sigmaswarm.doctor.checks.receiver import check_heading, check_stated_heading, check_velocity
-from sigmaswarm.doctor.checks.timing import check_clock, check_sampling, check_truth
+from sigmaswarm.doctor.checks.mounting import OR_BACKWARD
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.findings import NO_ACTION, SEVERITIES, Diagnosis, Finding, finding_of
 from sigmaswarm.doctor.repairs import AXIS_ACTIONS, VERIFIED_ACTIONS, leave_different_axes
@@ -28,23 +25,23 @@ from sigmaswarm.wording import printable
 
 # Findings of equal severity have the order of these checks
 CHECKS = (
-    check_mirrored,
-    check_reverse,
-    check_mounting,
-    check_handled,
-    check_gyro,
-    check_accelerometer,
-    check_tilt,
-    check_clock,
-    check_truth,
-    check_velocity,
-    check_heading,
-    check_stated_heading,
-    check_odometer,
-    check_noise,
-    check_sampling,
-    check_observability,
-    check_use,
+    mounting.check_mirrored,
+    mounting.check_reverse,
+    mounting.check_mounting,
+    mounting.check_handled,
+    gyro.check_gyro,
+    accelerometer.check_accelerometer,
+    gyro.check_tilt,
+    timing.check_clock,
+    timing.check_truth,
+    receiver.check_velocity,
+    receiver.check_heading,
+    receiver.check_stated_heading,
+    odometer.check_odometer,
+    noise.check_noise,
+    timing.check_sampling,
+    observability.check_observability,
+    observability.check_use,
 )
 CACHE_SIZE = 32  # number of cached diagnoses; commands and pages need a diagnosis several times
 _cache: dict[tuple[str, str], Diagnosis] = {}

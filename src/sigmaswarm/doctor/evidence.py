@@ -131,7 +131,7 @@ class Evidence:
         truth, gps = self.drive.truth, self.drive.gps
         if truth is None:
             return None
-        delay = truth_delay(gps.time, gps.x + 1j * gps.y, truth.time, truth.x + 1j * truth.y)
+        delay = truth_delay(gps.time, gps.position, truth.time, truth.x + 1j * truth.y)
         return None if delay is None else delay - self.moved
 
     @cached_property
@@ -250,7 +250,7 @@ def _agrees(new: Evidence) -> bool:
 
 def _gather(drive: Drive) -> Evidence:
     gps, imu = drive.gps, drive.imu
-    position, stale = gps.x + 1j * gps.y, stale_fixes(gps)
+    position, stale = gps.position, stale_fixes(gps)
     inside = ~stale & (gps.time >= imu.time[0]) & (gps.time <= imu.time[-1])
     off = np.zeros(len(gps), dtype=np.bool_)
     off[inside] = mark_jumps(gps.time[inside], position[inside])

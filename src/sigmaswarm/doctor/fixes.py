@@ -33,6 +33,11 @@ class Course:
     slowest: float  # m/s, lowest speed with a course
     span: float  # s, averaging time of the velocity
 
+    @property
+    def interval(self) -> float:
+        """Median time from one fix to the next, s."""
+        return float(np.median(np.diff(self.time)))
+
 
 def with_exchanged_axes(drive: Drive) -> Drive | None:
     """Exchange x and y of the fixes, or latitude and longitude; None if the longitudes cannot be latitudes."""

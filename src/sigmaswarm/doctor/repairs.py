@@ -66,7 +66,7 @@ def leave_different_axes(drive: Drive, repairs: Sequence[Repair]) -> bool:
 
     Both must be rotated equally. If the axes were left-handed, the rates have the opposite signs.
     """
-    if len(_names(drive.imu)) < 6:
+    if len(drive.imu.axes) < 6:
         return False
     force, rates = _directions(drive, repairs)
     handed, force, rates = np.sign(np.linalg.det(force)), np.rint(force), np.rint(rates)
@@ -90,7 +90,7 @@ def _directions(drive: Drive, repairs: Sequence[Repair]) -> tuple[Array, Array]:
     rotated about z or exchanged.
     """
     imu = _of_unit_vectors(drive, repairs)
-    six = len(_names(imu)) == 6
+    six = len(imu.axes) == 6
     force = _unit_rows(imu.ax, imu.ay, imu.az if six else imu.gz)
     return force, _unit_rows(imu.gx, imu.gy, imu.gz) if six else force
 
@@ -101,7 +101,7 @@ def _axes(drive: Drive, repairs: Sequence[Repair], rotation: Array | None) -> di
     If the repairs are a rotation, it is part of the metadata's mounting, and the expressions contain only factors and
     signs before it. Otherwise the metadata has no mounting, and the expressions contain the earlier one.
     """
-    stated, names = axes_of(drive.metadata), _names(drive.imu)
+    stated, names = axes_of(drive.metadata), {*drive.imu.axes}
     if not names <= stated.keys():
         return {}
     earlier = rotation_of(*(drive.mounting or NO_ROTATION))
@@ -132,13 +132,9 @@ def _scaled(text: str, factor: float) -> str:
     return f"radians({text})" if math.isclose(factor, math.pi / 180) else f"({text})*{factor:.8g}"
 
 
-def _names(imu: Imu) -> set[str]:
-    return {name for name in ("ax", "ay", "az", "gx", "gy", "gz") if getattr(imu, name) is not None}
-
-
 def _of_unit_vectors(drive: Drive, repairs: Sequence[Repair]) -> Imu:
     """Apply repairs to an IMU of three samples; in sample k, each sensor's axis k is 1 and the others are 0."""
-    columns = {name: np.eye(3)["xyz".index(name[1])] for name in _names(drive.imu)}
+    columns = {name: np.eye(3)["xyz".index(name[1])] for name in drive.imu.axes}
     return _applied(replace(drive, imu=Imu(np.zeros(3), **columns)), repairs).imu
 
 

@@ -76,11 +76,20 @@ class Regression:
     solution: Array  # (k,)
     residual: Complex  # (w, n)
     weight: Array  # (w, n), the robust weight of each value, 0 to 1
-    cost: float  # the mean magnitude of the weighted residual, without robust weights
+    known: Array  # (w, n), the weight of each value without robust weights
     # (w, k, 2n), weighted, orthogonal to the columns `own`; real and imaginary parts alternate
     columns: Array
     left: Array  # (w, 2n), the weighted residuals; real and imaginary parts alternate
     own: int  # number of unknowns of each window
+
+    @cached_property
+    def size(self) -> Array:
+        """The magnitude of the weighted residual, without robust weights, (w, n)."""
+        return np.abs(self.residual) * self.known
+
+    @property
+    def cost(self) -> float:
+        return float(np.mean(self.size))
 
     @cached_property
     def covariance(self) -> Array:
@@ -106,9 +115,8 @@ def regress(
     """
     fit = _solve(y, columns, own, weight, np.ones(y.shape))
     for _ in range(rounds - 1):
-        size = np.abs(fit.residual) * weight
-        usual = max(float(np.median(size)), 1e-9)
-        fit = _solve(y, columns, own, weight, 1 / (1 + (size / (CAUCHY_SCALE * usual)) ** 2))
+        usual = max(float(np.median(fit.size)), 1e-9)
+        fit = _solve(y, columns, own, weight, 1 / (1 + (fit.size / (CAUCHY_SCALE * usual)) ** 2))
     return fit
 
 
@@ -132,8 +140,7 @@ def _solve(
     solution = pinv(gram[:-1, :-1] / np.outer(size, size)) @ (gram[:-1, -1] / size) / size
     left = rows[:, -1] - solution @ rows[:, :-1]
     residual = left.view(np.complex128) / np.maximum(root, 1e-12)
-    cost = float(np.mean(np.abs(residual) * weight))
-    return Regression(solution, residual, robust, cost, rows[:, :-1], left, q.shape[-1])
+    return Regression(solution, residual, robust, weight, rows[:, :-1], left, q.shape[-1])
 
 
 def pinv(gram: Array) -> Array:

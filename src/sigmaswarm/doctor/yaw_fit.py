@@ -87,7 +87,7 @@ def fit_yaw(drive: Drive, course: Course) -> YawFit | None:
 
 def yaw_windows(course: Course) -> NDArray[np.intp]:
     """Return the indices (w, n) of windows in which the car moves."""
-    interval = float(np.median(np.diff(course.time)))
+    interval = course.interval
     length = min(WINDOW, np.count_nonzero(course.moving) * interval - interval)
     return windows_of(course.time, course.moving, length)
 

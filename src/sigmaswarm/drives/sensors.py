@@ -85,7 +85,7 @@ def log_properties(drive: Drive | LogProperties) -> LogProperties:
         name=drive.name,
         truth=bool(drive.truth),
         interval=drive.nominal_interval,
-        axes=tuple(axis for axis in ("ax", "ay", "az", "gx", "gy", "gz") if getattr(imu, axis) is not None),
+        axes=imu.axes,
         attitude=has_attitude(drive),
         odometer=drive.odometer is not None,
         accuracy=gps.std is not None,
@@ -97,8 +97,8 @@ def log_properties(drive: Drive | LogProperties) -> LogProperties:
         heading=gps.heading is not None,
         lasting=has_lasting_errors(drive),
         fixes=int(np.sum((gps.time >= imu.time[0]) & (gps.time <= imu.time[-1]))),
-        fix_interval=float(np.median(np.diff(gps.time))) if len(gps) > 1 else np.nan,
-        noise=white_noise(gps.x + 1j * gps.y),
+        fix_interval=gps.interval,
+        noise=white_noise(gps.position),
         true_std=true_std(drive),
         assumed_std=assumes_std(drive),
         # An imported drive states its axes, but not a rotation of zero.
@@ -154,7 +154,7 @@ def assumes_std(drive: Drive) -> bool:
 def _visible_noise(drive: Drive) -> float | None:
     """Return the white noise of the fixes, m per axis; None if it is small or hidden by motion."""
     gps = drive.gps
-    shown, moved = white_noise(gps.x + 1j * gps.y), motion_in_noise(float(np.median(np.diff(gps.time))))
+    shown, moved = white_noise(gps.position), motion_in_noise(gps.interval)
     return shown if shown > max(MIN_WHITE_NOISE, 3 * moved) else None
 
 
@@ -223,8 +223,8 @@ def has_white_errors(drive: Drive) -> bool:
     If errors are correlated, or the receiver smooths the fixes, the white noise is far smaller than the errors.
     """
     gps = drive.gps
-    off, shown = max(stated_std(drive) or (UNSTATED_GPS_STD,)), white_noise(gps.x + 1j * gps.y)
-    return shown > MIN_WHITE_SHARE * off and shown > 3 * motion_in_noise(float(np.median(np.diff(gps.time))))
+    off, shown = max(stated_std(drive) or (UNSTATED_GPS_STD,)), white_noise(gps.position)
+    return shown > MIN_WHITE_SHARE * off and shown > 3 * motion_in_noise(gps.interval)
 
 
 def has_lasting_errors(drive: Drive) -> bool:
@@ -233,7 +233,7 @@ def has_lasting_errors(drive: Drive) -> bool:
     Errors that are not visible are correlated, or smaller than the receiver states. The result is False if motion
     between fixes would hide white errors, as with RTK. A repeated fix counts once.
     """
-    position, least = drive.gps.x + 1j * drive.gps.y, MIN_WHITE_SHARE * max(receiver_std(drive))
+    position, least = drive.gps.position, MIN_WHITE_SHARE * max(receiver_std(drive))
     new = np.append(True, np.diff(position) != 0)
     if np.count_nonzero(new) < 4:
         return False

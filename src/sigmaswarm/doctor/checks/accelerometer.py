@@ -195,7 +195,7 @@ def _unit_of_up(evidence: Evidence) -> float:
 
 def _force(imu: Imu, unit: float) -> Array:
     """Return the specific force (3, n), averaged over half a second."""
-    count = max(round(0.5 / float(np.median(np.diff(imu.time)))), 1)
+    count = max(round(0.5 / imu.interval), 1)
     return unit * moving_mean(np.array([imu.ax, imu.ay, imu.az]), count)
 
 

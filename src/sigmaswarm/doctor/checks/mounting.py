@@ -90,13 +90,10 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
     moved = find_movement(evidence.drive)
     if change := moved or find_turn(evidence):
         time, angle = change
-        seen = (
-            "the direction of gravity"
-            if moved
-            else "the direction of the vehicle's acceleration in ax and ay"
-        )
+        seen = "gravity" if moved else "the vehicle's acceleration in ax and ay"
         backward = OR_BACKWARD if not moved and angle > BACKWARD else ""
-        what = f"the IMU was moved at t = {time:.0f} s{backward}: {seen} changes by {math.degrees(angle):.0f} deg"
+        what = f"the IMU was moved at t = {time:.0f} s{backward}: the direction of {seen} changes by "
+        what += f"{math.degrees(angle):.0f} deg"
         command = split_command(time)
         remedy = f"split the drive at this time: {command}. The two parts have different mountings"
         span = time, evidence.span[1]
@@ -291,7 +288,7 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
     moving = speed > min(STANDS, OF_USUAL * float(np.quantile(speed, 0.9)))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], moving.astype(int), [0]])))
     runs = [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= 5]
-    step = max(round(STEP / float(np.median(np.diff(course.time)))), 1)
+    step = max(round(STEP / course.interval), 1)
     runs = [run for run in runs if run.stop - run.start >= step + 4]
     changes = [(_change(speed[run], step), _change(gained[run], step)) for run in runs]
     forward = np.exp(1j * np.angle(sum(x.conj() @ y for y, x in changes[1:])))

@@ -72,7 +72,7 @@ def _disturbed(evidence: Evidence) -> Iterator[Finding]:
     part = slice(int(np.argmax(high)), len(high) - int(np.argmax(high[::-1])))
     moved, off = np.diff(course.position[fit.rows[part]], axis=1), np.diff(fit.residual[part], axis=1)
     turn = np.degrees(np.max(np.abs(np.angle(moved * np.conj(moved - off)))))
-    duration = (len(fixes) - 1) * float(np.median(np.diff(course.time)))
+    duration = (len(fixes) - 1) * course.interval
     start, end = float(course.time[fixes[0]]), float(course.time[fixes[-1]])
     what = (
         f"for {duration:.0f} of the {end - start:.0f} s from t = {start:.0f} s, the fixes scatter by {noise:.2g} m per "
@@ -107,7 +107,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         remedy = "if you know a better value, write gps_std_m at the top of drive.toml"
         yield Finding("gps-noise", "note", what, "drive.toml, gps_std_m", evidence.span, 0.95, remedy)
         return
-    stated, unseen = float(np.mean(known)), motion_in_noise(float(np.median(np.diff(gps.time))))
+    stated, unseen = float(np.mean(known)), motion_in_noise(gps.interval)
     if stated < MIN_STATED_STD:
         scatter, unseen = noise, 0.0
     if wrong := _wrong_std(evidence, stated, scatter, unseen):

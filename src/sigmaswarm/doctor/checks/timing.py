@@ -137,7 +137,7 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     yield from clock_jumps(imu.time, gps)
     same = np.append(False, (np.diff(imu.ax) == 0) & (np.diff(imu.ay) == 0) & (np.diff(imu.gz) == 0))
     if same.mean() > MAX_REPEATED_SHARE:
-        share, fresh = 100 * same.mean(), (1 - same.mean()) / float(np.median(np.diff(imu.time)))
+        share, fresh = 100 * same.mean(), (1 - same.mean()) / imu.interval
         what = (
             f"{share:.0f}% of the samples repeat the previous one, so the sensor measures about {fresh:.0f} "
             "times per second"
@@ -217,8 +217,8 @@ def _time_passed(gps: Gps, j: int) -> tuple[float, float]:
     Each speed is the slope of a line through the fixes of `SPEED_WINDOW` s. If the speeds differ, any speed between
     them is possible.
     """
-    position, time = gps.x + 1j * gps.y, gps.time
-    noise = max(white_noise(position), motion_in_noise(float(np.median(np.diff(time)))))
+    position, time = gps.position, gps.time
+    noise = max(white_noise(position), motion_in_noise(gps.interval))
     lines, variance = [], 0.0
     for at, side in (
         (time[j], (time <= time[j]) & (time >= time[j] - SPEED_WINDOW)),
