@@ -275,12 +275,6 @@ def planar_mounting(fit: AccelerationFit) -> PlanarMounting:
     k = int(np.clip(np.argmin(misfits), 1, len(ANGLES) - 2))
     bend = (misfits[k - 1] + misfits[k + 1] - 2 * misfits[k]) / (ANGLES[1] - ANGLES[0]) ** 2
     (x, y), (dx, dy) = np.diag(fit.matrix @ axes.T / unit).tolist(), deviation(axes, unit).tolist()
-    return PlanarMounting(
-        axes,
-        unit,
-        float(ANGLES[np.argmin(misfits)]),
-        float(math.sqrt(2 / bend)) if bend > 0 else math.inf,
-        plain - best,
-        (dx < MAX_ELEMENT_STD, dy < MAX_ELEMENT_STD),
-        ((x, dx), (y, dy)),
-    )
+    angle, angle_std = float(ANGLES[np.argmin(misfits)]), math.sqrt(2 / bend) if bend > 0 else math.inf
+    known = dx < MAX_ELEMENT_STD, dy < MAX_ELEMENT_STD
+    return PlanarMounting(axes, unit, angle, angle_std, plain - best, known, ((x, dx), (y, dy)))

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.doctor.fixes import Course, Mask, course_of, mark_jumps
+from sigmaswarm.doctor.fixes import Course, course_of, mark_jumps
 from sigmaswarm.doctor.windows import integral, smoothed
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.stale_fixes import stale_fixes
+from sigmaswarm.drives.tables import Mask
 
 MIN_FIXES = 8
 MIN_SPEED = 1.0  # m/s, lowest speed at which a course is shown

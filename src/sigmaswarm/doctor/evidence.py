@@ -30,14 +30,7 @@ from sigmaswarm.doctor.clocks import (
     leveled_delay,
     search_offset,
 )
-from sigmaswarm.doctor.fixes import (
-    Course,
-    Mask,
-    course_of,
-    mark_jumps,
-    with_exchanged_axes,
-    with_reversed_east,
-)
+from sigmaswarm.doctor.fixes import Course, course_of, mark_jumps, with_exchanged_axes, with_reversed_east
 from sigmaswarm.doctor.mounting import Mounting, mounting_of, rotate_imu
 from sigmaswarm.doctor.truth import MIN_DELAY, TruthFit, fit_truth, truth_as_fixes, truth_delay
 from sigmaswarm.doctor.yaw_fit import MIN_GAIN_TURN, SUFFICIENT_SHARE, Yaw, YawFit, fit_yaw, yaw_of
@@ -46,6 +39,7 @@ from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.drives.sensors import robust_std, white_noise
 from sigmaswarm.drives.stale_fixes import stale_fixes
 from sigmaswarm.drives.suggestion import SuggestedFilter, suggest_filter
+from sigmaswarm.drives.tables import Mask
 
 MAX_FIT_OFFSET = 2.3  # s, largest offset that the fit determines; the fit tries delays up to 2.5 s
 MIN_SEARCH_OFFSET = 0.3  # s, smallest offset that the search determines

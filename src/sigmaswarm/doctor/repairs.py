@@ -152,23 +152,23 @@ def _exchange_fixes(drive: Drive) -> Drive:
     return with_exchanged_axes(drive) or drive
 
 
+def _retimed(drive: Drive, change: Callable[[Array], Array], *sensors: str) -> Drive:
+    tables = {sensor: table for sensor, table in drive.tables.items() if sensor in sensors}
+    return replace(drive, **{s: replace(table, time=change(table.time)) for s, table in tables.items()})
+
+
 def _shift(sensor: str, drive: Drive, seconds: float) -> Drive:
-    table = getattr(drive, sensor)
-    return _with(sensor, drive, time=table and table.time + seconds)
+    return _retimed(drive, lambda time: time + seconds, sensor)
 
 
 def _shift_clock(drive: Drive, seconds: float, with_truth: float = 0.0) -> Drive:
     """Add ``seconds`` to the times of the fixes, and to those of the truth if ``with_truth`` is 1."""
-    drive = _shift("gps", drive, seconds)
-    return _shift("truth", drive, seconds) if with_truth else drive
+    return _retimed(drive, lambda time: time + seconds, "gps", "truth" if with_truth else "gps")
 
 
 def _stretch(drive: Drive, factor: float, begin: float) -> Drive:
     """Multiply the times of IMU and odometer since ``begin``, s, by a factor."""
-    for sensor in ("imu", "odometer"):
-        table = getattr(drive, sensor)
-        drive = _with(sensor, drive, time=table and begin + factor * (table.time - begin))
-    return drive
+    return _retimed(drive, lambda time: begin + factor * (time - begin), "imu", "odometer")
 
 
 def _drop(sensor: str, drive: Drive, *times: float) -> Drive:
@@ -189,12 +189,8 @@ def _gyro(drive: Drive, column: float, factor: float, alone: float = 0.0) -> Dri
     name = ("gx", "gy", "gz")[int(column)]
     rates = {n: getattr(drive.imu, n) for n in ("gx", "gy", "gz")}
     rates["gz"], rates[name] = rates[name], rates["gz"]
-    changed = {
-        n: v * (factor if n == "gz" else 1.0 if alone else abs(factor))
-        for n, v in rates.items()
-        if v is not None
-    }
-    return _with("imu", drive, **changed)
+    factors = dict.fromkeys(rates, 1.0 if alone else abs(factor)) | {"gz": factor}
+    return _with("imu", drive, **{n: v * factors[n] for n, v in rates.items() if v is not None})
 
 
 def _tilt_rates(drive: Drive, a: float, b: float, c: float, d: float) -> Drive:
@@ -269,9 +265,7 @@ def _drop_readings(drive: Drive, *ends: float) -> Drive:
 
 def _close_jump(drive: Drive, moment: float, jump: float) -> Drive:
     """Subtract the jump, s, from all times after ``moment``, s."""
-    for sensor, table in drive.tables.items():
-        drive = _with(sensor, drive, time=np.where(table.time > moment, table.time - jump, table.time))
-    return drive
+    return _retimed(drive, lambda time: np.where(time > moment, time - jump, time), *drive.tables)
 
 
 def _cut_ends(drive: Drive, begin: float, end: float) -> Drive:

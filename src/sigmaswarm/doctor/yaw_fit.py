@@ -134,16 +134,11 @@ def fit_column(
     slowness = float(np.sum(turning / speed) / max(np.sum(turning), 1e-12))  # s/m, in turns
     flat = regress(angle, [np.zeros_like(angle)], own, weight, 1)
     left, whole = (float(np.sum(np.abs(weight * r.residual) ** 2)) for r in (fit, flat))
-    return YawFit(
-        column,
-        float(fit.solution[0]),
-        float(np.sqrt(fit.covariance[0, 0])),
-        1 - left / max(whole, 1e-12),
-        delay + ANTENNA_DISTANCE[0] * slowness,
-        float(np.hypot(delay_std, ANTENNA_DISTANCE[1] * slowness)),
-        float(np.sqrt(np.mean(np.abs(flat.residual) ** 2))),
-        float(at(0.0).solution[0]),
-    )
+    gain, std = float(fit.solution[0]), float(np.sqrt(fit.covariance[0, 0]))
+    delay += ANTENNA_DISTANCE[0] * slowness
+    delay_std = float(np.hypot(delay_std, ANTENNA_DISTANCE[1] * slowness))
+    change, undelayed = float(np.sqrt(np.mean(np.abs(flat.residual) ** 2))), float(at(0.0).solution[0])
+    return YawFit(column, gain, std, 1 - left / max(whole, 1e-12), delay, delay_std, change, undelayed)
 
 
 @dataclass(frozen=True)

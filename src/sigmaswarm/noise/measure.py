@@ -107,10 +107,9 @@ def filter_noise(parameters: FilterParameters, name: str = "filter") -> Noise:
         angles = {"gx": "roll", "gy": "pitch", "gz": "theta"}
         white = {"ax": accel, "ay": accel, **{a: q[state] for a, state in angles.items() if state in q}}
         walks = {f"{s.bias_of[0]}{s.name[-1]}": q[s.name] for s in model.states if s.bias_of}
+    none = np.zeros(0)
     axes = [
-        AxisNoise(
-            a, _exact(white[a]), _exact(0.0), _exact(walks.get(a, 0.0)), math.inf, 0.0, *np.zeros((2, 0))
-        )
+        AxisNoise(a, _exact(white[a]), _exact(0.0), _exact(walks.get(a, 0.0)), math.inf, 0.0, none, none)
         for a in IMU_AXES
         if a in white
     ]

@@ -164,16 +164,9 @@ def measure_gps(
     x, y = _through_degrees(position, white).T if grade.carla else (position + white + markov).T
     std = grade.stated_factor * grade.std  # ideal fixes state no standard deviation, since 0 is not valid
     stated = np.full(len(times), std) if std > 0 else None
-    moving = grade.velocity_std is not None
-    fixes = Gps(
-        time=times,
-        x=x,
-        y=y,
-        std_x=stated,
-        std_y=stated,
-        speed=np.hypot(*velocity.T) if moving else None,
-        course=np.arctan2(velocity[:, 1], velocity[:, 0]) if moving else None,
-    )
+    fixes = Gps(times, x, y, std_x=stated, std_y=stated)
+    if grade.velocity_std is not None:
+        fixes = replace(fixes, speed=np.hypot(*velocity.T), course=np.arctan2(velocity[:, 1], velocity[:, 0]))
     return fixes.select(keep)
 
 

@@ -93,12 +93,6 @@ def _size(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
         yield Finding("mounting", severity, what, WHERE, span, confidence_of(angle / std), remedy, repair)
     second = np.arange(imu.time[0] + 0.5, imu.time[-1], 1.0)
     force = mount.matrix @ np.array([imu.ax, imu.ay])
-    wrong = [
-        (name, scale, std)
-        for name, (scale, std), row in zip(("forward", "leftward"), mount.scale, force, strict=True)
-        if np.std(smoothed(imu.time, row, second, 1.0)) > MIN_ACCELERATION_SPREAD
-        and abs(scale - 1) > max(WRONG_SCALE, 5 * std)
-    ]
     remedy = "check the sensor's range setting and low-pass filter"
     (forward, std), (left, other) = mount.scale
     alike = all(mount.known) and abs(forward - left) < 3 * math.hypot(std, other)
@@ -108,13 +102,15 @@ def _size(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
         remedy = (
             "check unit and projection of the positions; for example, Web Mercator (EPSG:3857) stretches them"
         )
-    for name, scale, std in wrong:
-        what = (
-            f"the car's {name} acceleration is {scale:.2f} times the acceleration that the IMU measures "
-            f"(standard deviation {std:.2f})"
-        )
-        confidence = confidence_of((scale - 1) / std)
-        yield Finding("accelerometer-scale", "warning", what, WHERE, span, confidence, remedy)
+    for name, (scale, std), row in zip(("forward", "leftward"), mount.scale, force, strict=True):
+        spread = np.std(smoothed(imu.time, row, second, 1.0))
+        if spread > MIN_ACCELERATION_SPREAD and abs(scale - 1) > max(WRONG_SCALE, 5 * std):
+            what = (
+                f"the car's {name} acceleration is {scale:.2f} times the acceleration that the IMU measures "
+            )
+            what += f"(standard deviation {std:.2f})"
+            confidence = confidence_of((scale - 1) / std)
+            yield Finding("accelerometer-scale", "warning", what, WHERE, span, confidence, remedy)
 
 
 def _gravity(evidence: Evidence) -> Iterator[Finding]:

@@ -14,10 +14,10 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.acceleration_fit import gyro_drift
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import NO_ACTION, Finding, Repair, confidence_of
-from sigmaswarm.doctor.fixes import Mask
 from sigmaswarm.doctor.windows import integral, moving_mean, smoothed
 from sigmaswarm.doctor.yaw_fit import DEGREE, MIN_GAIN_ERROR, yaw_windows
 from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
+from sigmaswarm.drives.tables import Mask
 
 # rad, RMS change of the course within 20 s; smaller changes are due to swaying
 MIN_SCALE_TURN = np.radians(1.0)

@@ -54,9 +54,7 @@ def check_odometer(evidence: Evidence) -> Iterator[Finding]:
         ("slip", 0.9, "the wheel speed jumps without acceleration, so the wheels spin or lock", _slips),
     ):
         if spans := find(odometer, course, evidence):
-            named = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in spans[:3]) + (
-                " ..." if len(spans) > 3 else ""
-            )
+            named = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in spans[:3]) + " ..." * (len(spans) > 3)
             repair = Repair("drop-readings", tuple(t for span in spans for t in span))
             span, remedy = (spans[0][0], spans[-1][1]), "leave these readings out"
             what = f"{fault}: t = {named}"
@@ -102,9 +100,8 @@ def _slips(odometer: Odometer, _: Course, evidence: Evidence) -> Spans:
     at = at[(ends[1] - ends[0] >= 3) & (np.interp(at, time[1:], np.diff(time)) < MAX_JUMP_TIME / 2)]
     if len(at) < 100:
         return []
-    apart = _gain(time, odometer.speed, at, MAX_JUMP_TIME) - _gain(
-        imu.time, integral(imu.time, imu.ax), at, MAX_JUMP_TIME
-    )
+    apart = _gain(time, odometer.speed, at, MAX_JUMP_TIME)
+    apart -= _gain(imu.time, integral(imu.time, imu.ax), at, MAX_JUMP_TIME)
     apart -= np.median(apart)
     quiet = np.abs(apart) < MIN_JUMP
     if np.median(np.abs(apart)) > MAX_DIFFERENCE or np.count_nonzero(quiet) < 0.5 * len(at):

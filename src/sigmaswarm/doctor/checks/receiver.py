@@ -13,11 +13,10 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.checks.mounting import BACKWARD, check_reverse
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
-from sigmaswarm.doctor.fixes import Mask
 from sigmaswarm.doctor.windows import integral, smoothed
 from sigmaswarm.doctor.yaw_fit import FACTOR_TOLERANCE
 from sigmaswarm.drives.alignment import STATED_HEADING_STD, StartFailure, find_start, is_slow
-from sigmaswarm.drives.tables import headings_of
+from sigmaswarm.drives.tables import Mask, headings_of
 from sigmaswarm.geodesy import wrap_angle
 
 UNITS = {"km/h": 1 / 3.6, "knots": 0.514444, "mph": 0.44704, "cm/s": 0.01, "mm/s": 1e-3}
