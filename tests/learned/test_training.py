@@ -17,11 +17,12 @@ from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.run import whole_pass
 from sigmaswarm.filters.starts import start_of
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.learned import noise_gru, outage_training
+from sigmaswarm.learned import noise_training, outage_training
 from sigmaswarm.learned.fitting import Schedule, TrainingProblem, double_precision, fit, new_weights
 from sigmaswarm.learned.folder import load_learned
 from sigmaswarm.learned.learn import LEARNERS, LearnConfig, learn
-from sigmaswarm.learned.noise_gru import FEATURES, NoiseRun, require_supported
+from sigmaswarm.learned.noise_gru import FEATURES, NoiseRun
+from sigmaswarm.learned.noise_training import require_supported
 from support import make_drive, quickly, require, sparse
 
 require("optax", "JAX and Optax are not installed (extra learned)")
@@ -164,14 +165,14 @@ def test_an_interrupted_search_ends_in_the_same_bytes(quick, tmp_path: Path):
 @pytest.mark.long
 def test_the_gradient_of_the_noise_network_agrees_with_differences():
     p = parameters("planar5", kind="ekf")
-    segments = noise_gru.segments_of(drives()[:1], p, 2.0)
+    segments = noise_training.segments_of(drives()[:1], p, 2.0)
     batch = tuple(array[:2] for array in segments.arrays)
     weights = new_weights(np.random.default_rng(0), 3, FEATURES, 2, 2)
     weights["head"] = np.random.default_rng(1).normal(size=(2, 2))
     with double_precision():
         import jax
 
-        loss = jax.jit(jax.value_and_grad(noise_gru.loss(p)))
+        loss = jax.jit(jax.value_and_grad(noise_training.loss(p)))
         gradient = loss(weights, batch)[1]
         for name, at in (("head_bias", (1,)), ("input", (0, 1)), ("head", (1, 0))):
             ahead, behind = ({**weights, name: weights[name].copy()} for _ in range(2))
@@ -208,7 +209,7 @@ def test_truth_is_not_used():
     )
     assert with_truth.arrays[1].tobytes() == without.arrays[1].tobytes()
     assert with_truth.held_back.any() and not with_truth.held_back.all()
-    segments = [noise_gru.segments_of(of, p, 8.0) for of in (drives(), blind)]
+    segments = [noise_training.segments_of(of, p, 8.0) for of in (drives(), blind)]
     assert [a.tobytes() for a in segments[0].arrays] == [a.tobytes() for a in segments[1].arrays]
     assert segments[0].held_back.any() and not segments[0].held_back.all()
 

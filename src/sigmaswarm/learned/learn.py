@@ -35,6 +35,7 @@ from sigmaswarm.learned.folder import (
     NetworkRecord,
     TrainingRecord,
 )
+from sigmaswarm.learned.noise_training import NoiseLearner
 from sigmaswarm.learned.outage_training import OutageLearner
 from sigmaswarm.record_files import ARRAYS
 from sigmaswarm.tuning.optimizers import create_optimizer
@@ -56,11 +57,8 @@ class TrainingProgress:
     loss: float
 
 
-Learner = OutageLearner | noise_gru.NoiseLearner
-LEARNERS: Mapping[str, type[Learner]] = {
-    outage_lstm.NAME: OutageLearner,
-    noise_gru.NAME: noise_gru.NoiseLearner,
-}
+Learner = OutageLearner | NoiseLearner
+LEARNERS: Mapping[str, type[Learner]] = {outage_lstm.NAME: OutageLearner, noise_gru.NAME: NoiseLearner}
 """Learner of each type of network.
 
 ``start``: settings of the first training. ``box``: logarithms (base 2) of the search's bounds. ``training_problem``
