@@ -20,7 +20,8 @@ _PARABOLA = _GAUSS * (1 - _NODES**2) / np.sum(_GAUSS * (1 - _NODES**2))
 
 def integral(time: Array, values: Values) -> Values:
     """Integrate by the trapezoidal rule from the first sample, (n,)."""
-    total: Any = np.zeros_like(values, shape=len(time))
+    total: Any = np.empty_like(values, shape=len(time))
+    total[:1] = 0.0
     steps = values[1:] + values[:-1]
     steps *= 0.5
     steps *= np.diff(time)
