@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 import sigmaswarm
 from sigmaswarm import Drive, Gps, Imu
-from sigmaswarm.doctor.clock_search import search_offset
+from sigmaswarm.doctor.clocks import search_offset
 from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.mounting import rotate_imu
 from sigmaswarm.doctor.repairs import repair

@@ -20,8 +20,7 @@ from sigmaswarm.doctor.checks.timing import clock_jumps
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.fixes import mark_jumps
 from sigmaswarm.doctor.repairs import repair
-from sigmaswarm.doctor.verdicts import Yaw, yaw_of
-from sigmaswarm.doctor.yaw_fit import YawFit
+from sigmaswarm.doctor.yaw_fit import Yaw, YawFit, yaw_of
 from sigmaswarm.drives.split import clip
 from sigmaswarm.simulation.gps import with_outliers
 from sigmaswarm.tuning.defaults import default_filter_options

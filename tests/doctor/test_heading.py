@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.doctor.checks.heading import check_heading, check_stated_heading
+from sigmaswarm.doctor.checks.receiver import check_heading, check_stated_heading
 from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.doctor.evidence import Evidence, gather
 from sigmaswarm.doctor.findings import Diagnosis, Finding

@@ -9,9 +9,8 @@ import pytest
 import sigmaswarm
 from doctor.faults import fixes_late, rolls_reversed
 from sigmaswarm import Drive
+from sigmaswarm.doctor.clocks import ClockOffset, leveled_delay
 from sigmaswarm.doctor.evidence import gather
-from sigmaswarm.doctor.leveled_fit import leveled_delay
-from sigmaswarm.doctor.verdicts import ClockOffset
 from sigmaswarm.drives.split import clip
 from sigmaswarm.simulation import GPS_GRADES
 from support import several

@@ -11,7 +11,7 @@ from sigmaswarm.doctor import evidence
 from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.repairs import repair
-from sigmaswarm.doctor.truth_clock import truth_delay
+from sigmaswarm.doctor.truth import truth_delay
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.simulation.scenarios import simulate

@@ -1,4 +1,4 @@
-"""Regression of the path on the accelerations: mounting angle, scale, tilt, and delay of the fixes.
+"""Regression of the path on the accelerations: axes, units, scale, tilt, and delay of the fixes.
 
 In windows of several seconds, the IMU determines the path, integrated from an unknown position and velocity:
 
@@ -9,7 +9,9 @@ gyro give the heading theta. M (2, 2) and ``delay`` are common to all windows; p
 between windows. The mean of b is also fitted. For a log without faults, M is the identity.
 """
 
+import math
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.windows import Complex, Regression, integral, regress, smoothed, windows_of, with_prior
+from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.sensors import white_noise
 
@@ -30,6 +33,20 @@ MIN_NOISE = 0.03  # m, smallest assumed noise of the IMU's path over several sec
 DELAYS = np.arange(-0.8, 0.81, 0.1)  # s, delays of the fixes to try
 DRIFT_SPAN = 6.0  # s, standard deviation of the Gaussian window in which the gyro's integral is aligned with the course
 BIN = 3.0  # s, length of the bins to which this window is applied
+
+# m/s, smallest `AccelerationFit.varied` that determines the delay; noise of the IMU causes up to 0.04 m/s
+MIN_VARIED = 0.1
+# Smallest decrease in chi-square for which another interpretation replaces the recorded one. Also the largest
+# chi-square of an interpretation in g (logs in g have 4), since in steady circles, the forces hardly exceed the noise
+# and do not determine the unit.
+MIN_LEAD = 16.0
+# Tolerance of the off-diagonal elements of M, for slip, and for tilt in maneuvers
+OFF_DIAGONAL_TOLERANCE = 0.05
+# Tolerance of the diagonal elements of M: roll and pitch of the body add 5 to 10% to the acceleration
+DIAGONAL_TOLERANCE = 0.12
+MAX_ELEMENT_STD = 0.25  # standard deviation of an element of M below which the drive determines it
+MAX_RECORDED_ANGLE = math.radians(5)  # rad, largest rotation about z without a penalty
+ANGLES = np.radians(np.arange(-40.0, 40.5, 0.5))
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +88,7 @@ def gyro_heading(time: Array, course: Course, rate: Array, delay: float) -> Arra
 def gyro_drift(time: Array, course: Course, rate: Array, delay: float) -> float:
     """Return minus the gyro's bias, rad/s, estimated from the drift between the course and the integrated yaw rate."""
     _, off = _off_course(time, course, rate, delay)
-    step = max(round(DRIFT_SPAN / float(np.median(np.diff(course.time)))), 1)
+    step = max(round(DRIFT_SPAN / course.interval), 1)
     if len(off) <= step:
         return 0.0
     at = course.time[course.moving]
@@ -90,9 +107,8 @@ def fit_acceleration(
     if not len(rows):
         return None
     fit = _Fit(drive, course, rate, rows, known)
-    delay = float(tried[0])
-    if len(tried) > 1:
-        delay = float(min(tried, key=lambda delay: fit.at(float(delay), rounds=1).cost))
+    first = tried[0] if len(tried) == 1 else min(tried, key=lambda delay: fit.at(float(delay), rounds=1).cost)
+    delay = float(first)
     for k in range(10):
         found = fit.at(delay)
         step = 1.0
@@ -114,7 +130,7 @@ def fit_acceleration(
 
 def usable_windows(imu: Array, course: Course, longest: float) -> NDArray[np.intp]:
     """Return the fixes (w, n) of usable windows: no gap in the times ``imu``, s, and motion at over 30% of fixes."""
-    interval = float(np.median(np.diff(course.time)))
+    interval = course.interval
     length = float(np.clip(np.count_nonzero(course.moving) * interval / 2, 5.0, longest))
     rows = windows_of(course.time, (course.time > imu[0] + 1) & (course.time < imu[-1] - 1), length)
     gaps = np.diff(imu) > 0.3
@@ -196,3 +212,69 @@ class _Fit:
 
         lever = complex(*self._drive.lever_arm) * np.interp(at, imu.time, direction)[rows]
         return [path(force) for force in (imu.ax, imu.ay, np.ones(len(imu)))], course.position[rows] - lever
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarMounting:
+    axes: Array  # (2, 2), signed permutation of (ax, ay)
+    unit: float  # 1, or m/s2 per g
+    angle: float  # rad; a rotation about z by this angle turns the interpreted axes into the car's
+    angle_std: float  # rad, standard deviation of `angle`
+    margin: float  # lead in chi-square of this interpretation over the log as recorded
+    known: tuple[bool, bool]  # (forward, left): True if the drive determines the axis
+    # (forward, left): remaining factor, and its standard deviation
+    scale: tuple[tuple[float, float], tuple[float, float]]
+
+    @property
+    def matrix(self) -> Array:
+        return self.unit * self.axes
+
+
+def expected_matrix(axes: Array, unit: float, angles: Array) -> tuple[Array, Array]:
+    """Return the expected M at n angles, (n, 4), and its squared tolerances as a diagonal matrix, (4, 4)."""
+    c, s = np.cos(angles), np.sin(angles)
+    slack = unit * np.where(axes != 0, DIAGONAL_TOLERANCE, OFF_DIAGONAL_TOLERANCE).ravel()
+    rotations = np.stack([c, -s, s, c], axis=-1).reshape(-1, 2, 2)
+    return unit * (rotations @ axes).reshape(-1, 4), np.diag(slack**2)
+
+
+def planar_mounting(fit: AccelerationFit) -> PlanarMounting:
+    """Return the assignment of columns, signs and unit to the car's axes with the least chi-square.
+
+    Assignments that differ from the recorded assignment have a penalty, and must lower chi-square by `MIN_LEAD`.
+    """
+    covariance, as_recorded = fit.covariance[:4, :4], np.eye(2)
+    spread = np.sqrt(np.diag(covariance)).reshape(2, 2)
+
+    def misfits_of(axes: Array, unit: float, angles: Array) -> Array:
+        expected, slack = expected_matrix(axes, unit, angles)
+        off = fit.matrix.ravel() - expected
+        solved = np.linalg.solve(covariance + slack, off[:, :, None])[:, :, 0]
+        return np.array([row @ solution for row, solution in zip(off, solved, strict=True)])
+
+    def deviation(axes: Array, unit: float) -> Array:
+        return np.diag(spread / unit @ np.abs(axes.T))
+
+    plain = float(misfits_of(as_recorded, 1.0, np.zeros(1))[0])
+    readings = [(plain, as_recorded, 1.0)]
+    for order, signs, unit in product(
+        (np.eye(2), np.eye(2)[::-1]), product((1.0, -1.0), repeat=2), (1.0, GRAVITY)
+    ):
+        axes = np.diag(signs) @ order
+        price = 6.0 * (unit != 1) + 6.0 * (not np.array_equal(axes, as_recorded)) + 2.0 * (axes[0, 0] == 0)
+        turned = float(np.min(misfits_of(axes, unit, ANGLES) + 6.0 * (np.abs(ANGLES) > MAX_RECORDED_ANGLE)))
+        if unit == 1 or turned < MIN_LEAD:
+            readings.append((turned + price, axes, unit))
+    best, axes, unit = min(readings, key=lambda reading: reading[0])
+    if plain - best < MIN_LEAD:
+        axes, unit = as_recorded, 1.0
+    determined = deviation(axes, unit) < MAX_ELEMENT_STD
+    if unit == 1 and not (determined & (axes != as_recorded).any(axis=1)).any():
+        axes = as_recorded  # an axis that the drive does not determine is not changed
+    misfits = misfits_of(axes, unit, ANGLES)
+    k = int(np.clip(np.argmin(misfits), 1, len(ANGLES) - 2))
+    bend = (misfits[k - 1] + misfits[k + 1] - 2 * misfits[k]) / (ANGLES[1] - ANGLES[0]) ** 2
+    (x, y), (dx, dy) = np.diag(fit.matrix @ axes.T / unit).tolist(), deviation(axes, unit).tolist()
+    angle, angle_std = float(ANGLES[np.argmin(misfits)]), math.sqrt(2 / bend) if bend > 0 else math.inf
+    known = dx < MAX_ELEMENT_STD, dy < MAX_ELEMENT_STD
+    return PlanarMounting(axes, unit, angle, angle_std, plain - best, known, ((x, dx), (y, dy)))

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.doctor.fixes import Course, Mask, course_of, mark_jumps
+from sigmaswarm.doctor.fixes import Course, course_of, mark_jumps
 from sigmaswarm.doctor.windows import integral, smoothed
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.stale_fixes import stale_fixes
+from sigmaswarm.drives.tables import Mask
 
 MIN_FIXES = 8
 MIN_SPEED = 1.0  # m/s, lowest speed at which a course is shown
@@ -70,10 +71,8 @@ def agreements(drive: Drive) -> tuple[Agreement, ...]:
     tuple of Agreement
         If the fixes have no course, agreements that need a moving vehicle are missing.
     """
-    steps = {
-        name: (table.time[1:], np.diff(table.time))
-        for name, table in (("IMU", drive.imu), ("fixes", drive.gps))
-    }
+    times = {"IMU": drive.imu.time, "fixes": drive.gps.time}
+    steps = {name: (time[1:], np.diff(time)) for name, time in times.items()}
     timing = Agreement("timing", "Time from one sample to the next", "s", steps, {})
     return (_gravity(drive), *_of_motion(drive), timing)
 
@@ -81,7 +80,7 @@ def agreements(drive: Drive) -> tuple[Agreement, ...]:
 def _gravity(drive: Drive) -> Agreement:
     imu, ends = drive.imu, drive.imu.time[[0, -1]]
     at = np.arange(ends[0], ends[1], 1 / RATE)
-    names = [name for name in ("ax", "ay", "az") if getattr(imu, name) is not None]
+    names = [name for name in imu.axes if name[0] == "a"]
     measured = {name: (at, smoothed(imu.time, getattr(imu, name), at, AVERAGING_TIME)) for name in names}
     expected = {"ax, ay at rest: 0": (ends, np.zeros(2))}
     expected |= {"az at rest: 9.81": (ends, np.full(2, GRAVITY))} if "az" in names else {}
@@ -103,21 +102,13 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
     if np.count_nonzero(moving) < MIN_FIXES:
         return
     yield _turning(drive, course, moving)
-    gain, sideways = np.gradient(speed, at), speed * smoothed(imu.time, imu.gz, at, course.span)
-    for key, title, name, values, follows, expected in (
-        (
-            "forward",
-            "Longitudinal: ax compared with the change of speed",
-            "ax",
-            imu.ax,
-            "change of speed",
-            gain,
-        ),
-        ("sideways", "Lateral: ay compared with speed times yaw rate", "ay", imu.ay, "speed x gz", sideways),
-    ):
-        means = smoothed(imu.time, values, at, course.span)
-        measured, motion = {name: (at[moving], means[moving])}, {follows: (at[moving], expected[moving])}
-        yield Agreement(key, title, "m/s²", measured, motion)
+    ax, ay, gz = (smoothed(imu.time, values, at, course.span) for values in (imu.ax, imu.ay, imu.gz))
+    gain, sideways = ((at[moving], values[moving]) for values in (np.gradient(speed, at), speed * gz))
+    title = "Longitudinal: ax compared with the change of speed"
+    measured = {"ax": (at[moving], ax[moving])}
+    yield Agreement("forward", title, "m/s²", measured, {"change of speed": gain})
+    title, measured = "Lateral: ay compared with speed times yaw rate", {"ay": (at[moving], ay[moving])}
+    yield Agreement("sideways", title, "m/s²", measured, {"speed x gz": sideways})
     own = {"receiver": (gps.time, gps.speed)} if gps.speed is not None else {}
     own |= {"odometer": (drive.odometer.time, drive.odometer.speed)} if drive.odometer else {}
     if own:

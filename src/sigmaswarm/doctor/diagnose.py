@@ -1,23 +1,18 @@
 """Diagnose one drive with all checks."""
 
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from sigmaswarm.doctor.checks.accelerometer import check_accelerometer
-from sigmaswarm.doctor.checks.gyro import check_gyro, check_tilt
-from sigmaswarm.doctor.checks.heading import check_heading, check_stated_heading
-from sigmaswarm.doctor.checks.mounting import (
-    OR_BACKWARD,
-    check_handled,
-    check_mirrored,
-    check_mounting,
-    check_reverse,
+from sigmaswarm.doctor.checks import (
+    accelerometer,
+    gyro,
+    mounting,
+    noise,
+    observability,
+    odometer,
+    receiver,
+    timing,
 )
-from sigmaswarm.doctor.checks.noise import check_noise
-from sigmaswarm.doctor.checks.observability import check_observability, check_use
-from sigmaswarm.doctor.checks.odometer import check_odometer
-from sigmaswarm.doctor.checks.timing import check_clock, check_sampling, check_truth
-from sigmaswarm.doctor.checks.velocity import check_velocity
+from sigmaswarm.doctor.checks.mounting import OR_BACKWARD
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.findings import NO_ACTION, SEVERITIES, Diagnosis, Finding, finding_of
 from sigmaswarm.doctor.repairs import AXIS_ACTIONS, VERIFIED_ACTIONS, leave_different_axes
@@ -30,23 +25,23 @@ from sigmaswarm.wording import printable
 
 # Findings of equal severity have the order of these checks
 CHECKS = (
-    check_mirrored,
-    check_reverse,
-    check_mounting,
-    check_handled,
-    check_gyro,
-    check_accelerometer,
-    check_tilt,
-    check_clock,
-    check_truth,
-    check_velocity,
-    check_heading,
-    check_stated_heading,
-    check_odometer,
-    check_noise,
-    check_sampling,
-    check_observability,
-    check_use,
+    mounting.check_mirrored,
+    mounting.check_reverse,
+    mounting.check_mounting,
+    mounting.check_handled,
+    gyro.check_gyro,
+    accelerometer.check_accelerometer,
+    gyro.check_tilt,
+    timing.check_clock,
+    timing.check_truth,
+    receiver.check_velocity,
+    receiver.check_heading,
+    receiver.check_stated_heading,
+    odometer.check_odometer,
+    noise.check_noise,
+    timing.check_sampling,
+    observability.check_observability,
+    observability.check_use,
 )
 CACHE_SIZE = 32  # number of cached diagnoses; commands and pages need a diagnosis several times
 _cache: dict[tuple[str, str], Diagnosis] = {}
@@ -91,14 +86,15 @@ def _diagnosed(drive: Drive) -> Diagnosis:
         found = [f for f in found if f.repair is None or f.repair.action not in AXIS_ACTIONS]
     if "reverse-start" in codes:  # it explains this change of the axes
         found = [f for f in found if f.code != "mounting-changed" or OR_BACKWARD not in f.what]
-    of_axes = [f for f in found if f.repair and f.repair.action in AXIS_ACTIONS]
-    if leave_different_axes(drive, [f.repair for f in of_axes if f.repair]):
+    of_axes = {f: f.repair for f in found if f.repair and f.repair.action in AXIS_ACTIONS}
+    if leave_different_axes(drive, [*of_axes.values()]):
         found = [_of_one_sensor(f) if f in of_axes else _after_the_axes(f) for f in found]
     withheld = drive.metadata.get("withheld", ())
     found = [_contradicted(finding) if finding.code in withheld else finding for finding in found]
     found.sort(key=lambda finding: SEVERITIES.index(finding.severity))
-    whole = name_of_whole(drive)
-    return Diagnosis(drive.name, tuple(_of_part(found, whole)), evidence.clock.visible, whole)
+    if whole := name_of_whole(drive):
+        found = [_of_part(finding, whole) if finding.repair else finding for finding in found]
+    return Diagnosis(drive.name, tuple(found), evidence.clock.visible, whole)
 
 
 def _contradicted(finding: Finding) -> Finding:
@@ -126,17 +122,14 @@ def _after_the_axes(finding: Finding) -> Finding:
     """Withhold a repair that a filter verifies, since the filter's predictions are useless with wrong axes."""
     if finding.repair is None or finding.repair.action not in VERIFIED_ACTIONS:
         return finding
-    return replace(
-        finding, remedy=f"correct the IMU's axes and check again; then {finding.remedy}", repair=None
-    )
+    remedy = f"correct the IMU's axes and check again; then {finding.remedy}"
+    return replace(finding, remedy=remedy, repair=None)
 
 
-def _of_part(found: Sequence[Finding], whole: str) -> Iterator[Finding]:
-    """Replace the remedies of a part's repairable faults, since a repaired part would differ from the other part."""
-    for finding in found:
-        remedy = f"if the whole drive {printable(whole)} has this fault, repair that drive and split it again"
-        remedy += f" ({finding.remedy})"
-        yield replace(finding, remedy=remedy) if whole and finding.repair else finding
+def _of_part(finding: Finding, whole: str) -> Finding:
+    """Replace the remedy of a part's repairable fault, since a repaired part would differ from the other part."""
+    remedy = f"if the whole drive {printable(whole)} has this fault, repair that drive and split it again"
+    return replace(finding, remedy=f"{remedy} ({finding.remedy})")
 
 
 def finding_sentences(drive: Drive) -> tuple[str, ...]:

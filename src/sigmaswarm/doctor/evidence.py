@@ -8,40 +8,38 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.doctor.acceleration_fit import DELAYS, AccelerationFit, fit_acceleration
-from sigmaswarm.doctor.clock_search import MAX_OFFSET, MIN_SEARCH_TURN, search_offset
-from sigmaswarm.doctor.fixes import (
-    Course,
-    Mask,
-    course_of,
-    mark_jumps,
-    with_exchanged_axes,
-    with_reversed_east,
-)
-from sigmaswarm.doctor.leveled_fit import leveled_delay
-from sigmaswarm.doctor.mounting import Mounting, mounting_of, rotate_imu
-from sigmaswarm.doctor.truth_clock import MIN_DELAY, truth_delay
-from sigmaswarm.doctor.truth_fit import TruthFit, fit_truth, truth_as_fixes
-from sigmaswarm.doctor.verdicts import (
+from sigmaswarm.arrays import Array
+from sigmaswarm.doctor.acceleration_fit import (
+    DELAYS,
     MAX_RECORDED_ANGLE,
-    MIN_GAIN_TURN,
-    MIN_OFFSET,
     MIN_VARIED,
-    OFFSET_SIGMAS,
-    ClockOffset,
+    AccelerationFit,
     PlanarMounting,
-    Yaw,
-    clock_of,
+    fit_acceleration,
     planar_mounting,
-    yaw_of,
 )
-from sigmaswarm.doctor.windows import Complex
-from sigmaswarm.doctor.yaw_fit import SUFFICIENT_SHARE, YawFit, fit_yaw
+from sigmaswarm.doctor.clocks import (
+    MAX_OFFSET,
+    MIN_OFFSET,
+    MIN_SEARCH_TURN,
+    OFFSET_SIGMAS,
+    ClockDrift,
+    ClockOffset,
+    clock_drift,
+    clock_of,
+    leveled_delay,
+    search_offset,
+)
+from sigmaswarm.doctor.fixes import Course, course_of, mark_jumps, with_exchanged_axes, with_reversed_east
+from sigmaswarm.doctor.mounting import Mounting, mounting_of, rotate_imu
+from sigmaswarm.doctor.truth import MIN_DELAY, TruthFit, fit_truth, truth_as_fixes, truth_delay
+from sigmaswarm.doctor.yaw_fit import MIN_GAIN_TURN, SUFFICIENT_SHARE, Yaw, YawFit, fit_yaw, yaw_of
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
-from sigmaswarm.drives.sensors import white_noise
+from sigmaswarm.drives.sensors import robust_std, white_noise
 from sigmaswarm.drives.stale_fixes import stale_fixes
 from sigmaswarm.drives.suggestion import SuggestedFilter, suggest_filter
+from sigmaswarm.drives.tables import Mask
 
 MAX_FIT_OFFSET = 2.3  # s, largest offset that the fit determines; the fit tries delays up to 2.5 s
 MIN_SEARCH_OFFSET = 0.3  # s, smallest offset that the search determines
@@ -105,10 +103,21 @@ class Evidence:
         """Delay of the fixes in `course`, s: without `moved`, which is part of `clock`."""
         return self.clock.delay - self.moved
 
+    @property
+    def yaw_rate(self) -> Array:
+        """The yaw rate (n,), rad/s, with correct column, sign and unit."""
+        return self.yaw.rate(self.drive.imu)
+
     @cached_property
     def suggestion(self) -> SuggestedFilter:
         """The default filter of `tune` for the drive."""
         return suggest_filter([self.drive])
+
+    @cached_property
+    def clock_drift(self) -> ClockDrift | None:
+        if self.course is None or self.yaw_fit is None:
+            return None
+        return clock_drift(self.drive, self.course, self.yaw_fit, self.yaw, self.noise)
 
     @cached_property
     def truth_delay(self) -> float | None:
@@ -116,7 +125,7 @@ class Evidence:
         truth, gps = self.drive.truth, self.drive.gps
         if truth is None:
             return None
-        delay = truth_delay(gps.time, gps.x + 1j * gps.y, truth.time, truth.x + 1j * truth.y)
+        delay = truth_delay(gps.time, gps.position, truth.time, truth.x + 1j * truth.y)
         return None if delay is None else delay - self.moved
 
     @cached_property
@@ -235,7 +244,7 @@ def _agrees(new: Evidence) -> bool:
 
 def _gather(drive: Drive) -> Evidence:
     gps, imu = drive.gps, drive.imu
-    position, stale = gps.x + 1j * gps.y, stale_fixes(gps)
+    position, stale = gps.position, stale_fixes(gps)
     inside = ~stale & (gps.time >= imu.time[0]) & (gps.time <= imu.time[-1])
     off = np.zeros(len(gps), dtype=np.bool_)
     off[inside] = mark_jumps(gps.time[inside], position[inside])
@@ -249,7 +258,7 @@ def _gather(drive: Drive) -> Evidence:
     yaw, acceleration, mount, clock = yaw_of(yaw_fit, imu), None, None, ClockOffset()
     if course and course.moving.any():
         delay = yaw_fit if yaw_fit and yaw.known and yaw_fit.share > 0.5 else None
-        rate, tried = yaw.factor * getattr(imu, yaw.column), (delay.delay if delay else 0.0) + DELAYS
+        rate, tried = yaw.rate(imu), (delay.delay if delay else 0.0) + DELAYS
         acceleration = fit_acceleration(drive, course, rate, tried)
         mount = acceleration and planar_mounting(acceleration)
         as_recorded = (
@@ -266,16 +275,12 @@ def _gather(drive: Drive) -> Evidence:
     noise, scatter = white_noise(course.position) if course else 0.0, 0.0
     if acceleration:
         n = acceleration.rows.shape[1]  # the three unknowns of each window reduce the residuals
-        noise = _spread(np.diff(acceleration.residual, n=2, axis=1)) / np.sqrt(6.0)
-        scatter = _spread(acceleration.residual) * np.sqrt(n / (n - 3))
+        noise = robust_std(np.diff(acceleration.residual, n=2, axis=1)) / np.sqrt(6.0)
+        scatter = robust_std(acceleration.residual) * np.sqrt(n / (n - 3))
         off[used[_far_off(acceleration)]] = True
     return Evidence(
         drive, stale, off, used, course, yaw_fit, yaw, acceleration, mount, clock, noise, scatter, mounting
     )
-
-
-def _spread(v: Complex) -> float:
-    return float(np.median(np.abs(np.concatenate([v.real.ravel(), v.imag.ravel()]))) / 0.6745)
 
 
 def _far_off(acceleration: AccelerationFit) -> np.ndarray:

@@ -3,15 +3,14 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.lib.stride_tricks import sliding_window_view
 
 from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.windows import Complex
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.sensors import white_noise
+from sigmaswarm.drives.tables import Mask
 from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
-
-Mask = NDArray[np.bool_]
 
 NEIGHBORS = 3  # number of fixes on each side that predict the position of a fix
 MAX_ACCELERATION = 8.0  # m/s2, largest acceleration of a car; a larger one is a jump of the fixes
@@ -32,6 +31,11 @@ class Course:
     moving: Mask  # (n,), True if the car is fast enough for a course
     slowest: float  # m/s, lowest speed with a course
     span: float  # s, averaging time of the velocity
+
+    @property
+    def interval(self) -> float:
+        """Median time from one fix to the next, s."""
+        return float(np.median(np.diff(self.time)))
 
 
 def with_exchanged_axes(drive: Drive) -> Drive | None:
@@ -59,12 +63,9 @@ def mark_jumps(time: Array, position: Complex) -> Mask:
     # one jump at a time, the largest among its neighbors, since a jump distorts the lines of its neighbors
     for _ in range(20):
         off = np.abs(_off_line(time[kept], position[kept]))
-        limit = (
-            12 * float(np.median(off)) + 0.5 * MAX_ACCELERATION * (NEIGHBORS * np.gradient(time[kept])) ** 2
-        )
-        worst = np.lib.stride_tricks.sliding_window_view(np.pad(off, NEIGHBORS), 2 * NEIGHBORS + 1).max(
-            axis=1
-        )
+        reach = 0.5 * MAX_ACCELERATION * (NEIGHBORS * np.gradient(time[kept])) ** 2
+        limit = 12 * float(np.median(off)) + reach
+        worst = sliding_window_view(np.pad(off, NEIGHBORS), 2 * NEIGHBORS + 1).max(axis=1)
         bad = (off > limit) & (off == worst)
         if not bad.any() or len(kept) - bad.sum() < 10:
             break

@@ -13,13 +13,18 @@ from typing import Literal
 import numpy as np
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.doctor.acceleration_fit import DELAYS, AccelerationFit, fit_acceleration
+from sigmaswarm.doctor.acceleration_fit import (
+    DELAYS,
+    DIAGONAL_TOLERANCE,
+    MIN_LEAD,
+    AccelerationFit,
+    fit_acceleration,
+)
 from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.travel_direction import direction_of_travel
-from sigmaswarm.doctor.verdicts import DIAGONAL_TOLERANCE, FACTOR_TOLERANCE, MIN_GAIN_TURN, MIN_LEAD, yaw_of
 from sigmaswarm.doctor.windows import integral, smoothed, windows_of
-from sigmaswarm.doctor.yaw_fit import DELAYS as YAW_LATENESS
-from sigmaswarm.doctor.yaw_fit import YawFit, fit_column, yaw_windows
+from sigmaswarm.doctor.yaw_fit import DELAYS as YAW_DELAYS
+from sigmaswarm.doctor.yaw_fit import FACTOR_TOLERANCE, MIN_GAIN_TURN, YawFit, fit_column, yaw_of, yaw_windows
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive, Imu
 from sigmaswarm.drives.mounting import NO_ROTATION
@@ -242,7 +247,7 @@ def _converged(
 
 def _round(drive: Drive, course: Course, last: _Round | None, yaw_fit: YawFit | None) -> _Round | None:
     """Run one round; only the first round searches for the delay of the fixes."""
-    tried = np.array([last.yaw_fit.delay]) if last else YAW_LATENESS
+    tried = np.array([last.yaw_fit.delay]) if last else YAW_DELAYS
     yaw_fit = yaw_fit or fit_column(drive, course, "gz", yaw_windows(course), tried)
     rate = drive.imu.gz if yaw_fit.gain >= 0 else -drive.imu.gz
     tried = np.array([last.delay]) if last else (yaw_fit.delay if yaw_fit.share > 0.5 else 0.0) + DELAYS

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.doctor.checks.heading import HEADINGS
 from sigmaswarm.doctor.checks.odometer import without_spans
-from sigmaswarm.doctor.checks.velocity import CONVENTIONS
+from sigmaswarm.doctor.checks.receiver import CONVENTIONS, HEADINGS
 from sigmaswarm.doctor.findings import Diagnosis, Repair
 from sigmaswarm.doctor.fixes import with_exchanged_axes
 from sigmaswarm.doctor.mounting import rotate_imu
@@ -67,7 +66,7 @@ def leave_different_axes(drive: Drive, repairs: Sequence[Repair]) -> bool:
 
     Both must be rotated equally. If the axes were left-handed, the rates have the opposite signs.
     """
-    if len(_names(drive.imu)) < 6:
+    if len(drive.imu.axes) < 6:
         return False
     force, rates = _directions(drive, repairs)
     handed, force, rates = np.sign(np.linalg.det(force)), np.rint(force), np.rint(rates)
@@ -91,7 +90,7 @@ def _directions(drive: Drive, repairs: Sequence[Repair]) -> tuple[Array, Array]:
     rotated about z or exchanged.
     """
     imu = _of_unit_vectors(drive, repairs)
-    six = len(_names(imu)) == 6
+    six = len(imu.axes) == 6
     force = _unit_rows(imu.ax, imu.ay, imu.az if six else imu.gz)
     return force, _unit_rows(imu.gx, imu.gy, imu.gz) if six else force
 
@@ -102,7 +101,7 @@ def _axes(drive: Drive, repairs: Sequence[Repair], rotation: Array | None) -> di
     If the repairs are a rotation, it is part of the metadata's mounting, and the expressions contain only factors and
     signs before it. Otherwise the metadata has no mounting, and the expressions contain the earlier one.
     """
-    stated, names = axes_of(drive.metadata), _names(drive.imu)
+    stated, names = axes_of(drive.metadata), {*drive.imu.axes}
     if not names <= stated.keys():
         return {}
     earlier = rotation_of(*(drive.mounting or NO_ROTATION))
@@ -133,13 +132,9 @@ def _scaled(text: str, factor: float) -> str:
     return f"radians({text})" if math.isclose(factor, math.pi / 180) else f"({text})*{factor:.8g}"
 
 
-def _names(imu: Imu) -> set[str]:
-    return {name for name in ("ax", "ay", "az", "gx", "gy", "gz") if getattr(imu, name) is not None}
-
-
 def _of_unit_vectors(drive: Drive, repairs: Sequence[Repair]) -> Imu:
     """Apply repairs to an IMU of three samples; in sample k, each sensor's axis k is 1 and the others are 0."""
-    columns = {name: np.eye(3)["xyz".index(name[1])] for name in _names(drive.imu)}
+    columns = {name: np.eye(3)["xyz".index(name[1])] for name in drive.imu.axes}
     return _applied(replace(drive, imu=Imu(np.zeros(3), **columns)), repairs).imu
 
 
@@ -157,23 +152,23 @@ def _exchange_fixes(drive: Drive) -> Drive:
     return with_exchanged_axes(drive) or drive
 
 
+def _retimed(drive: Drive, change: Callable[[Array], Array], *sensors: str) -> Drive:
+    tables = {sensor: table for sensor, table in drive.tables.items() if sensor in sensors}
+    return replace(drive, **{s: replace(table, time=change(table.time)) for s, table in tables.items()})
+
+
 def _shift(sensor: str, drive: Drive, seconds: float) -> Drive:
-    table = getattr(drive, sensor)
-    return _with(sensor, drive, time=table and table.time + seconds)
+    return _retimed(drive, lambda time: time + seconds, sensor)
 
 
 def _shift_clock(drive: Drive, seconds: float, with_truth: float = 0.0) -> Drive:
     """Add ``seconds`` to the times of the fixes, and to those of the truth if ``with_truth`` is 1."""
-    drive = _shift("gps", drive, seconds)
-    return _shift("truth", drive, seconds) if with_truth else drive
+    return _retimed(drive, lambda time: time + seconds, "gps", "truth" if with_truth else "gps")
 
 
 def _stretch(drive: Drive, factor: float, begin: float) -> Drive:
     """Multiply the times of IMU and odometer since ``begin``, s, by a factor."""
-    for sensor in ("imu", "odometer"):
-        table = getattr(drive, sensor)
-        drive = _with(sensor, drive, time=table and begin + factor * (table.time - begin))
-    return drive
+    return _retimed(drive, lambda time: begin + factor * (time - begin), "imu", "odometer")
 
 
 def _drop(sensor: str, drive: Drive, *times: float) -> Drive:
@@ -194,12 +189,8 @@ def _gyro(drive: Drive, column: float, factor: float, alone: float = 0.0) -> Dri
     name = ("gx", "gy", "gz")[int(column)]
     rates = {n: getattr(drive.imu, n) for n in ("gx", "gy", "gz")}
     rates["gz"], rates[name] = rates[name], rates["gz"]
-    changed = {
-        n: v * (factor if n == "gz" else 1.0 if alone else abs(factor))
-        for n, v in rates.items()
-        if v is not None
-    }
-    return _with("imu", drive, **changed)
+    factors = dict.fromkeys(rates, 1.0 if alone else abs(factor)) | {"gz": factor}
+    return _with("imu", drive, **{n: v * factors[n] for n, v in rates.items() if v is not None})
 
 
 def _tilt_rates(drive: Drive, a: float, b: float, c: float, d: float) -> Drive:
@@ -274,9 +265,7 @@ def _drop_readings(drive: Drive, *ends: float) -> Drive:
 
 def _close_jump(drive: Drive, moment: float, jump: float) -> Drive:
     """Subtract the jump, s, from all times after ``moment``, s."""
-    for sensor, table in drive.tables.items():
-        drive = _with(sensor, drive, time=np.where(table.time > moment, table.time - jump, table.time))
-    return drive
+    return _retimed(drive, lambda time: np.where(time > moment, time - jump, time), *drive.tables)
 
 
 def _cut_ends(drive: Drive, begin: float, end: float) -> Drive:

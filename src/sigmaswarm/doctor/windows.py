@@ -20,7 +20,12 @@ _PARABOLA = _GAUSS * (1 - _NODES**2) / np.sum(_GAUSS * (1 - _NODES**2))
 
 def integral(time: Array, values: Values) -> Values:
     """Integrate by the trapezoidal rule from the first sample, (n,)."""
-    total: Any = np.append(0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time)))
+    total: Any = np.empty_like(values, shape=len(time))
+    total[:1] = 0.0
+    steps = values[1:] + values[:-1]
+    steps *= 0.5
+    steps *= np.diff(time)
+    np.cumsum(steps, out=total[1:])
     return total
 
 
@@ -72,11 +77,20 @@ class Regression:
     solution: Array  # (k,)
     residual: Complex  # (w, n)
     weight: Array  # (w, n), the robust weight of each value, 0 to 1
-    cost: float  # the mean magnitude of the weighted residual, without robust weights
+    known: Array  # (w, n), the weight of each value without robust weights
     # (w, k, 2n), weighted, orthogonal to the columns `own`; real and imaginary parts alternate
     columns: Array
     left: Array  # (w, 2n), the weighted residuals; real and imaginary parts alternate
     own: int  # number of unknowns of each window
+
+    @cached_property
+    def size(self) -> Array:
+        """The magnitude of the weighted residual, without robust weights, (w, n)."""
+        return np.abs(self.residual) * self.known
+
+    @property
+    def cost(self) -> float:
+        return float(np.mean(self.size))
 
     @cached_property
     def covariance(self) -> Array:
@@ -102,9 +116,8 @@ def regress(
     """
     fit = _solve(y, columns, own, weight, np.ones(y.shape))
     for _ in range(rounds - 1):
-        size = np.abs(fit.residual) * weight
-        usual = max(float(np.median(size)), 1e-9)
-        fit = _solve(y, columns, own, weight, 1 / (1 + (size / (CAUCHY_SCALE * usual)) ** 2))
+        usual = max(float(np.median(fit.size)), 1e-9)
+        fit = _solve(y, columns, own, weight, 1 / (1 + (fit.size / (CAUCHY_SCALE * usual)) ** 2))
     return fit
 
 
@@ -128,8 +141,7 @@ def _solve(
     solution = pinv(gram[:-1, :-1] / np.outer(size, size)) @ (gram[:-1, -1] / size) / size
     left = rows[:, -1] - solution @ rows[:, :-1]
     residual = left.view(np.complex128) / np.maximum(root, 1e-12)
-    cost = float(np.mean(np.abs(residual) * weight))
-    return Regression(solution, residual, robust, cost, rows[:, :-1], left, q.shape[-1])
+    return Regression(solution, residual, robust, weight, rows[:, :-1], left, q.shape[-1])
 
 
 def pinv(gram: Array) -> Array:

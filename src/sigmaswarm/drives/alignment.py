@@ -116,7 +116,7 @@ def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | Sta
 def is_slow(drive: Drive) -> bool:
     """Return True if the vehicle is too slow for a normal start: fixes rarely move `MIN_TRAVEL` in `MAX_DURATION`."""
     usable = np.isfinite(drive.gps.x + drive.gps.y)
-    time, position = drive.gps.time[usable], (drive.gps.x + 1j * drive.gps.y)[usable]
+    time, position = drive.gps.time[usable], drive.gps.position[usable]
     first = np.searchsorted(time, time - MAX_DURATION)
     return bool(len(time)) and float(np.mean(np.abs(position - position[first]) >= MIN_TRAVEL)) < 0.01
 
@@ -179,7 +179,7 @@ class Alignments:
         inside &= np.isfinite(drive.gps.x + drive.gps.y)
         fixes = np.flatnonzero(inside if usable is None else inside & usable)
         self._used, self.time = fixes, drive.gps.time[fixes]
-        self._position = (drive.gps.x + 1j * drive.gps.y)[fixes]
+        self._position = drive.gps.position[fixes]
         self._first = np.searchsorted(self.time, self.time - longest, side="left")
         count = np.arange(len(fixes)) - self._first + 1
         self._chord = np.abs(self._position - self._position[self._first])

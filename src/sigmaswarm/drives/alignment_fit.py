@@ -159,11 +159,8 @@ class AlignmentFit:
     def state(self, *, tilts: bool = True) -> InitialState:
         """Return the initial state; with ``tilts``, include evidence about tilts if the IMU has gx and gy."""
         fixes, mean, numbers = self._fixes, np.zeros(5), np.zeros(NUMBERS)
-        posterior, covariance, turns = (
-            self._covariance[SLOPE, SLOPE],
-            self._covariance.copy(),
-            self._turns.copy(),
-        )
+        posterior, covariance = self._covariance[SLOPE, SLOPE], self._covariance.copy()
+        turns = self._turns.copy()
         variance = convert_to_start(self._fit, mean, covariance, turns, numbers[CHANGE:])
         mean[4] = wrap_angle(mean[4])
         tilt = None

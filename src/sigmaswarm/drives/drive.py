@@ -121,7 +121,7 @@ class Drive:
     @property
     def nominal_interval(self) -> float:
         """Median time between IMU samples, s; the process noise is the variance added per such interval."""
-        return float(np.median(np.diff(self.imu.time)))
+        return self.imu.interval
 
     @property
     def lever_arm(self) -> Array:
@@ -162,7 +162,7 @@ class Drive:
         rows: list[tuple[object, ...]] = []
         for name, table in tables.items():
             if table:
-                interval = float(np.median(np.diff(table.time))) if len(table) > 1 else 0.0
+                interval = table.interval
                 rate = 1 / interval if interval > 0 else float("nan")
                 rows.append((name, len(table), rate, float(table.time[-1] - table.time[0])))
         paths = {"fixes": (self.gps.x, self.gps.y)}

@@ -59,13 +59,9 @@ class PreparedDrive:
                 line = self.timeline().hiding(hidden)
             else:
                 seen = replace(self.drive, gps=self.drive.gps.select(~hidden)) if removed else self.drive
-                line = build_timeline(
-                    seen,
-                    self.initial.time,
-                    self.kinds[~hidden],
-                    as_recorded=self.as_recorded,
-                    driving=self.timeline().driving if removed else None,
-                )
+                start, kinds = self.initial.time, self.kinds[~hidden]
+                driving = self.timeline().driving if removed else None
+                line = build_timeline(seen, start, kinds, as_recorded=self.as_recorded, driving=driving)
             self._timelines[key] = line
         return self._timelines[key]
 

@@ -51,44 +51,29 @@ MAX_ANGLE = 10.0  # deg, largest angle between the mountings of two drives with 
 
 @dataclass(frozen=True)
 class LogProperties:
-    """The properties of a drive that determine the choice of a filter and an objective.
-
-    Attributes
-    ----------
-    interval, fix_interval : median time between two IMU samples, and between two fixes, s
-    axes : the axes of the IMU
-    attitude, std_quantiles, white, lasting, receiver_std : results of `has_attitude`, `stated_std_quantiles`,
-        `has_white_errors`, `has_lasting_errors` and `receiver_std`
-    odometer, accuracy, velocity, heading : True if the drive has wheel speeds; stated standard deviations; speeds and
-        courses; headings
-    driven : time between the last fix and the first fix that is more than 20 m from the start, s; 0 if there is none
-    fixes : number of fixes within the IMU's time span
-    noise, true_std : white noise of the fixes, and standard deviation of their errors (NaN without truth), m per axis;
-        ``true_std`` is used only with objectives that use truth
-    assumed_std : True if ``receiver_std`` is only assumed, since neither the receiver nor the white noise shows it
-    mounting : mounting of the IMU, deg; None if the drive states none
-    """
+    """The properties of a drive that determine the choice of a filter and an objective."""
 
     name: str
     truth: bool
-    interval: float
-    axes: tuple[str, ...]
-    attitude: bool
-    odometer: bool
-    accuracy: bool
-    velocity: bool
-    std_quantiles: tuple[float, float] | None
-    white: bool
-    driven: float
-    receiver_std: tuple[float, float]
-    heading: bool = False
-    lasting: bool = False
-    fixes: int = 0
-    fix_interval: float = np.nan
-    noise: float = np.nan
+    interval: float  # s, median time between two IMU samples
+    axes: tuple[str, ...]  # of the IMU
+    attitude: bool  # `has_attitude`
+    odometer: bool  # True if the drive has wheel speeds
+    accuracy: bool  # True if the fixes have stated standard deviations
+    velocity: bool  # True if the fixes have speeds and courses
+    std_quantiles: tuple[float, float] | None  # `stated_std_quantiles`
+    white: bool  # `has_white_errors`
+    driven: float  # s from the first fix that is more than 20 m from the start to the last fix; 0 if there is none
+    receiver_std: tuple[float, float]  # `receiver_std`
+    heading: bool = False  # True if the fixes have headings
+    lasting: bool = False  # `has_lasting_errors`
+    fixes: int = 0  # number of fixes within the IMU's time span
+    fix_interval: float = np.nan  # s, median time between two fixes
+    noise: float = np.nan  # m per axis, white noise of the fixes
+    # m per axis, standard deviation of the fixes' errors, NaN without truth; used only with objectives that use truth
     true_std: float = np.nan
-    assumed_std: bool = False
-    mounting: Angles | None = None
+    assumed_std: bool = False  # `assumes_std`
+    mounting: Angles | None = None  # deg, mounting of the IMU; None if the drive states none
 
 
 def log_properties(drive: Drive | LogProperties) -> LogProperties:
@@ -100,7 +85,7 @@ def log_properties(drive: Drive | LogProperties) -> LogProperties:
         name=drive.name,
         truth=bool(drive.truth),
         interval=drive.nominal_interval,
-        axes=tuple(axis for axis in ("ax", "ay", "az", "gx", "gy", "gz") if getattr(imu, axis) is not None),
+        axes=imu.axes,
         attitude=has_attitude(drive),
         odometer=drive.odometer is not None,
         accuracy=gps.std is not None,
@@ -112,8 +97,8 @@ def log_properties(drive: Drive | LogProperties) -> LogProperties:
         heading=gps.heading is not None,
         lasting=has_lasting_errors(drive),
         fixes=int(np.sum((gps.time >= imu.time[0]) & (gps.time <= imu.time[-1]))),
-        fix_interval=float(np.median(np.diff(gps.time))) if len(gps) > 1 else np.nan,
-        noise=white_noise(gps.x + 1j * gps.y),
+        fix_interval=gps.interval,
+        noise=white_noise(gps.position),
         true_std=true_std(drive),
         assumed_std=assumes_std(drive),
         # An imported drive states its axes, but not a rotation of zero.
@@ -169,7 +154,7 @@ def assumes_std(drive: Drive) -> bool:
 def _visible_noise(drive: Drive) -> float | None:
     """Return the white noise of the fixes, m per axis; None if it is small or hidden by motion."""
     gps = drive.gps
-    shown, moved = white_noise(gps.x + 1j * gps.y), motion_in_noise(float(np.median(np.diff(gps.time))))
+    shown, moved = white_noise(gps.position), motion_in_noise(gps.interval)
     return shown if shown > max(MIN_WHITE_NOISE, 3 * moved) else None
 
 
@@ -180,8 +165,12 @@ def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
     remove the motion and correlated errors.
     """
     third = np.diff(position, n=3)
-    parts = np.concatenate([third.real, third.imag])
-    return float(np.median(np.abs(parts)) / 0.6745 / np.sqrt(20.0)) if len(third) else 0.0
+    return robust_std(third) / float(np.sqrt(20.0)) if len(third) else 0.0
+
+
+def robust_std(off: NDArray[np.complexfloating[Any, Any]]) -> float:
+    """Return a robust standard deviation of real and imaginary parts about zero."""
+    return float(np.median(np.abs(np.concatenate([off.real.ravel(), off.imag.ravel()]))) / 0.6745)
 
 
 def antenna_track(drive: Drive, truth: Truth) -> tuple[Array, NDArray[np.complex128]]:
@@ -205,8 +194,8 @@ def true_std(drive: Drive) -> float:
     if not len(time):
         return float("nan")
     gps = gps.select((gps.time >= time[0]) & (gps.time <= time[-1]))
-    off = [gps.x - np.interp(gps.time, time, track.real), gps.y - np.interp(gps.time, time, track.imag)]
-    return float(np.median(np.abs(off)) / 0.6745) if len(gps) else float("nan")
+    off = gps.x - np.interp(gps.time, time, track.real), gps.y - np.interp(gps.time, time, track.imag)
+    return robust_std(off[0] + 1j * off[1]) if len(gps) else float("nan")
 
 
 def true_gyro_bias(drive: Drive) -> float:
@@ -234,8 +223,8 @@ def has_white_errors(drive: Drive) -> bool:
     If errors are correlated, or the receiver smooths the fixes, the white noise is far smaller than the errors.
     """
     gps = drive.gps
-    off, shown = max(stated_std(drive) or (UNSTATED_GPS_STD,)), white_noise(gps.x + 1j * gps.y)
-    return shown > MIN_WHITE_SHARE * off and shown > 3 * motion_in_noise(float(np.median(np.diff(gps.time))))
+    off, shown = max(stated_std(drive) or (UNSTATED_GPS_STD,)), white_noise(gps.position)
+    return shown > MIN_WHITE_SHARE * off and shown > 3 * motion_in_noise(gps.interval)
 
 
 def has_lasting_errors(drive: Drive) -> bool:
@@ -244,7 +233,7 @@ def has_lasting_errors(drive: Drive) -> bool:
     Errors that are not visible are correlated, or smaller than the receiver states. The result is False if motion
     between fixes would hide white errors, as with RTK. A repeated fix counts once.
     """
-    position, least = drive.gps.x + 1j * drive.gps.y, MIN_WHITE_SHARE * max(receiver_std(drive))
+    position, least = drive.gps.position, MIN_WHITE_SHARE * max(receiver_std(drive))
     new = np.append(True, np.diff(position) != 0)
     if np.count_nonzero(new) < 4:
         return False

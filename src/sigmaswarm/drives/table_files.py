@@ -13,7 +13,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.drives.tables import RECORDS
+from sigmaswarm.drives.tables import IMU_AXES, RECORDS
 from sigmaswarm.errors import DriveError
 from sigmaswarm.file_sizes import MAX_CELLS, MAX_COLUMNS, require_regular, require_text
 from sigmaswarm.wording import list_names, printable, quoted
@@ -31,8 +31,7 @@ RANGES: dict[str, tuple[float, float, str]] = {
     **dict.fromkeys(("std_x", "std_y", "std_heading"), (1e-6, MAX_VALUE, _NO_STD)),
     "std_theta": (1e-9, MAX_VALUE, _NO_STD),
     **dict.fromkeys(
-        ("ax", "ay", "az", "gx", "gy", "gz", "speed", "course", "heading", "vx", "vy", "theta"),
-        (-MAX_VALUE, MAX_VALUE, _DAMAGED),
+        (*IMU_AXES, "speed", "course", "heading", "vx", "vy", "theta"), (-MAX_VALUE, MAX_VALUE, _DAMAGED)
     ),
 }
 

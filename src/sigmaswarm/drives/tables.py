@@ -40,6 +40,11 @@ class Table:
     def __len__(self) -> int:
         return len(self.time)
 
+    @property
+    def interval(self) -> float:
+        """Median time from one row to the next, s; NaN for a single row."""
+        return float(np.median(np.diff(self.time))) if len(self) > 1 else np.nan
+
     def select(self, rows: NDArray[np.bool_] | slice) -> Self:
         chosen: dict[str, Any] = {name: v if v is None else v[rows] for name, v in vars(self).items()}
         return type(self)(**chosen)
@@ -53,6 +58,9 @@ class Table:
             If pandas is not installed.
         """
         return notebook.to_pandas({name: v for name, v in vars(self).items() if v is not None})
+
+
+IMU_AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +80,11 @@ class Imu(Table):
     az: Array | None = None
     gx: Array | None = None
     gy: Array | None = None
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the existing axes, in the order of `IMU_AXES`."""
+        return tuple(axis for axis in IMU_AXES if getattr(self, axis) is not None)
 
 
 NO_HEADING = np.pi  # rad; a fix whose heading has this or a larger stated standard deviation has no heading
@@ -103,6 +116,11 @@ class Gps(Table):
     course: Array | None = None
     heading: Array | None = None
     std_heading: Array | None = None
+
+    @property
+    def position(self) -> NDArray[np.complex128]:
+        """East + i north, m."""
+        return self.x + 1j * self.y
 
     @property
     def std(self) -> Array | None:

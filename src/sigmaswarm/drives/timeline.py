@@ -33,37 +33,26 @@ FIX_X, FIX_Y, FIX_VX, FIX_VY, FIX_VAR_X, FIX_VAR_Y, FIX_THETA, FIX_VAR_THETA = r
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """The steps of a filter over one drive.
+    """The steps of a filter over one drive."""
 
-    Attributes
-    ----------
-    start : s, time of the initial state
-    end : (k,) s, end of each step
-    steps : (k, 3) columns DT, Q_SCALE and GAP: see `dt`, `q_scale` and `gap`
-    sample : (k,) int, index of the IMU sample that drives each step
-    driving : (n, 3) or (n, 6) inputs of the steps up to each IMU sample, in the order of `AXES`, m/s2 and rad/s; the
-        timelines of a drive share this array
-    updates : (k,) bool, True if a fix updates the filter at the step's end
-    hides : (k,) bool, True if a fix at the step's end is hidden from the filter, which predicts it
-    sampled : (k,) bool, True if the step ends at the time of an IMU sample
-    fixes : (f, 8) position, m east, north; velocity, m/s east, north (0 if unknown); stated variance, m2 east, north (0
-        if not stated); heading (rad) and its stated variance, rad2 (0 if not stated, infinite if the fix has no
-        heading); in the order of the steps, including hidden fixes
-    drive : Drive without the hidden fixes
-    kinds : (g,) kind of each fix of ``drive``: see `drives.stale_fixes`; all `NEW` with ``as_recorded``
-    """
-
-    start: float
-    end: Array
-    steps: Array
-    sample: NDArray[np.int32]
+    start: float  # s, time of the initial state
+    end: Array  # (k,) s, end of each step
+    steps: Array  # (k, 3), columns DT, Q_SCALE and GAP: see `dt`, `q_scale` and `gap`
+    sample: NDArray[np.int32]  # (k,), index of the IMU sample that drives each step
+    # (n, 3) or (n, 6), inputs of the steps up to each IMU sample, in the order of `AXES`, m/s2 and rad/s; the timelines
+    # of a drive share this array
     driving: Array
-    updates: Mask
-    hides: Mask
-    sampled: Mask
+    updates: Mask  # (k,), True if a fix updates the filter at the step's end
+    hides: Mask  # (k,), True if a fix at the step's end is hidden from the filter, which predicts it
+    sampled: Mask  # (k,), True if the step ends at the time of an IMU sample
+    # (f, 8), columns FIX_X to FIX_VAR_THETA, in the order of the steps, including hidden fixes: position, m; velocity,
+    # m/s (0 if unknown); stated variance, m2 (0 if not stated); heading, rad, and its stated variance, rad2 (0 if not
+    # stated, infinite if the fix has no heading)
     fixes: Array
-    drive: Drive
-    kinds: Array
+    drive: Drive  # without the hidden fixes
+    kinds: (
+        Array  # (g,), kind of each fix of ``drive``: see `drives.stale_fixes`; all `NEW` with ``as_recorded``
+    )
 
     @cached_property
     def imu_time(self) -> Array:
@@ -73,7 +62,6 @@ class Timeline:
 
     @cached_property
     def nominal_interval(self) -> float:
-        """Median time between IMU samples, s."""
         return self.drive.nominal_interval
 
     @cached_property
@@ -112,17 +100,14 @@ class Timeline:
 
     @cached_property
     def ax(self) -> Array:
-        """Forward specific force, (k,) m/s2."""
         return self.driving[self.sample, AX - FIRST_AXIS]
 
     @cached_property
     def ay(self) -> Array:
-        """Specific force to the left, (k,) m/s2."""
         return self.driving[self.sample, AY - FIRST_AXIS]
 
     @cached_property
     def gz(self) -> Array:
-        """Yaw rate, (k,) rad/s."""
         return self.driving[self.sample, GZ - FIRST_AXIS]
 
     def imu(self, axes: Sequence[str]) -> Array:
@@ -172,18 +157,10 @@ def build_timeline(
     steps[:, DT] = np.diff(ends, prepend=start)
     steps[:, Q_SCALE] = steps[:, DT] / drive.nominal_interval
     steps[:, GAP] = gaps[sample]
+    driving = _driving(drive, np.flatnonzero(gaps)) if driving is None else driving
+    hides, columns = np.zeros(len(ends), dtype=np.bool_), _columns(fixes)
     return Timeline(
-        start=start,
-        end=ends,
-        steps=steps,
-        sample=sample.astype(np.int32),
-        driving=_driving(drive, np.flatnonzero(gaps)) if driving is None else driving,
-        updates=updates,
-        hides=np.zeros(len(ends), dtype=np.bool_),
-        sampled=sampled,
-        fixes=_columns(fixes),
-        drive=drive,
-        kinds=kinds,
+        start, ends, steps, sample.astype(np.int32), driving, updates, hides, sampled, columns, drive, kinds
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.doctor.truth_clock import MIN_DELAY, truth_delay
+from sigmaswarm.doctor.truth import MIN_DELAY, truth_delay
 from sigmaswarm.drives.drive import Truth
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import Origin, enu_to_geodetic, geodetic_to_enu

@@ -74,18 +74,12 @@ class Displacements:
         residual = moved - body_displacement(begun, mean)
         # In a linear problem, the residual R S^-1 nu is smaller than nu. With a very uncertain heading, the problem
         # is not linear, and the residual may be larger.
-        farther = residual @ np.linalg.solve(noise, residual) > innovation @ np.linalg.solve(
-            noise, innovation
-        )
-        if farther or not definite(covariance[np.newaxis])[0]:
+        left, whole = (v @ np.linalg.solve(noise, v) for v in (residual, innovation))
+        if left > whole or not definite(covariance[np.newaxis])[0]:
             return False
-        columns = rows.shape[1]
-        packed = pack_states(
-            np.broadcast_to(mean, (columns, len(mean))),
-            np.broadcast_to(covariance, (columns, *p1.shape)),
-            self._model,
-        )
-        rows[state_rows(self._model)] = packed[state_rows(self._model)]
+        columns, state = rows.shape[1], state_rows(self._model)
+        means, covariances = (np.broadcast_to(v, (columns, *v.shape)) for v in (mean, covariance))
+        rows[state] = pack_states(means, covariances, self._model)[state]
         rows[R.SIN_COS_VALID] = 0.0
         if FILTERS[self._model].tilts:
             rows[R.HEADING] = mean[THETA]

@@ -244,14 +244,11 @@ class _State:
     def arrays(self) -> dict[str, Any]:
         import jax
 
-        parts = {"weights": self.weights, "best": self.best}
-        parts["moments"] = {
-            str(k): np.asarray(array) for k, array in enumerate(jax.tree.leaves(self.moments))
-        }
-        named = {
-            f"{part}/{name}": array for part, content in parts.items() for name, array in content.items()
-        }
-        return {**named, "losses": self.losses}
+        moments = {str(k): np.asarray(leaf) for k, leaf in enumerate(jax.tree.leaves(self.moments))}
+        arrays: dict[str, Any] = {}
+        for part, content in (("weights", self.weights), ("best", self.best), ("moments", moments)):
+            arrays |= {f"{part}/{name}": array for name, array in content.items()}
+        return arrays | {"losses": self.losses}
 
     def restored(self, arrays: dict[str, Any]) -> "_State":
         """Return a saved state; raise `LookupError` or `ValueError` for the state of another training run."""

@@ -39,22 +39,15 @@ _VIBRATION_OFFSET = 1e-3  # m/s2, added to the standard deviation before the log
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Displacements in the outages of a drive, and the inputs of the network.
+    """Displacements in the outages of a drive, and inputs of the network; samples are IMU samples after the start."""
 
-    - ``begin``, ``end``: IMU samples at the start and end of a displacement, counted from the filter's start (k,).
-    - ``features``, ``features_at_first``: inputs at ``end`` and ``first`` (k, WINDOW_STEPS, f), see `features_at`.
-    - ``first``: sample after the last fix (k,).
-    - ``age``: time from ``first`` to ``end``, s (k,).
-    - ``over``: samples after the fixes that end the outages.
-    """
-
-    begin: Indices
-    end: Indices
-    features: Array
-    first: Indices
-    features_at_first: Array
-    age: Array
-    over: Indices
+    begin: Indices  # (k,), samples at the start of a displacement
+    end: Indices  # (k,), samples at its end
+    features: Array  # (k, WINDOW_STEPS, f), inputs at ``end``, see `features_at`
+    first: Indices  # (k,), samples after the last fix
+    features_at_first: Array  # (k, WINDOW_STEPS, f), inputs at ``first``
+    age: Array  # (k,) s, time from ``first`` to ``end``
+    over: Indices  # samples after the fixes that end the outages
 
 
 def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Windows:
@@ -79,15 +72,8 @@ def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Win
         firsts.append(np.full(int(late.sum()), np.searchsorted(time, fix)))
     begin, end, first = (np.concatenate(parts) for parts in (begins, ends, firsts))
     over = np.searchsorted(time, [until for _, until in spans if until <= time[-1]])
-    return Windows(
-        begin,
-        end,
-        features_at(line, end, axes=axes, window=window),
-        first,
-        features_at(line, first, axes=axes, window=window),
-        time[end] - time[first],
-        over,
-    )
+    features, at_first = (features_at(line, at, axes=axes, window=window) for at in (end, first))
+    return Windows(begin, end, features, first, at_first, time[end] - time[first], over)
 
 
 def pairs_of(time: Array, after: float, until: float, every: float) -> tuple[Indices, Indices]:
@@ -145,21 +131,14 @@ MIN_STD, MAX_STD = 0.02, 20.0  # m, bounds of the standard deviation of a displa
 
 
 class DisplacementForecast(NamedTuple):
-    """Outputs of a network for a displacement in an outage.
+    """Outputs of a network for a displacement in an outage."""
 
-    - ``begin``, ``first``: indices of the IMU sample at the start of the displacement, and of the first IMU sample
-      after the last fix.
-    - ``age``: time from ``first`` to the end of the displacement, s.
-    - ``moved``, ``variance``: the displacement (2,) in m and its variance in m2.
-    - ``before``: estimate of the displacement in the second before ``first`` (2,), m.
-    """
-
-    begin: int
-    first: int
-    age: float
-    moved: Array
-    variance: Array
-    before: Array
+    begin: int  # index of the IMU sample at the start of the displacement
+    first: int  # index of the first IMU sample after the last fix
+    age: float  # s, time from ``first`` to the end of the displacement
+    moved: Array  # (2,) m, the displacement
+    variance: Array  # (2,) m2, its variance
+    before: Array  # (2,) m, estimate of the displacement in the second before ``first``
 
 
 @dataclass(frozen=True, eq=False)

@@ -174,11 +174,8 @@ class OutageLearner:
             )
         calibration = calibrate(network, cases, self._parameters)
         inflation = calibration.inflation if np.isfinite(calibration.inflation) else None
-        return calibration.weights, {
-            "axes": list(self._axes),
-            "inflation": inflation,
-            "unsure": calibration.unsure,
-        }
+        entries = {"axes": list(self._axes), "inflation": inflation, "unsure": calibration.unsure}
+        return calibration.weights, entries
 
 
 def with_error_decay(network: OutageLstm, tracks: Sequence[Track]) -> OutageLstm:

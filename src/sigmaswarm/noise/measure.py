@@ -10,7 +10,7 @@ import numpy as np
 from sigmaswarm.arrays import Array
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import has_table, read_with_warnings, table_file
-from sigmaswarm.drives.tables import Gps, Imu
+from sigmaswarm.drives.tables import IMU_AXES, Gps, Imu
 from sigmaswarm.drives.urls import is_url
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.filters.models import MODELS
@@ -20,7 +20,6 @@ from sigmaswarm.importing.opening import request_of
 from sigmaswarm.noise.records import AxisNoise, Noise
 from sigmaswarm.noise.spectrum import Interval, allan_deviation, fit, spectrum_of
 from sigmaswarm.noise.static import (
-    AXES,
     fault_of,
     find_stretches,
     on_gravity,
@@ -108,11 +107,10 @@ def filter_noise(parameters: FilterParameters, name: str = "filter") -> Noise:
         angles = {"gx": "roll", "gy": "pitch", "gz": "theta"}
         white = {"ax": accel, "ay": accel, **{a: q[state] for a, state in angles.items() if state in q}}
         walks = {f"{s.bias_of[0]}{s.name[-1]}": q[s.name] for s in model.states if s.bias_of}
+    none = np.zeros(0)
     axes = [
-        AxisNoise(
-            a, _exact(white[a]), _exact(0.0), _exact(walks.get(a, 0.0)), math.inf, 0.0, *np.zeros((2, 0))
-        )
-        for a in AXES
+        AxisNoise(a, _exact(white[a]), _exact(0.0), _exact(walks.get(a, 0.0)), math.inf, 0.0, none, none)
+        for a in IMU_AXES
         if a in white
     ]
     return Noise(name, 1 / dt, tuple(axes), (), (TUNED,))
@@ -128,11 +126,8 @@ def _measured(name: str, imu: Imu, gps: Gps | None) -> Noise:
     time = imu.time
     interval = float(np.mean([(time[p.stop - 1] - time[p.start]) / (p.stop - p.start - 1) for p in parts]))
     axes, remarks = list[AxisNoise](), list[str]()
-    for axis in AXES:
-        column = getattr(imu, axis)
-        if column is None:
-            continue
-        values = [column[part] for part in parts]
+    for axis in imu.axes:
+        values = [getattr(imu, axis)[part] for part in parts]
         if fault := fault_of(values):
             remarks.append(f"{axis} left out, {fault}")
             continue

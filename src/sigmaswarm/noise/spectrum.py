@@ -164,11 +164,8 @@ def spectrum_of(parts: Sequence[Array], interval: float) -> Spectrum:
 def fit(spectrum: Spectrum, duration: float) -> NoiseFit:
     """Fit the noise model to a spectrum; ``duration`` (s), the longest stretch, limits the correlation time."""
     s, angle = spectrum, 2 * np.pi * spectrum.frequency * spectrum.interval
-    times = (
-        np.geomspace(MIN_CORRELATION_TIME, duration, N_TIMES)
-        if duration > 2 * MIN_CORRELATION_TIME
-        else np.zeros(0)
-    )
+    tried = N_TIMES if duration > 2 * MIN_CORRELATION_TIME else 0
+    times = np.geomspace(MIN_CORRELATION_TIME, duration, tried)
     rates = np.concatenate([[0.0], 1 / times])
     flicker = s.interval / (2 * np.sin(angle / 2))
     shapes = np.array([[np.ones_like(angle), flicker, _walk(angle, s.interval, rate)] for rate in rates])

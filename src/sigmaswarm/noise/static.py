@@ -16,7 +16,6 @@ from sigmaswarm.noise.records import DEG_PER_HOUR, HOUR, MGAL, AxisNoise
 from sigmaswarm.noise.spectrum import NoiseFit, model_parts
 from sigmaswarm.wording import count_of
 
-AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 MIN_DURATION = 10.0  # s, shortest stretch
 MIN_SAMPLES = 50  # samples of the shortest stretch
 BLOCK = 1.0  # s, length of the blocks whose means and standard deviations show motion
@@ -56,8 +55,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
             f"at least {MIN_SAMPLES} samples with increasing times are needed, but the log has {len(imu)} samples, "
             f"or its times do not increase; record at least {MIN_DURATION:g} s"
         )
-    columns = [axis for axis in AXES if getattr(imu, axis) is not None]
-    if wrong := [axis for axis in columns if not np.isfinite(getattr(imu, axis)).all()]:
+    if wrong := [axis for axis in imu.axes if not np.isfinite(getattr(imu, axis)).all()]:
         raise InputError(f"{wrong[0]} has values that are not finite numbers; leave these samples out")
     interval = float(np.median(steps))
     size = max(round(BLOCK / interval), MIN_BLOCK_SAMPLES)
@@ -90,10 +88,8 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
 def _calm_blocks(imu: Imu, starts: NDArray[np.int_], size: int, fresh: Mask) -> Mask:
     """Return a mask of blocks at rest: their standard deviations are small, and their means like those of neighbors."""
     calm = np.ones(len(starts), np.bool_)
-    for axis in AXES:
+    for axis in imu.axes if len(starts) else ():
         values = getattr(imu, axis)
-        if values is None or not len(starts):
-            continue
         mean, squares = np.zeros(len(starts)), np.zeros(len(starts))
         for k in range(size):
             mean += values[starts + k] / size

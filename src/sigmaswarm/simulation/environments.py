@@ -11,7 +11,7 @@ or typical of the class, not verified. [D] derived from other values.
 
 import math
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,13 +19,13 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.simulation.dynamics import GRAVITY, Vehicle
 
 
-class _Named(Protocol):
-    @property
-    def name(self) -> str: ...
+@dataclass(frozen=True)
+class Named:
+    name: str
 
 
 T = TypeVar("T")
-N = TypeVar("N", bound=_Named)
+N = TypeVar("N", bound=Named)
 
 
 def by_name(*records: N) -> dict[str, N]:
@@ -33,7 +33,7 @@ def by_name(*records: N) -> dict[str, N]:
 
 
 @dataclass(frozen=True)
-class Environment:
+class Environment(Named):
     """Friction and weather of a drive.
 
     Attributes
@@ -48,7 +48,6 @@ class Environment:
         Source of the friction.
     """
 
-    name: str
     friction: float
     gnss_noise_factor: float
     source: str

@@ -13,7 +13,7 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.simulation.environments import by_name
+from sigmaswarm.simulation.environments import Named, by_name
 from sigmaswarm.simulation.motion import LeverArm, Motion
 from sigmaswarm.simulation.sensors import gauss_markov
 
@@ -22,7 +22,27 @@ METERS_PER_DEGREE = math.pi * EARTH_RADIUS / 180.0  # m, degree of latitude on C
 
 
 @dataclass(frozen=True)
-class GpsGrade:
+class ErrorGrade(Named):
+    """A grade whose errors are the sum of white noise and a first-order Gauss-Markov process."""
+
+    white_std: float
+    markov_std: float = 0.0
+    markov_time: float = 60.0
+
+    @property
+    def std(self) -> float:
+        """Total standard deviation, per axis."""
+        return math.hypot(self.white_std, self.markov_std)
+
+    def draw(self, rng: np.random.Generator, times: Array, axes: int) -> tuple[Array, Array]:
+        """Draw the white and the correlated errors, (n, axes), at ``times`` (n,), s."""
+        white = self.white_std * rng.standard_normal((len(times), axes))
+        ratio = float(np.median(np.diff(times))) / self.markov_time
+        return white, self.markov_std * gauss_markov(rng, len(times), axes, ratio)
+
+
+@dataclass(frozen=True)
+class GpsGrade(ErrorGrade):
     """A named grade of receiver.
 
     Attributes
@@ -45,10 +65,6 @@ class GpsGrade:
         True if white noise is added in degrees, with CARLA's geodesy.
     """
 
-    name: str
-    white_std: float
-    markov_std: float = 0.0
-    markov_time: float = 60.0
     velocity_std: float | None = None
     latency: float = 0.0
     lever_arm: LeverArm = (0.0, 0.0, 0.0)
@@ -56,11 +72,6 @@ class GpsGrade:
     loss: float = 0.0
     carla: bool = False
     source: str = ""
-
-    @property
-    def std(self) -> float:
-        """Total standard deviation per axis, m."""
-        return math.hypot(self.white_std, self.markov_std)
 
 
 GPS_GRADES = by_name(
@@ -88,7 +99,7 @@ GPS_GRADES = by_name(
 
 
 @dataclass(frozen=True)
-class HeadingGrade:
+class HeadingGrade(ErrorGrade):
     """A named grade of the headings that a receiver reports.
 
     Attributes
@@ -101,10 +112,6 @@ class HeadingGrade:
         Angle of the antennas' baseline (rad), counter-clockwise from forward; unknown to the receiver.
     """
 
-    name: str
-    white_std: float
-    markov_std: float = 0.0
-    markov_time: float = 60.0
     mounting: float = 0.0
     source: str = ""
 
@@ -123,12 +130,9 @@ HEADING_GRADES = by_name(
 
 def with_heading(fixes: Gps, time: Array, yaw: Array, grade: HeadingGrade, rng: np.random.Generator) -> Gps:
     """Add headings to fixes; ``yaw`` (n,), rad, is the true heading at ``time`` (n,), s."""
-    interval = float(np.median(np.diff(time)))
-    noise = grade.white_std * rng.standard_normal(len(time))
-    noise += grade.markov_std * gauss_markov(rng, len(time), 1, interval / grade.markov_time)[:, 0]
-    theta = (yaw + grade.mounting + noise)[np.searchsorted(time, fixes.time)]
-    std = math.hypot(grade.white_std, grade.markov_std)
-    stated = np.full(len(theta), std) if std > 0 else None
+    white, markov = grade.draw(rng, time, 1)
+    theta = (yaw + grade.mounting + (white + markov)[:, 0])[np.searchsorted(time, fixes.time)]
+    stated = np.full(len(theta), grade.std) if grade.std > 0 else None
     return replace(fixes, heading=np.asarray(wrap_angle(theta)), std_heading=stated)
 
 
@@ -150,9 +154,7 @@ def measure_gps(
     A fix measures the antenna's position at its time stamp minus the latency. There are no fixes in the ``outages``,
     pairs of start and end (s). The number of random numbers does not depend on the grade.
     """
-    interval = float(np.median(np.diff(times)))
-    white = grade.white_std * rng.standard_normal((len(times), 2))
-    markov = grade.markov_std * gauss_markov(rng, len(times), 2, interval / grade.markov_time)
+    white, markov = grade.draw(rng, times, 2)
     velocity = antenna.velocity[:, :2] + (grade.velocity_std or 0.0) * rng.standard_normal((len(times), 2))
     keep = rng.random(len(times)) >= grade.loss
     for start, end in outages:
@@ -162,16 +164,9 @@ def measure_gps(
     x, y = _through_degrees(position, white).T if grade.carla else (position + white + markov).T
     std = grade.stated_factor * grade.std  # ideal fixes state no standard deviation, since 0 is not valid
     stated = np.full(len(times), std) if std > 0 else None
-    moving = grade.velocity_std is not None
-    fixes = Gps(
-        time=times,
-        x=x,
-        y=y,
-        std_x=stated,
-        std_y=stated,
-        speed=np.hypot(*velocity.T) if moving else None,
-        course=np.arctan2(velocity[:, 1], velocity[:, 0]) if moving else None,
-    )
+    fixes = Gps(times, x, y, std_x=stated, std_y=stated)
+    if grade.velocity_std is not None:
+        fixes = replace(fixes, speed=np.hypot(*velocity.T), course=np.arctan2(velocity[:, 1], velocity[:, 0]))
     return fixes.select(keep)
 
 
@@ -221,11 +216,8 @@ def with_outliers(
     time = drive.gps.time
     x, y, off = drive.gps.x.copy(), drive.gps.y.copy(), np.zeros(len(time), dtype=np.bool_)
     while off.mean() < share:
-        begin, span, direction = (
-            time[rng.integers(len(time))],
-            rng.uniform(*length),
-            rng.uniform(0.0, 2 * np.pi),
-        )
+        begin = time[rng.integers(len(time))]
+        span, direction = rng.uniform(*length), rng.uniform(0.0, 2 * np.pi)
         burst = (time >= begin) & (time <= begin + span) & ~off
         x[burst] += offset * np.cos(direction)
         y[burst] += offset * np.sin(direction)

@@ -46,7 +46,7 @@ from sigmaswarm.simulation.dynamics import (
     STEP,
     Vehicle,
 )
-from sigmaswarm.simulation.environments import by_name
+from sigmaswarm.simulation.environments import Named, by_name
 from sigmaswarm.simulation.planning import SPACING
 
 LeverArm = tuple[float, float, float]
@@ -165,7 +165,7 @@ _CURVATURE_SMOOTHING = 10.0  # m, standard deviation of the smoothing of the cur
 
 
 @dataclass(frozen=True)
-class Terrain:
+class Terrain(Named):
     """Statistics of the slopes of a road. Slopes are tangents; lengths are in m.
 
     Attributes
@@ -180,7 +180,6 @@ class Terrain:
         Largest slope in bends, at the radius `banked_radius` (m). Wider and sharper bends have smaller slopes.
     """
 
-    name: str
     grade_std: float = 0.0
     grade_length: float = 50.0
     grade_limit: float = math.inf

@@ -13,7 +13,7 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.drives.drive import Imu, Odometer
 from sigmaswarm.geodesy import STANDARD_GRAVITY
 from sigmaswarm.simulation.dynamics import GRAVITY, REAR_SPIN, STEP, Vehicle
-from sigmaswarm.simulation.environments import by_name
+from sigmaswarm.simulation.environments import Named, by_name
 from sigmaswarm.simulation.motion import Motion
 
 _DEG = math.pi / 180
@@ -50,10 +50,9 @@ class Triad:
 
 
 @dataclass(frozen=True)
-class ImuGrade:
+class ImuGrade(Named):
     """A named grade of IMU. `bias_time` is the correlation time of the Gauss-Markov biases, s."""
 
-    name: str
     accel: Triad = field(default_factory=Triad)
     gyro: Triad = field(default_factory=Triad)
     bias_time: float = 100.0
@@ -172,7 +171,7 @@ def carla_force(times: Array, motion: Motion) -> Array:
 
 
 @dataclass(frozen=True)
-class OdometerGrade:
+class OdometerGrade(Named):
     """A named grade of odometer.
 
     Attributes
@@ -191,7 +190,6 @@ class OdometerGrade:
         Lowest reported speed, m/s; lower speeds are reported as zero.
     """
 
-    name: str
     rate: float
     window: float
     teeth: int

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from sigmaswarm.arrays import Array
+from sigmaswarm.doctor.acceleration_fit import DIAGONAL_TOLERANCE, PlanarMounting
 from sigmaswarm.doctor.checks.gyro import is_upside_down
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_by_margin, confidence_of, finding_of
 from sigmaswarm.doctor.mounting import leveling_rotation
-from sigmaswarm.doctor.verdicts import DIAGONAL_TOLERANCE, PlanarMounting
 from sigmaswarm.doctor.windows import moving_mean, smoothed
 from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
 from sigmaswarm.drives.drive import Imu
@@ -93,12 +93,6 @@ def _size(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
         yield Finding("mounting", severity, what, WHERE, span, confidence_of(angle / std), remedy, repair)
     second = np.arange(imu.time[0] + 0.5, imu.time[-1], 1.0)
     force = mount.matrix @ np.array([imu.ax, imu.ay])
-    wrong = [
-        (name, scale, std)
-        for name, (scale, std), row in zip(("forward", "leftward"), mount.scale, force, strict=True)
-        if np.std(smoothed(imu.time, row, second, 1.0)) > MIN_ACCELERATION_SPREAD
-        and abs(scale - 1) > max(WRONG_SCALE, 5 * std)
-    ]
     remedy = "check the sensor's range setting and low-pass filter"
     (forward, std), (left, other) = mount.scale
     alike = all(mount.known) and abs(forward - left) < 3 * math.hypot(std, other)
@@ -108,13 +102,15 @@ def _size(evidence: Evidence, mount: PlanarMounting) -> Iterator[Finding]:
         remedy = (
             "check unit and projection of the positions; for example, Web Mercator (EPSG:3857) stretches them"
         )
-    for name, scale, std in wrong:
-        what = (
-            f"the car's {name} acceleration is {scale:.2f} times the acceleration that the IMU measures "
-            f"(standard deviation {std:.2f})"
-        )
-        confidence = confidence_of((scale - 1) / std)
-        yield Finding("accelerometer-scale", "warning", what, WHERE, span, confidence, remedy)
+    for name, (scale, std), row in zip(("forward", "leftward"), mount.scale, force, strict=True):
+        spread = np.std(smoothed(imu.time, row, second, 1.0))
+        if spread > MIN_ACCELERATION_SPREAD and abs(scale - 1) > max(WRONG_SCALE, 5 * std):
+            what = (
+                f"the car's {name} acceleration is {scale:.2f} times the acceleration that the IMU measures "
+            )
+            what += f"(standard deviation {std:.2f})"
+            confidence = confidence_of((scale - 1) / std)
+            yield Finding("accelerometer-scale", "warning", what, WHERE, span, confidence, remedy)
 
 
 def _gravity(evidence: Evidence) -> Iterator[Finding]:
@@ -195,7 +191,7 @@ def _unit_of_up(evidence: Evidence) -> float:
 
 def _force(imu: Imu, unit: float) -> Array:
     """Return the specific force (3, n), averaged over half a second."""
-    count = max(round(0.5 / float(np.median(np.diff(imu.time)))), 1)
+    count = max(round(0.5 / imu.interval), 1)
     return unit * moving_mean(np.array([imu.ax, imu.ay, imu.az]), count)
 
 

@@ -14,11 +14,10 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.acceleration_fit import gyro_drift
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import NO_ACTION, Finding, Repair, confidence_of
-from sigmaswarm.doctor.fixes import Mask
-from sigmaswarm.doctor.verdicts import DEGREE, MIN_GAIN_ERROR
 from sigmaswarm.doctor.windows import integral, moving_mean, smoothed
-from sigmaswarm.doctor.yaw_fit import yaw_windows
+from sigmaswarm.doctor.yaw_fit import DEGREE, MIN_GAIN_ERROR, yaw_windows
 from sigmaswarm.drives.checks import GRAVITY, IMPOSSIBLE_RATE, impossible_rate
+from sigmaswarm.drives.tables import Mask
 
 # rad, RMS change of the course within 20 s; smaller changes are due to swaying
 MIN_SCALE_TURN = np.radians(1.0)
@@ -67,48 +66,31 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
     alone = _only_yaw_is_wrong(evidence)
     columns = "gz" if alone else "gx, gy, gz"
     turns = "the car turns {:.3g} times as far as the gyro measures".format
-    for wrong, code, what, remedy, repair in (
-        (
-            yaw.column != "gz",
-            "gyro-axis",
-            f"column {yaw.column}, not gz, contains the car's yaw rate",
-            f"exchange columns {yaw.column} and gz",
-            (column, 1.0),
-        ),
-        (
-            unit == DEGREE,
-            "gyro-unit",
-            "gz is in deg/s; gravity shows that gx and gy are in rad/s"
-            if alone
-            else "the angular rates are in deg/s",
-            f"multiply {columns} by pi/180",
-            (2.0, DEGREE, float(alone)),
-        ),
-        (
-            unit not in (1, DEGREE),
-            "gyro-scale",
-            f"{turns(unit)}{'; gravity shows that gx and gy are correct' if alone else ''}",
-            f"multiply {columns} by {unit:.3g}",
-            (2.0, unit, float(alone)),
-        ),
-        (
-            yaw.factor < 0,
-            "gyro-sign",
-            "the yaw rate has the wrong sign: it must be positive in a left turn",
-            "change the sign of gz",
-            (2.0, -1.0),
-        ),
-    ):
-        if wrong:
-            what = f"{what}. {seen}"
-            yield Finding(code, "serious", what, where, span, confidence, remedy, Repair("gyro", repair))
+
+    def found(code: str, what: str, remedy: str, *repair: float) -> Finding:
+        what = f"{what}. {seen}"
+        return Finding(code, "serious", what, where, span, confidence, remedy, Repair("gyro", repair))
+
+    if yaw.column != "gz":
+        what = f"column {yaw.column}, not gz, contains the car's yaw rate"
+        yield found("gyro-axis", what, f"exchange columns {yaw.column} and gz", column, 1.0)
+    if unit == DEGREE:
+        right = "gz is in deg/s; gravity shows that gx and gy are in rad/s"
+        what = right if alone else "the angular rates are in deg/s"
+        yield found("gyro-unit", what, f"multiply {columns} by pi/180", 2.0, DEGREE, float(alone))
+    elif unit != 1:
+        what = f"{turns(unit)}{'; gravity shows that gx and gy are correct' if alone else ''}"
+        yield found("gyro-scale", what, f"multiply {columns} by {unit:.3g}", 2.0, unit, float(alone))
+    if yaw.factor < 0:
+        what = "the yaw rate has the wrong sign: it must be positive in a left turn"
+        yield found("gyro-sign", what, "change the sign of gz", 2.0, -1.0)
     off = fit.gain / yaw.factor - 1
     clear = fit.course_change > MIN_SCALE_TURN and fit.separates_delay
     clear &= abs(off) > max(MIN_GAIN_ERROR, 4 * fit.std / abs(yaw.factor))
     if clear and abs(_whole_gain(evidence) - 1) > MIN_GAIN_ERROR / 2:
         repair, remedy = Repair("gyro", (2.0, 1 + off, 1.0)), f"multiply gz by {1 + off:.3g}"
         yield Finding("gyro-scale", "warning", turns(1 + off), where, span, confidence_of(4), remedy, repair)
-    bias = -gyro_drift(imu.time, course, yaw.factor * getattr(imu, yaw.column), evidence.delay)
+    bias = -gyro_drift(imu.time, course, evidence.yaw_rate, evidence.delay)
     if abs(bias) > BIAS_LIMITS[0]:
         severity = "warning" if abs(bias) > BIAS_LIMITS[1] else "note"
         what = f"the gyro's bias is about {np.degrees(bias):.2f} deg/s"
@@ -124,11 +106,11 @@ def _whole_gain(evidence: Evidence) -> float:
     removes a straight line from each window. In steady circles little of the turn remains, so lever arm and slip have
     the effect of a scale error.
     """
-    imu, course, yaw, fit = evidence.drive.imu, evidence.course, evidence.yaw, evidence.yaw_fit
+    time, course, fit = evidence.drive.imu.time, evidence.course, evidence.yaw_fit
     assert course is not None and fit is not None
     ends = yaw_windows(course)[:, [0, -1]]
-    total = integral(imu.time, yaw.factor * getattr(imu, yaw.column))
-    measured = np.diff(smoothed(imu.time, total, course.time - fit.delay, course.span)[ends])
+    total = integral(time, evidence.yaw_rate)
+    measured = np.diff(smoothed(time, total, course.time - fit.delay, course.span)[ends])
     return float(np.sum(np.diff(course.angle[ends]) * measured) / max(np.sum(measured**2), 1e-12))
 
 
@@ -205,9 +187,15 @@ def is_upside_down(evidence: Evidence) -> bool:
 
 
 def _tilt_rates(evidence: Evidence) -> list[RateMatch | None]:
-    """Apply `_follows` to the drive; return an empty list if a column or gravity is missing."""
-    read = _force_and_rates(evidence)
-    return _follows(evidence.drive.imu.time, *read) if read else []
+    """For roll and for pitch, find the rate that best explains the changes of the specific force's direction.
+
+    The rate is gx or gy with a sign; None if this is not clear. The list is empty if a column or gravity is missing.
+    """
+    if (read := _force_and_rates(evidence)) is None:
+        return []
+    fits = _regressions(evidence.drive.imu.time, *read, LAG)
+    roll, pitch = [factors / std for factors, std in fits] or [np.zeros(2), np.zeros(2)]
+    return [_clear(roll), _clear(-pitch)]
 
 
 def _force_and_rates(evidence: Evidence) -> tuple[Array, Array] | None:
@@ -225,16 +213,6 @@ def _force_and_rates(evidence: Evidence) -> tuple[Array, Array] | None:
     rates["gz"], rates[yaw.column] = rates[yaw.column], rates["gz"]
     unit = abs(yaw.factor)
     return force, np.array([unit * rates["gx"], unit * rates["gy"], yaw.factor * rates["gz"]])
-
-
-def _follows(time: Array, force: Array, rates: Array) -> list[RateMatch | None]:
-    """For roll and for pitch, find the rate that best explains the changes of the specific force's direction.
-
-    The rate is gx or gy with a sign; None if this is not clear.
-    """
-    fits = _regressions(time, force, rates, LAG)
-    roll, pitch = [factors / std for factors, std in fits] or [np.zeros(2), np.zeros(2)]
-    return [_clear(roll), _clear(-pitch)]
 
 
 def _regressions(

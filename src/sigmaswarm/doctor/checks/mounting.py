@@ -90,13 +90,10 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
     moved = find_movement(evidence.drive)
     if change := moved or find_turn(evidence):
         time, angle = change
-        seen = (
-            "the direction of gravity"
-            if moved
-            else "the direction of the vehicle's acceleration in ax and ay"
-        )
+        seen = "gravity" if moved else "the vehicle's acceleration in ax and ay"
         backward = OR_BACKWARD if not moved and angle > BACKWARD else ""
-        what = f"the IMU was moved at t = {time:.0f} s{backward}: {seen} changes by {math.degrees(angle):.0f} deg"
+        what = f"the IMU was moved at t = {time:.0f} s{backward}: the direction of {seen} changes by "
+        what += f"{math.degrees(angle):.0f} deg"
         command = split_command(time)
         remedy = f"split the drive at this time: {command}. The two parts have different mountings"
         span = time, evidence.span[1]
@@ -184,13 +181,12 @@ def _angle_std(products: Values, rows: int) -> float:
 
 def _path_shows(evidence: Evidence, time: float, angle: float) -> bool:
     """Return True if the IMU's path agrees better with the fixes if the forces after a time, s, are turned, rad."""
-    drive, course, yaw, fit = evidence.drive, evidence.course, evidence.yaw, evidence.acceleration
+    drive, course, fit = evidence.drive, evidence.course, evidence.acceleration
     if course is None or fit is None:
         return False
     force = (drive.imu.ax + 1j * drive.imu.ay) * np.exp(1j * angle * (drive.imu.time > time))
     turned = replace(drive, imu=replace(drive.imu, ax=force.real, ay=force.imag))
-    rate = yaw.factor * getattr(drive.imu, yaw.column)
-    new = fit_acceleration(turned, course, rate, np.array([fit.delay]))
+    new = fit_acceleration(turned, course, evidence.yaw_rate, np.array([fit.delay]))
     return new is not None and all(
         float(size(np.abs(new.residual))) < MAX_RESIDUAL_RATIO * float(size(np.abs(fit.residual)))
         for size in (np.median, np.linalg.norm)
@@ -292,7 +288,7 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
     moving = speed > min(STANDS, OF_USUAL * float(np.quantile(speed, 0.9)))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], moving.astype(int), [0]])))
     runs = [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= 5]
-    step = max(round(STEP / float(np.median(np.diff(course.time)))), 1)
+    step = max(round(STEP / course.interval), 1)
     runs = [run for run in runs if run.stop - run.start >= step + 4]
     changes = [(_change(speed[run], step), _change(gained[run], step)) for run in runs]
     forward = np.exp(1j * np.angle(sum(x.conj() @ y for y, x in changes[1:])))

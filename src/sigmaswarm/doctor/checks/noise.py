@@ -4,7 +4,6 @@ The stated standard deviation is that of the receiver (std_x, std_y), or gps_std
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 
@@ -72,7 +71,7 @@ def _disturbed(evidence: Evidence) -> Iterator[Finding]:
     part = slice(int(np.argmax(high)), len(high) - int(np.argmax(high[::-1])))
     moved, off = np.diff(course.position[fit.rows[part]], axis=1), np.diff(fit.residual[part], axis=1)
     turn = np.degrees(np.max(np.abs(np.angle(moved * np.conj(moved - off)))))
-    duration = (len(fixes) - 1) * float(np.median(np.diff(course.time)))
+    duration = (len(fixes) - 1) * course.interval
     start, end = float(course.time[fixes[0]]), float(course.time[fixes[-1]])
     what = (
         f"for {duration:.0f} of the {end - start:.0f} s from t = {start:.0f} s, the fixes scatter by {noise:.2g} m per "
@@ -107,11 +106,11 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         remedy = "if you know a better value, write gps_std_m at the top of drive.toml"
         yield Finding("gps-noise", "note", what, "drive.toml, gps_std_m", evidence.span, 0.95, remedy)
         return
-    stated, unseen = float(np.mean(known)), motion_in_noise(float(np.median(np.diff(gps.time))))
+    stated, unseen = float(np.mean(known)), motion_in_noise(gps.interval)
     if stated < MIN_STATED_STD:
         scatter, unseen = noise, 0.0
     if wrong := _wrong_std(evidence, stated, scatter, unseen):
-        yield _wrongly_stated(evidence, stated, wrong)
+        yield _wrongly_stated(evidence, stated, *wrong)
     elif stated > MAX_SCATTER_RATIO * max(scatter, MIN_NOISE) or (
         noise < MIN_WHITE_RATIO * scatter and scatter > MIN_NOISE
     ):
@@ -134,15 +133,13 @@ def _place(evidence: Evidence) -> str:
     return "drive.toml, gps_std_m" if evidence.drive.gps.std_x is None else "gps.csv, std_x, std_y"
 
 
-class _WrongStd(NamedTuple):
-    larger: bool  # True if the stated standard deviation is larger than that of the fixes
-    std: float  # standard deviation of the fixes, m per axis
-    by_truth: bool  # True if the comparison with the truth shows this
-    confidence: float
+def _wrong_std(
+    evidence: Evidence, stated: float, scatter: float, unseen: float
+) -> tuple[float, bool, float] | None:
+    """Compare the stated standard deviation with scatter and truth; ``unseen``: noise that may be motion, m.
 
-
-def _wrong_std(evidence: Evidence, stated: float, scatter: float, unseen: float) -> _WrongStd | None:
-    """Compare the stated standard deviation with scatter and truth; ``unseen``: noise that may be motion, m."""
+    Return the standard deviation of the fixes, m per axis, True if the truth shows it, and the confidence.
+    """
     noise, fit = evidence.noise, evidence.truth_fit
     # A receiver that smooths has correlated errors, so its stated accuracy may be right despite little scatter.
     white = noise > MIN_WHITE_RATIO * scatter and scatter > MIN_NOISE
@@ -151,21 +148,22 @@ def _wrong_std(evidence: Evidence, stated: float, scatter: float, unseen: float)
         error = variation = 0.0
     limit = MAX_TYPED_RATIO if evidence.drive.gps.std_x is None else MAX_STATED_RATIO
     if noise - unseen > MAX_OBSERVED_RATIO * stated:
-        return _WrongStd(False, scatter, False, confidence_of(3 + noise / stated / MAX_OBSERVED_RATIO))
+        return scatter, False, confidence_of(3 + noise / stated / MAX_OBSERVED_RATIO)
     if white and stated > max(limit * scatter, MAX_ERROR_RATIO * variation):
         by_truth = variation > MAX_SCATTER_RATIO * scatter
         confidence = confidence_of(2 * stated / MAX_STATED_RATIO / scatter)
-        return _WrongStd(True, variation if by_truth else scatter, by_truth, confidence)
+        return variation if by_truth else scatter, by_truth, confidence
     if variation > MAX_ERROR_RATIO * stated:
-        return _WrongStd(False, variation, True, confidence_of(2 * variation / MAX_ERROR_RATIO / stated))
+        return variation, True, confidence_of(2 * variation / MAX_ERROR_RATIO / stated)
     if error and stated > MAX_STATED_RATIO * max(error, noise):
-        confidence = confidence_of(2 * stated / MAX_STATED_RATIO / error)
-        return _WrongStd(True, max(error, noise), True, confidence)
+        return max(error, noise), True, confidence_of(2 * stated / MAX_STATED_RATIO / error)
     return None
 
 
-def _wrongly_stated(evidence: Evidence, stated: float, wrong: _WrongStd) -> Finding:
-    larger, size, by_truth, confidence = wrong
+def _wrongly_stated(
+    evidence: Evidence, stated: float, size: float, by_truth: bool, confidence: float
+) -> Finding:
+    larger = stated > size
     compared = "errors relative to the truth" if by_truth else "scatter"
     what = (
         f"the stated standard deviation of the fixes ({stated:.2g} m) is {'larger' if larger else 'smaller'} than "

@@ -4,9 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sigmaswarm.doctor.checks.heading import check_heading
-from sigmaswarm.doctor.checks.velocity import velocity_agrees
-from sigmaswarm.doctor.clock_search import MAX_OFFSET
+from sigmaswarm.doctor.checks.receiver import check_heading, velocity_agrees
+from sigmaswarm.doctor.clocks import MAX_OFFSET
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding
 from sigmaswarm.drives.alignment import REPAIR_FINDINGS, StartFailure, find_start
@@ -36,12 +35,9 @@ def check_observability(evidence: Evidence) -> Iterator[Finding]:
         remedy = start.remedy.replace(REPAIR_FINDINGS, "repair the faults of the other findings")
         yield Finding("no-start", "warning", start.what, "gps.csv", span, 0.99, remedy)
     if not evidence.drives:
-        course = evidence.course
-        shown = (
-            f"the fixes show no motion above {course.slowest:.1f} m/s"
-            if course
-            else "there are too few fixes"
-        )
+        shown = "there are too few fixes"
+        if evidence.course:
+            shown = f"the fixes show no motion above {evidence.course.slowest:.1f} m/s"
         what = f"{shown}, so heading, axes, units and clocks can't be checked"
         remedy = "use a longer or faster drive"
         yield Finding("unseen-motion", "warning", what, "gps.csv", span, 0.99, remedy)
@@ -62,7 +58,7 @@ def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
     course, fit = evidence.course, evidence.yaw_fit
     assert course is not None
     moving = course.moving
-    interval = float(np.median(np.diff(course.time)))
+    interval = course.interval
     shown = (
         f"The course is known only while the car is faster than {course.slowest:.1f} m/s: "
         f"during {np.count_nonzero(moving) * interval:.0f} of {np.ptp(course.time):.0f} s"

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.doctor.checks.velocity import UNITS
+from sigmaswarm.doctor.checks.receiver import UNITS
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
 from sigmaswarm.doctor.fixes import Course
@@ -54,9 +54,7 @@ def check_odometer(evidence: Evidence) -> Iterator[Finding]:
         ("slip", 0.9, "the wheel speed jumps without acceleration, so the wheels spin or lock", _slips),
     ):
         if spans := find(odometer, course, evidence):
-            named = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in spans[:3]) + (
-                " ..." if len(spans) > 3 else ""
-            )
+            named = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in spans[:3]) + " ..." * (len(spans) > 3)
             repair = Repair("drop-readings", tuple(t for span in spans for t in span))
             span, remedy = (spans[0][0], spans[-1][1]), "leave these readings out"
             what = f"{fault}: t = {named}"
@@ -102,9 +100,8 @@ def _slips(odometer: Odometer, _: Course, evidence: Evidence) -> Spans:
     at = at[(ends[1] - ends[0] >= 3) & (np.interp(at, time[1:], np.diff(time)) < MAX_JUMP_TIME / 2)]
     if len(at) < 100:
         return []
-    apart = _gain(time, odometer.speed, at, MAX_JUMP_TIME) - _gain(
-        imu.time, integral(imu.time, imu.ax), at, MAX_JUMP_TIME
-    )
+    apart = _gain(time, odometer.speed, at, MAX_JUMP_TIME)
+    apart -= _gain(imu.time, integral(imu.time, imu.ax), at, MAX_JUMP_TIME)
     apart -= np.median(apart)
     quiet = np.abs(apart) < MIN_JUMP
     if np.median(np.abs(apart)) > MAX_DIFFERENCE or np.count_nonzero(quiet) < 0.5 * len(at):
@@ -174,8 +171,8 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
 
 def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
     """Return two numbers per path: ratio of the odometer's displacement to that of the fixes, and the latter in m."""
-    imu, yaw, time = evidence.drive.imu, evidence.yaw, odometer.time
-    heading = np.interp(time, imu.time, integral(imu.time, yaw.factor * getattr(imu, yaw.column)))
+    imu, time = evidence.drive.imu, odometer.time
+    heading = np.interp(time, imu.time, integral(imu.time, evidence.yaw_rate))
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)
     place = integral(time, east) + 1j * integral(time, north)
     along = integral(time, odometer.speed)

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from sigmaswarm.arrays import Array
-from sigmaswarm.doctor.clock_drift import clock_drift
+from sigmaswarm.doctor.clocks import OFFSET_SIGMAS
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of, finding_of
 from sigmaswarm.doctor.mounting import MIN_EXPLAINED
-from sigmaswarm.doctor.truth_clock import MIN_DELAY
-from sigmaswarm.doctor.verdicts import MIN_GAIN_TURN, OFFSET_SIGMAS
+from sigmaswarm.doctor.truth import MIN_DELAY
+from sigmaswarm.doctor.yaw_fit import MIN_GAIN_TURN
 from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, GapSummary, gaps_in, outside_of, unshared_times
 from sigmaswarm.drives.drive import Gps
 from sigmaswarm.drives.sensors import motion_in_noise, white_noise
@@ -50,7 +50,7 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
             remedy = f"{correction.format('18 s')}, since GPS time is 18 s ahead of UTC"
         repair = Repair("shift-clock", (shift, with_truth))
         yield Finding("clock-offset", "serious", what, where, span, 0.999, remedy, repair)
-    elif drift := clock_drift(evidence):
+    elif drift := evidence.clock_drift:
         percent, fast = 100 * abs(drift.rate), "slow" if drift.rate > 0 else "fast"
         what = (
             f"the IMU's clock is {percent:.3f}% {fast} relative to that of the fixes (standard deviation "
@@ -137,7 +137,7 @@ def check_sampling(evidence: Evidence) -> Iterator[Finding]:
     yield from clock_jumps(imu.time, gps)
     same = np.append(False, (np.diff(imu.ax) == 0) & (np.diff(imu.ay) == 0) & (np.diff(imu.gz) == 0))
     if same.mean() > MAX_REPEATED_SHARE:
-        share, fresh = 100 * same.mean(), (1 - same.mean()) / float(np.median(np.diff(imu.time)))
+        share, fresh = 100 * same.mean(), (1 - same.mean()) / imu.interval
         what = (
             f"{share:.0f}% of the samples repeat the previous one, so the sensor measures about {fresh:.0f} "
             "times per second"
@@ -217,8 +217,8 @@ def _time_passed(gps: Gps, j: int) -> tuple[float, float]:
     Each speed is the slope of a line through the fixes of `SPEED_WINDOW` s. If the speeds differ, any speed between
     them is possible.
     """
-    position, time = gps.x + 1j * gps.y, gps.time
-    noise = max(white_noise(position), motion_in_noise(float(np.median(np.diff(time)))))
+    position, time = gps.position, gps.time
+    noise = max(white_noise(position), motion_in_noise(gps.interval))
     lines, variance = [], 0.0
     for at, side in (
         (time[j], (time <= time[j]) & (time >= time[j] - SPEED_WINDOW)),
