@@ -250,7 +250,28 @@ def test_the_formats_that_are_not_read_are_named_with_the_way(tmp_path: Path):
         ("can.blf", "DBC"),
         ("b.mtb", "MT Manager"),
         ("ride.mp4", "telemetry"),
+        ("run.tcx", "gpsbabel"),
+        ("drive.bag.active", "rosbag reindex"),
+        ("log.pickle", "from_arrays"),
+        ("buoy.nc", "xarray"),
+        ("daq.tdms", "nptdms"),
+        ("unknown.gsof", "save it as CSV with the program"),
     ):
         (tmp_path / name).write_bytes(b"anything")
         with pytest.raises(InputError, match=said):
             imported(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("begin", "said"),
+    [
+        (b"     3.04           OBSERVATION DATA    M: Mixed            RINEX VERSION / TYPE\n", "RTKLIB"),
+        (b"CDF\x01\0\0\0\0", "xarray"),
+        (b"TDSm\x0e\0\0\0", "nptdms"),
+        (b"\x1f\x8b\x08\0", "unpack it"),
+    ],
+)
+def test_formats_are_also_named_by_their_first_bytes(tmp_path: Path, begin: bytes, said: str):
+    (tmp_path / "site0010.24o").write_bytes(begin + bytes(100))
+    with pytest.raises(InputError, match=said):
+        imported(tmp_path / "site0010.24o")

@@ -52,11 +52,15 @@ NOT_READ = {
     ".sbf": "a Septentrio stream; convert it to NMEA with sbfconvert or RxTools",
     ".rtcm .rtcm3 .obs "
     ".rnx": "a file of raw measurements; compute fixes with RTKLIB (convbin, rnx2rtkp), and import the .pos file",
-    ".gpx .kml .kmz .fit": "a track; convert it to CSV, for example from GPX with: gpsbabel -i gpx -f FILE -o unicsv "
-    "-F track.csv",
+    ".gpx .kml .kmz .fit .tcx .geojson": "a track; convert it to CSV, for example from GPX with: gpsbabel -i gpx "
+    "-f FILE -o unicsv -F track.csv",
     ".json .jsonl .ndjson": "JSON without objects; write a list with an object for each sample",
     ".sql": "a database dump; export its tables as CSV, for example with COPY ... TO 'log.csv' CSV HEADER",
-    ".npy .npz .pkl": "a file of Python arrays; make a drive with sigmaswarm.Drive.from_arrays, or save them as CSV",
+    ".npy .npz .pkl .pickle": "a file of Python arrays; make a drive with sigmaswarm.Drive.from_arrays, or save them "
+    "as CSV",
+    ".active": "a bag that was not closed; run `rosbag reindex`, and remove .active from its name",
+    ".nc .cdf": "a NetCDF file; write its variables as CSV, for example with xarray: to_dataframe().to_csv",
+    ".tdms": "a LabVIEW measurement file; write its channels as CSV, for example with nptdms",
     ".h5 .hdf5": "an HDF5 file; write its tables as CSV, for example with pandas.read_hdf(...).to_csv",
     ".feather .arrow .orc .avro": "a table in another binary format; save it as Parquet or CSV",
     ".gz .bz2 .xz .zst .7z .tar .tgz .rar": "a compressed file or an archive; unpack it",
@@ -77,6 +81,9 @@ _MAGIC = {
     **{rb"H Product:Blackbox": ".bbl", rb"MDF  ": ".mf4", rb"\x89HDF": ".h5", rb"\x1f\x8b": ".gz"},
     rb"(?:#BESTPOSA|#INSPVA|[#%]RAWIMU|\xaaD\x12)": ".novatel",
     rb"\s*header: *\r?\n +(?:seq|stamp|frame_id):": ".echo",
+    rb"CDF[\x01\x02\x05]": ".nc",
+    rb"TDSm": ".tdms",
+    rb"[^\n]{60}RINEX VERSION": ".obs",
     rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+: [A-Z]\w* \{": ".mavtext",
     rb"\(\d+\.\d+\) +\w*can\w* ": ".blf",
 }
@@ -143,7 +150,10 @@ def format_of(path: Path) -> str:
         raise InputError(f"{path}: contains no log, but folders with tables ({there}); {remedy}")
     if path.is_dir():
         raise no_log_error(path)
-    raise InputError(f"{path}: has an unknown format; choose one with --format: {', '.join(READERS)}")
+    others = "if it has another format, save it as CSV with the program that wrote it"
+    raise InputError(
+        f"{path}: has an unknown format; choose one with --format: {', '.join(READERS)}; {others}"
+    )
 
 
 def unsupported_format(path: Path) -> str:
