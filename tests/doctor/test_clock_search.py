@@ -1,5 +1,6 @@
 """Clock offsets of seconds are found before axes are checked; a log that begins in reverse is recognized."""
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -62,6 +63,20 @@ def test_an_offset_and_a_wrong_scale_or_axis_are_both_repaired(
     np.testing.assert_allclose(mended.imu.gz, imu.gz, rtol=0.03, atol=1e-9)
     np.testing.assert_allclose(mended.imu.gx, imu.gx, rtol=0.03, atol=1e-9)
     assert not sigmaswarm.diagnose(mended).serious
+
+
+@pytest.mark.parametrize("offset", [0.3, -0.3])
+@pytest.mark.parametrize("run", quickly([(r,) for r in (3, 9, 14, 21)], lambda run: run == 3))
+def test_an_offset_of_less_than_a_second_is_found_in_a_minute(run: int, offset: float):
+    """With few turns (14, 21) it is a note without a repair."""
+    sound = sigmaswarm.simulate(
+        "urban", run=run, duration=60.0, imu="adis16465", gps="f9p-rtk", gps_rate=10.0
+    )
+    late = replace(sound, gps=replace(sound.gps, time=sound.gps.time + offset), truth=None)
+    (found,) = (f for f in sigmaswarm.diagnose(late).findings if f.code == "clock-offset")
+    size, way = re.findall(r"(0\.\d\d) s (late|early)", found.what)[0]
+    assert float(size) == pytest.approx(0.3, abs=0.03) and (way == "late") == (offset > 0)
+    assert (found.severity == "note") == (found.repair is None) == (run in (14, 21))
 
 
 @pytest.mark.long
