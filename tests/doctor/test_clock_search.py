@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -135,12 +136,17 @@ def test_a_search_that_ends_at_its_initial_value_reports_no_offset():
     assert "clock-offset" not in sigmaswarm.diagnose(sigmaswarm.clip(drive, first, first + 60.0)).codes
 
 
-def robot(reverse: bool, seed: int, slow: float = 1.0) -> Drive:
-    """Simulate 14 s of driving, a stop, and turns; exact kinematics, white noise (fixes of a slow robot: smaller)."""
+def robot(reverse: bool, seed: int, slow: float = 1.0, turn: float = 0.0) -> Drive:
+    """Simulate 14 s of driving, a stop, and turns; exact kinematics, white noise (fixes of a slow robot: smaller).
+
+    With ``turn``, rad/s, the robot also turns at first, and its speed changes less later.
+    """
     rng, t = np.random.default_rng(seed), np.arange(0, 90, 0.01)
     first = -4.0 if reverse else 4.0
-    speed = np.interp(t, [0, 2, 5, 14, 16, 19, 24, 55, 60, 65, 85], [0, 0, first, first, 0, 0, 5, 5, 2, 5, 0])
-    rate = np.where(t > 24, 0.3 * np.sin(2 * np.pi * (t - 24) / 15), 0.0) * np.abs(speed) / 5
+    times = [0, 2, 5, 14, 16, 19, 24, *((53, 56, 59, 87, 90) if turn else (55, 60, 65, 85, 90))]
+    speed = np.interp(t, times, [0, 0, first, first, 0, 0, 5, 5, 2, 5, *((5, 0) if turn else (0, 0))])
+    rate = np.where(t > 24, (turn or 0.3) * np.sin(2 * np.pi * (t - 24) / (17 if turn else 15)), 0.0)
+    rate = (rate + np.where((t > 6) & (t < 13), 0.2 * turn, 0.0)) * np.abs(speed) / 5
     theta = 0.7 + np.cumsum(rate) * 0.01
     speed = slow * speed
     position = np.cumsum(speed * np.exp(1j * theta)) * 0.01
@@ -161,6 +167,19 @@ def test_a_log_that_begins_in_reverse(seed: int, slow: float):
     known = replace(robot(True, seed, slow), metadata={"heading_deg": 40.0})
     assert not {"reverse-start", "heading-offset"} & sigmaswarm.diagnose(known).codes
     assert "reverse-start" not in sigmaswarm.diagnose(robot(False, seed, slow)).codes
+
+
+@pytest.mark.parametrize(
+    ("turn", "seed"), quickly(product((0.3, 0.4, 0.5), (0, 1)), lambda turn, seed: (turn, seed) == (0.4, 0))
+)
+def test_a_start_in_reverse_before_strong_turns(turn: float, seed: int):
+    """The lateral force in turns is far larger than the forward force."""
+    drive = robot(True, seed, turn=turn)
+    (found,) = (f for f in sigmaswarm.diagnose(drive).findings if f.severity == "serious")
+    assert found.code == "reverse-start" and found.cut == pytest.approx(18, abs=2)
+    _, rest = sigmaswarm.split_time(drive, at=float(found.cut))
+    assert not sigmaswarm.diagnose(rest).serious
+    assert not sigmaswarm.diagnose(robot(False, seed, turn=turn)).serious
 
 
 @pytest.mark.parametrize(

@@ -272,8 +272,9 @@ def find_steady_span(drive: Drive) -> tuple[float, float]:
 def check_reverse(evidence: Evidence) -> Iterator[Finding]:
     """Find a log in which a filter would start in reverse and use the course as the heading.
 
-    The forward direction in the leveled axes is that in which the force agrees with the changes of speed after the
-    first part. Reverse driving before the filter's start is harmless.
+    The forward direction in the leveled axes is that in which the force explains the changes of speed after the first
+    part. It is fitted with both axes, since in turns the lateral force is far larger than the forward force. Reverse
+    driving before the filter's start is harmless.
     """
     course, drive = evidence.course, evidence.drive
     if course is None or not evidence.drives:
@@ -291,7 +292,11 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
     step = max(round(STEP / course.interval), 1)
     runs = [run for run in runs if run.stop - run.start >= step + 4]
     changes = [(_change(speed[run], step), _change(gained[run], step)) for run in runs]
-    forward = np.exp(1j * np.angle(sum(x.conj() @ y for y, x in changes[1:])))
+    if len(changes) < 2:
+        return
+    later, force = (np.concatenate(of) for of in zip(*changes[1:], strict=True))
+    axes = np.column_stack([force.real, force.imag])
+    forward = np.exp(-1j * np.angle(np.linalg.lstsq(axes, later.real)[0] @ [1, 1j]))
     slopes = [_slope(y, np.asarray((x * forward).real, np.float64), step) for y, x in changes]
     shown = [(run, *slope) for run, slope in zip(runs, slopes, strict=True) if slope]
     if len(shown) < 2:
