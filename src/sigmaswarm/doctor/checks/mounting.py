@@ -294,9 +294,10 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
     changes = [(_change(speed[run], step), _change(gained[run], step)) for run in runs]
     if len(changes) < 2:
         return
-    later, force = (np.concatenate(of) for of in zip(*changes[1:], strict=True))
-    axes = np.column_stack([force.real, force.imag])
-    forward = np.exp(-1j * np.angle(np.linalg.lstsq(axes, later.real)[0] @ [1, 1j]))
+    later = np.concatenate([y for y, _ in changes[1:]]).real.astype(np.float64)
+    force = np.concatenate([x for _, x in changes[1:]]).view(np.float64).reshape(-1, 2)
+    ahead, left = np.linalg.lstsq(force, later)[0].tolist()
+    forward = np.exp(-1j * math.atan2(left, ahead))
     slopes = [_slope(y, np.asarray((x * forward).real, np.float64), step) for y, x in changes]
     shown = [(run, *slope) for run, slope in zip(runs, slopes, strict=True) if slope]
     if len(shown) < 2:
