@@ -331,6 +331,17 @@ def test_the_remedy_for_a_time_that_imu_and_fixes_share_works_when_typed(tmp_pat
     assert len(import_drive(Request(tmp_path / "log.csv", maps=maps), "log").drive.imu) == len(imu)
 
 
+def test_an_unnamed_clock_is_the_time_of_mapped_columns_and_of_the_fixes(tmp_path: Path):
+    imu, gps = DRIVE.imu, DRIVE.gps
+    lat, lon, _ = enu_to_geodetic(np.column_stack([gps.x, gps.y, 0 * gps.x]), (50.0, 8.0, 100.0)).T
+    columns = {"clk": imu.time, "foo": imu.ax, "bar": imu.ay, "baz": imu.gz}
+    columns |= {name: np.interp(imu.time, gps.time, v) for name, v in (("lat", lat), ("lon", lon))}
+    pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
+    maps = ["imu.ax=foo", "imu.ay=bar", "imu.gz=baz"]
+    seen = inspect_request(Request(tmp_path / "log.csv", maps=maps))
+    assert seen.settings["maps"] == {"imu.t": "clk", "gps.t": "clk"}
+
+
 DT = float(np.median(np.diff(DRIVE.imu.time)))
 ORDERS = {
     "t acc gyro": ("t ax ay az gx gy gz", 1.0, 1.0),

@@ -292,7 +292,7 @@ def test_units_in_the_middle_of_names(tmp_path: Path, force: str, rate: str):
     ("force", "rate", "factors"),
     [
         ("mps2_{}", "dps_{}", (1.0, np.pi / 180)),
-        ("mg_{}", "mdps_{}", (G / 1e3, np.pi / 180e3)),
+        ("mg_acc_{}", "mdps_{}", (G / 1e3, np.pi / 180e3)),
         ("cm_s2_acc_{}", "rad_s_gyro_{}", (0.01, 1.0)),
         ("mg_a{}", "mradps_g{}", (G / 1e3, 1e-3)),
     ],
@@ -312,6 +312,15 @@ def test_an_established_name_goes_before_a_unit_that_may_be_of_a_magnetic_field(
     (tmp_path / "imu.csv").write_text(table(lines))
     write_fixes(tmp_path)
     assert_close(imported(tmp_path).drive.imu, IMU, "time ax ay az gx gy gz", 1e-12)
+
+
+def test_a_magnetic_field_alone_is_no_acceleration(tmp_path: Path):
+    head = ["t", *AXES[3:], "mG_x", "mG_y", "mG_z"]
+    lines = [",".join(head), *(f"{row[0]},{','.join(row[4:])},200,0,-430" for row in ROWS)]
+    (tmp_path / "imu.csv").write_text(table(lines))
+    write_fixes(tmp_path)
+    with pytest.raises(InputError, match="no column for ax"):
+        imported(tmp_path)
 
 
 def test_g_in_a_name_may_mean_gravity(tmp_path: Path):

@@ -122,12 +122,14 @@ def test_the_objective_adds_forecasts_for_white_errors_and_the_likelihood_for_co
     assert auto([white, noisy(WHOLE, 1.0, "short")]) == "innovation-t"  # too short for hidden fixes
     for asked in ("innovation-t", "outage-rmse"):
         assert objective_for([white], asked, "tilted12") == asked
-    known, correlated = (replace(one, truth=long.truth) for one in (white, copying))
+    known, exact = (replace(one, truth=long.truth) for one in (white, copying))
+    correlated = replace(exact, gps=replace(exact.gps, x=exact.gps.x + 1.5, y=exact.gps.y - 1.0))
     assert auto([known]) == "truth-pose + 0.2 nees + 0.2 forecast-t"
     assert (
         auto([known], model="planar8")
         == auto([known, correlated], model="planar8")
         == auto([replace(noisy(long, 0.01, stated=0.01), truth=long.truth)])
+        == auto([exact])  # the truth shows that these errors are white
         == "truth-pose + 0.2 nees"
     )
     assert (

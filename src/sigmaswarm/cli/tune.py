@@ -84,8 +84,8 @@ def tune(
         sigmaswarm tune drives/training --out tuned --resume
         sigmaswarm tune s3://fleet/training --out tuned --cluster tcp://scheduler:8786
 
-    Values of --objective (usual defaults: truth-pose + 0.2 nees if all drives have truth, otherwise innovation-t; the
-    defaults of tilted12 include forecast-t if the fix errors are white):
+    Values of --objective (usual defaults: truth-pose + 0.2 nees if all drives have truth, otherwise innovation-t; with
+    truth and correlated fix errors also 0.1 innovation-t; with tilted12 and white fix errors also forecast-t):
 
         truth-rmse      position error against truth
         truth-pose      errors of position and heading, and drift in outages

@@ -354,18 +354,21 @@ def _read(column: str, text: str) -> Name:
     return name if name.unit or name.meaning else _after_unit(column, words) or name
 
 
+_AMBIGUOUS = ("g", "mg", "ug", "gal", "mgal")
+
+
 def _after_unit(column: str, words: list[str]) -> Name | None:
     """Read a name that begins with the unit of an axis: mps2_x, dps_gyro_z; otherwise return None."""
     for count in (3, 2, 1):
         unit = unit_of(words[:count]) if len(words) > count else None
         letter = {"acceleration": "a", "rate": "g"}.get((unit and unit.dimension) or "")
-        # a single g before an axis means the gyro, or gravity
-        if unit is None or letter is None or unit.text == "g":
-            continue
         plain = "_".join(words[count:])
+        # before an axis alone, g means the gyro or gravity, and mG a magnetic field
+        if unit is None or letter is None or (plain in {*"xyz"} and unit.text.lower() in _AMBIGUOUS):
+            continue
         plain = f"{letter}{plain}" if plain in {*"xyz"} else plain
         if meaning_of_plain(plain) in {f"{letter}{i}" for i in "xyz"}:
-            return Name(column, plain, unit, weak=True)  # mg_x may be a magnetic field
+            return Name(column, plain, unit, weak=True)
     return None
 
 

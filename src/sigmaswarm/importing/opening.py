@@ -57,7 +57,7 @@ class Plan:
     @property
     def imu_time(self) -> str:
         """The expression of the IMU's time; "" if the recipe has none."""
-        return self.parts("imu")[0].columns.get("t", "")
+        return next((part.columns.get("t", "") for part in self.parts("imu")), "")
 
     def log(self, role: Role) -> Log:
         return self.logs[self.request.home(role)]

@@ -72,6 +72,11 @@ class _Sensor:
     def shares_table(self, other: "_Sensor") -> bool:
         return (self.log.path, self.table) == (other.log.path, other.table)
 
+    def in_table(self, first: Beginnings) -> "_Sensor":
+        """Return the sensor in the only table of its log if the table is unknown, as for columns mapped by hand."""
+        tables = first[self.log.path]
+        return self if self.table or len(tables) != 1 else replace(self, table=next(iter(tables)))
+
     def with_time(self, time: str) -> "_Sensor":
         return replace(self, proposed={"t": time, **self.proposed})
 
@@ -81,7 +86,7 @@ def propose(plan: Plan, first: Beginnings) -> Proposal | None:
     imu, gps = (_with_columns("imu", plan, first), _with_columns("gps", plan, first))
     imu, gps = (_with_own_time(one, (imu, gps)) if one.proposed else one for one in (imu, gps))
     if time := _time_by_rows(imu, gps, first):
-        shared = gps.shares_table(imu) and "t" not in gps.columns
+        shared = gps.in_table(first).shares_table(imu.in_table(first)) and "t" not in gps.columns
         imu, gps = imu.with_time(time), gps.with_time(time) if shared else gps
     found = {one.role: one.proposed for one in (imu, gps) if one.proposed}
     return Proposal({one.role: one.table for one in (imu, gps) if one.chosen}, found) if found else None
@@ -127,8 +132,7 @@ def _with_own_time(sensor: _Sensor, both: Sequence[_Sensor]) -> _Sensor:
 
 def _time_by_rows(imu: _Sensor, gps: _Sensor, first: Beginnings) -> str:
     """Return the time of an IMU without a time: an unnamed clock, or the row number and the duration of the fixes."""
-    # columns that are mapped by hand belong to the only table
-    table, places = (one.table or _only(first[one.log.path]) for one in (imu, gps))
+    table, places = (one.in_table(first).table for one in (imu, gps))
     rows = first[imu.log.path].get(table, pl.DataFrame())
     timed = "t" in imu.columns or not (table and places and {"ax", "gz"} <= imu.columns.keys())
     if timed or time_of_rows(rows, "imu", {}, "imu") is not None:
@@ -138,10 +142,6 @@ def _time_by_rows(imu: _Sensor, gps: _Sensor, first: Beginnings) -> str:
     steps = (column_numbers(values).diff().drop_nulls() for values in rows)
     counted = any(len(of) and (of > 0).all() for of in steps)  # a counter is better than row numbers
     return "" if counted else _time_of_fixes(imu.log, table, gps.log, places, gps.columns.get("t", ""))
-
-
-def _only(tables: Mapping[str, pl.DataFrame]) -> str:
-    return next(iter(tables)) if len(tables) == 1 else ""
 
 
 def _time_of_fixes(log: Log, table: str, fixes: Log, places: str, time: str) -> str:

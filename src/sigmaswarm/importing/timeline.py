@@ -248,10 +248,11 @@ def spread_stamps(
             f'the rate is known, compute it from the row number: --map "{role}.t=row/100" for 100 Hz (replace 100 by '
             "the rate of this log)"
         )
-    if (rounding := _rounding_of_days(ahead)) > MIN_DAY_ROUNDING * step:
+    if (rounding := _rounding_of_days(time, int(ahead.min()))) > MIN_DAY_ROUNDING * step:
         seen = f"the times in days are rounded to {rounding / SECOND:.3g} s"
         if (even := _spread_days(time, rounding)) is not None:
-            return even[0], f"{seen}; rows are spread evenly at a constant rate of {SECOND / even[1]:.4g} Hz"
+            spread = f"rows are spread evenly at a constant rate of {SECOND / even[1]:.4g} Hz"
+            return even[0], f"{seen}; {spread} (if they were cut off instead of rounded, all are too early)"
         if rounding > MAX_DAY_ROUNDING * step and shared < MIN_REFUSED_SHARE:
             raise InputError(
                 f"{where}: {seen}, but rows of the {role} are {step / SECOND:.3g} s apart, and their rate is not "
@@ -292,11 +293,14 @@ def spread_stamps(
     )
 
 
-def _rounding_of_days(ahead: Nanoseconds) -> float:
-    """Return the last decimal of times in days, ns, if the steps between different times show it; otherwise 0."""
-    smallest = int(ahead.min()) + MAX_DEVIATION
-    units = (u for u in DAY_DECIMALS if u <= smallest)
-    return next((u for u in units if np.abs(ahead - np.round(ahead / u) * u).max() <= MAX_DEVIATION), 0.0)
+def _rounding_of_days(time: Nanoseconds, smallest: int) -> float:
+    """Return the last decimal of times in days, ns, if all times show it; otherwise 0.
+
+    ``smallest``: smallest step between different times, ns.
+    """
+    units = (unit for unit in DAY_DECIMALS if unit <= smallest + MAX_DEVIATION)
+    passed = time - time[0]
+    return next((u for u in units if np.abs(passed - np.round(passed / u) * u).max() <= MAX_DEVIATION), 0.0)
 
 
 def _spread_days(time: Nanoseconds, rounding: float) -> tuple[Nanoseconds, float] | None:

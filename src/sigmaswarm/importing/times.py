@@ -8,7 +8,7 @@ from itertools import product
 import polars as pl
 
 from sigmaswarm.importing.dates import SECOND, as_text, parse_dates
-from sigmaswarm.importing.expressions import ROW, compile_expression, row_times, time_span
+from sigmaswarm.importing.expressions import ROW, compile_expression, row_times, time_span, with_row_numbers
 from sigmaswarm.importing.names import (
     CLOCK,
     STAMP,
@@ -120,8 +120,11 @@ def span_of_table(log: Log, table: str, time: str) -> tuple[float, float]:
     """Return the earliest and the latest time of a whole table, s; `EVER` if the times of some rows can't be read."""
     columns = log.tables[table].columns
     used = compile_expression(time, (*columns, ROW)).columns & {*columns}
-    spans = [time_span(time, rows) or EVER for _, rows, _ in log.batches({table: used or columns})] or [EVER]
-    return min(low for low, _ in spans), max(high for _, high in spans)
+    spans, first = list[tuple[float, float]](), 0
+    for _, rows, _ in log.batches({table: used or columns}):
+        spans.append(time_span(time, with_row_numbers(rows, first)) or EVER)
+        first += len(rows)
+    return min((low for low, _ in spans), default=EVER[0]), max((high for _, high in spans), default=EVER[1])
 
 
 def rising_time(frame: pl.DataFrame, role: Role) -> str:

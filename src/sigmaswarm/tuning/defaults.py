@@ -126,8 +126,13 @@ def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive
     modeled = kernel_name(model, kind, True) in FILTERS and _fits("fix-error", options)
     lasting = all(one.lasting for one in have)
     if objective == "auto" and all(one.truth for one in have):
-        lasting = lasting and not _mean(have, "noise") > MAX_WHITE_SHARE * _mean(have, "true_std")
+        lasting = lasting and not _are_shown_white(have)
     return suits and modeled and enough_for_fix_error(have) and lasting
+
+
+def _are_shown_white(drives: Sequence[LogProperties]) -> bool:
+    """Return True if the noise of the fixes is nearly as large as their errors against the truth."""
+    return _mean(drives, "noise") > MAX_WHITE_SHARE * _mean(drives, "true_std")
 
 
 def _mean(drives: Sequence[LogProperties], name: str) -> float:
@@ -161,7 +166,7 @@ def objective_for(
     white = 2 * sum(one.white for one in cars) > len(cars)
     if not logs and tilts and white and all(one.driven > MIN_DRIVEN for one in cars):
         with_truth, without = FORECAST_OBJECTIVES
-    if not logs and 2 * sum(one.lasting for one in cars) > len(cars):
+    if not logs and 2 * sum(one.lasting for one in cars) > len(cars) and not _are_shown_white(cars):
         with_truth = CORRELATED_OBJECTIVE
     if "fix-error" in use:
         with_truth = FIX_ERROR_OBJECTIVE

@@ -51,9 +51,9 @@ ENDS, HANDLED, UNLIKE = 15.0, 0.5, 4.0
 # of its speed; the second limit is for slow robots.
 STANDS, OF_USUAL = 1.0, 0.3
 STEP = 2.0  # s, for changes of speed and the integral of ax
-# Smallest slope of speed changes on the integral of ax that determines the direction: in standard deviations, and
-# absolute.
-MIN_SLOPE_SIGMAS, MIN_SLOPE = 3.0, 0.4
+# Smallest slope of speed changes on the integral of ax that determines the direction: absolute, and in standard
+# deviations before and after the change of direction. The forward direction is fitted to the part after it.
+MIN_SLOPE, MIN_SLOPE_SIGMAS = 0.4, (3.0, 5.0)
 
 
 def check_mirrored(evidence: Evidence) -> Iterator[Finding]:
@@ -302,9 +302,12 @@ def check_reverse(evidence: Evidence) -> Iterator[Finding]:
     shown = [(run, *slope) for run, slope in zip(runs, slopes, strict=True) if slope]
     if len(shown) < 2:
         return
-    (first, slope, limit), *rest = shown
+    (first, slope, std), *rest = shown
+    least, least_after = MIN_SLOPE_SIGMAS
     until = float(course.time[first.stop - 1])
-    if start.time < until + course.span and slope < -limit and any(s > least for _, s, least in rest):
+    reverse = -slope > max(least * std, MIN_SLOPE)
+    forward_after = any(s > max(least_after * sigma, MIN_SLOPE) for _, s, sigma in rest)
+    if start.time < until + course.span and reverse and forward_after:
         what = (
             f"the car seems to drive in reverse until t = {until:.0f} s: in this part ax is positive while "
             "the speed falls"
@@ -323,10 +326,9 @@ def _change(values: Values, step: int) -> Values:
 
 
 def _slope(y: Array, x: Array, step: int) -> tuple[float, float] | None:
-    """Fit changes y to changes x over ``step`` values; return the slope and the smallest significant slope, or None."""
+    """Fit changes y to changes x over ``step`` values; return the slope and its standard deviation, or None."""
     power = float(x @ x)
     if power < 1.0:
         return None
     slope = float(x @ y) / power
-    std = float(np.sqrt(step * np.sum((x * (y - slope * x)) ** 2)) / power) + 1e-6
-    return slope, max(MIN_SLOPE_SIGMAS * std, MIN_SLOPE)
+    return slope, float(np.sqrt(step * np.sum((x * (y - slope * x)) ** 2)) / power) + 1e-6
