@@ -84,6 +84,8 @@ NAMES: tuple[tuple[str, str], ...] = (
     ("bearing", "bearing|track|heading|cog"),
     ("theta", "theta|yaw"),
 )
+# Units that may mean something else before an axis: g the gyro or gravity, mG a magnetic field
+_AMBIGUOUS = ("g", "mg", "ug", "gal", "mgal")
 _AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 _PLACES = ("lat", "lon", "alt", "ns", "ew")
 _TOTAL = {"gfx", "gfy", "gfz"}  # specific force in g, in logs of Physics Toolbox
@@ -354,19 +356,16 @@ def _read(column: str, text: str) -> Name:
     return name if name.unit or name.meaning else _after_unit(column, words) or name
 
 
-_AMBIGUOUS = ("g", "mg", "ug", "gal", "mgal")
-
-
 def _after_unit(column: str, words: list[str]) -> Name | None:
     """Read a name that begins with the unit of an axis: mps2_x, dps_gyro_z; otherwise return None."""
     for count in (3, 2, 1):
         unit = unit_of(words[:count]) if len(words) > count else None
         letter = {"acceleration": "a", "rate": "g"}.get((unit and unit.dimension) or "")
         plain = "_".join(words[count:])
-        # before an axis alone, g means the gyro or gravity, and mG a magnetic field
-        if unit is None or letter is None or (plain in {*"xyz"} and unit.text.lower() in _AMBIGUOUS):
+        bare = plain in {*"xyz"}
+        if unit is None or letter is None or (bare and unit.text.lower() in _AMBIGUOUS):
             continue
-        plain = f"{letter}{plain}" if plain in {*"xyz"} else plain
+        plain = f"{letter}{plain}" if bare else plain
         if meaning_of_plain(plain) in {f"{letter}{i}" for i in "xyz"}:
             return Name(column, plain, unit, weak=True)
     return None

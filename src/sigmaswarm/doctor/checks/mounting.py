@@ -158,7 +158,8 @@ def find_turn(evidence: Evidence) -> tuple[float, float] | None:
     cuts = np.flatnonzero((at > at[:1] + MIN_PART) & (at < at[-1:] - MIN_PART))
     if not len(cuts):
         return None
-    totals = [np.cumsum(v) for v in (a * u.conj(), np.abs(a) ** 2, np.abs(u) ** 2)]
+    products = a * u.conj()
+    totals = [np.cumsum(v) for v in (products, np.abs(a) ** 2, np.abs(u) ** 2)]
     cut = cuts[np.argmax(np.abs(totals[0][cuts]) + np.abs(totals[0][-1] - totals[0][cuts]))]
     before, after = ([v[cut] for v in totals], [v[-1] - v[cut] for v in totals])
     coherence = min(abs(s) / max(math.sqrt(abs(x * y)), 1e-9) for s, x, y in (before, after))
@@ -166,7 +167,7 @@ def find_turn(evidence: Evidence) -> tuple[float, float] | None:
     time, angle = float(at[cut]), float(np.angle(after[0] * np.conj(before[0])))
     if coherence < MIN_COHERENCE or rms < MIN_MOTION or abs(angle) < MIN_TURNED:
         return None
-    products, rows = a * u.conj(), max(round(BLOCK / float(np.median(np.diff(at)))), 1)
+    rows = max(round(BLOCK / float(np.median(np.diff(at)))), 1)
     std = math.hypot(*(_angle_std(part, rows) for part in (products[: cut + 1], products[cut + 1 :])))
     clear = coherence > CLEAR_COHERENCE and rms > CLEAR_MOTION and abs(angle) > CLEAR_SIGMAS * std
     return (time, abs(angle)) if clear or _path_shows(evidence, time, angle) else None
