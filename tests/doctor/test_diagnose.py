@@ -102,6 +102,9 @@ def test_a_planted_fault_is_reported(name: str, fault: str):
         codes = set()  # not visible at 2 Hz with 1 m of noise
     assert codes <= found.codes
     assert set(serious(found)) <= codes  # no other serious finding
+    if fault == "0.2 s late" and codes:
+        (late,) = (f for f in found.findings if f.code == "clock-offset")
+        assert late.severity == "warning" and "accurately, which doctor --fix checks" in late.remedy
 
 
 @needs_shared

@@ -131,6 +131,16 @@ def test_a_tilt_is_compared_with_the_accuracy_of_its_own_axis(roll: float, pitch
     assert Mounting(rotation_of(roll, pitch, 0), std, "likely", "", np.eye(3)).needed is needed
 
 
+@pytest.mark.parametrize(
+    ("angle", "std", "serious"),
+    [(8, 2, False), (8, 1, True), (13, 2, True), (19, 4, False), (30, 7, True), (6.5, 1, False)],
+)
+def test_a_serious_rotation_is_large_and_many_standard_deviations(angle: float, std: float, serious: bool):
+    each = np.full(3, np.radians(std / 3**0.5))
+    found = Mounting(rotation_of(angle, 0, 0), each, "likely", "", np.eye(3))
+    assert found.needed and found.serious is serious
+
+
 @pytest.mark.parametrize("start", quickly([(a,) for a in WRONG], lambda a: a == (0, -60, 30)))
 def test_a_wrong_mounting_of_the_import_does_not_change_the_result(start: tuple[float, float, float]):
     drive = drive_of("mpu-6050")

@@ -56,7 +56,7 @@ def _problem(finding: "Finding", folder: "Location | None", *, part: bool) -> Re
     (what, *evidence), (remedy, *more) = sentences(finding.what), sentences(remedy)
     start, end = finding.span
     place = f"({finding.where}; t = {start:.1f} to {end:.1f} s; confidence {100 * finding.confidence:.3g}%)"
-    fixed = " (or doctor --fix)" if finding.repair and not part else ""
+    fixed = " (or doctor --fix)" if finding.repair and not part and "doctor --fix" not in remedy else ""
     return Remark(
         finding.severity,
         f"[{finding.code}] {as_sentence(what)}",

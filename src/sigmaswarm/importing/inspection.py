@@ -25,6 +25,7 @@ from sigmaswarm.importing.proposal_check import check_proposal, reversed_forces
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Fault, ImportProgress, Log, Part
 from sigmaswarm.importing.table_columns import column_numbers
+from sigmaswarm.importing.timeline import same_time
 from sigmaswarm.importing.times import EVER, sample_rate, span_of_table
 
 PREVIEW_ROWS = 5000  # number of first rows of a table from which ranges are computed
@@ -152,11 +153,13 @@ def _obstacles(plan: Plan, first: Beginnings) -> list[str]:
     faults = with_rate_of_rows(faults, plan)
     log, of_log = plan.log("imu"), f"{plan.request.log}: "
     parts = [part for part in whole.parts("imu") if "t" in part.columns]
-    spans = [time_span(p.columns["t"], first[log.path][p.table]) or EVER for p in parts[1:] and parts]
-    if without_overlap("imu", parts, spans):  # the first rows may end before the other table begins
+    spans = [time_span(p.columns["t"], first[log.path][p.table]) or EVER for p in parts]
+    # The first rows may end before the other table begins, or share one time.
+    if without_overlap("imu", parts, spans) or any(start == end for start, end in spans):
         spans = [span_of_table(log, part.table, part.columns["t"]) for part in parts]
     if apart := without_overlap("imu", parts, spans):
         faults.append(f"{of_log}{apart}")
+    faults += [f"{of_log}{same_time('imu', '')}" for start, end in spans if start == end]
     return faults or [f"{of_log}{message}" for message in missing_columns(plan.recipe)]
 
 

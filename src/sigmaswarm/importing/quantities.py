@@ -203,7 +203,9 @@ def heading(columns: Columns, what: str, role: Role) -> Conversion:
         note = f"{name.column} is read as {'degrees' if degrees else 'radians'} clockwise from north"
         return Conversion(f"radians(90-{text})" if angle == f"radians({text})" else f"pi/2-{angle}", note)
     assumed = what == "theta" and name.unit is None and degrees
-    return Conversion(angle, f"{name.column} is read as degrees" if assumed else "")
+    return Conversion(
+        angle, f"{name.column} is read as degrees unless the course shows another unit" if assumed else ""
+    )
 
 
 RATE = "SAMPLES_PER_S"  # stands for the rate, Hz, in the expressions

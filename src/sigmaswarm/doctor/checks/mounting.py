@@ -10,7 +10,7 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.acceleration_fit import fit_acceleration
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, confidence_of, split_command
-from sigmaswarm.doctor.mounting import SERIOUS, Mounting, angle_of, level_rotation, rotate_imu
+from sigmaswarm.doctor.mounting import Mounting, angle_of, level_rotation, rotate_imu
 from sigmaswarm.doctor.windows import Values, integral, smoothed
 from sigmaswarm.drives.alignment import StartFailure, find_start
 from sigmaswarm.drives.checks import GRAVITY
@@ -112,12 +112,12 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
     )
     # The mounting is constant in a drive, and a part determines it less accurately than the whole drive.
     whole = name_of_whole(evidence.drive)
-    if mounting.needed and (angle > SERIOUS or not whole):
+    if mounting.needed and (mounting.serious or not whole):
         given = ",".join(f"{degrees:g}" for degrees in evidence.drive.mounting or ())
         instead = f" instead of {given} (the new angles include this rotation)" if given else ""
         roll, pitch, yaw = roll_pitch_yaw(mounting.repair, 1)
         yield Finding(
-            "mounting", "serious" if angle > SERIOUS else "warning",
+            "mounting", "serious" if mounting.serious else "warning",
             f"the IMU is {'' if mounting.confidence == 'sure' else 'probably '}rotated relative to the vehicle: roll "
             f"{roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} deg. {sure}",
             WHERE, evidence.span, confidence_of(angle / total),

@@ -32,6 +32,7 @@ MAX_UNUSED_SHARE = 0.5  # largest share of fixes outside of the IMU's time span 
 MIN_EXCESS = 0.3
 SPEED_WINDOW = 2.0  # s on each side of a gap in which the speed is measured
 SIGMAS = 3.0  # standard deviations that distinguish a pause from a clock jump
+VERIFIED_REPAIR = " if a filter then predicts the fixes more accurately, which doctor --fix checks"
 
 
 def check_clock(evidence: Evidence) -> Iterator[Finding]:
@@ -66,7 +67,8 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
         turns = fit is not None and fit.course_change > MIN_GAIN_TURN and fit.share > MIN_EXPLAINED
         clear = turns and abs(delay) > OFFSET_SIGMAS[1] * std
         grave = abs(delay) > max(SERIOUS_OFFSET, OFFSET_SIGMAS[2] * std)
-        remedy = f"{correction.format(size)}{'' if clear else ' if other drives also show this offset'}"
+        condition = ("" if grave else VERIFIED_REPAIR) if clear else " if other drives also show this offset"
+        remedy = f"{correction.format(size)}{condition}"
         if 0 < delay < MAX_TUNED_LATENCY:
             remedy += (
                 f". Alternatively, tune the delay ({_latency_option(evidence)}). The tuned delay is that with the "
