@@ -141,6 +141,24 @@ def test_a_serious_rotation_is_large_and_many_standard_deviations(angle: float, 
     assert found.needed and found.serious is serious
 
 
+@pytest.mark.parametrize(("total", "found"), [(5.0, False), (30.0, True)])
+def test_an_imu_that_slips_slowly_has_no_sure_mounting(total: float, found: bool):
+    """Earlier, the mean of the tilts was a "sure" mounting."""
+    drive = replace(
+        sigmaswarm.simulate("urban", seed=1, duration=160.0, gps="ublox-m8", terrain="hilly"), truth=None
+    )
+    angles = np.linspace(0.0, np.radians(total), len(drive.imu))
+    rows = np.array([getattr(drive.imu, name) for name in ("ax", "ay", "az", "gx", "gy", "gz")]).T
+    turn = Rotation.from_rotvec(np.outer(angles, [1.0, 0.0, 0.0]))
+    ax, ay, az, gx, gy, gz = np.hstack([turn.apply(rows[:, :3]), turn.apply(rows[:, 3:])]).T
+    imu = replace(drive.imu, ax=ax, ay=ay, az=az, gx=gx, gy=gy, gz=gz)
+    diagnosis = sigmaswarm.diagnose(replace(drive, imu=imu))
+    slipped = [f for f in diagnosis.findings if f.code == "mounting-slips"]
+    assert [f.severity for f in slipped] == ["warning"] * found
+    if found:
+        assert "mounting" not in diagnosis.codes and "slowly tilts" in slipped[0].what
+
+
 @pytest.mark.parametrize("start", quickly([(a,) for a in WRONG], lambda a: a == (0, -60, 30)))
 def test_a_wrong_mounting_of_the_import_does_not_change_the_result(start: tuple[float, float, float]):
     drive = drive_of("mpu-6050")

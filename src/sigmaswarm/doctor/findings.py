@@ -50,6 +50,7 @@ CONSEQUENCES = {
     "mounting": _WRONG_AXES,
     "mounting-changed": "no filter suits both parts of the drive",
     "mounting-handled": "a filter mistakes this motion for motion of the vehicle",
+    "mounting-slips": "one rotation does not describe the whole drive",
     "no-start": "no filter can be tuned or evaluated on this drive",
     "odometer-clock": "when the speed changes, a filter with --use odometer follows a wrong speed",
     "odometer-scale": "between fixes, a filter with --use odometer drives too far or not far enough",

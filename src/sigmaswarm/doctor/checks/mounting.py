@@ -100,6 +100,12 @@ def check_mounting(evidence: Evidence) -> Iterator[Finding]:
         yield Finding(
             "mounting-changed", "serious", what, WHERE, span, 0.99, remedy, cut=round(time), command=command
         )
+    elif mounting is not None and mounting.slip:
+        degrees, (begin, end) = math.degrees(mounting.slip), evidence.span
+        command = split_command((begin + end) / 2)
+        what = f"the IMU slowly tilts relative to the vehicle, by {degrees:.0f} deg from the first to the last third"
+        remedy = f"fasten the IMU and record again; a split reduces the change in each part: {command}"
+        yield Finding("mounting-slips", "warning", what, WHERE, evidence.span, 0.95, remedy, command=command)
     elif mounting is not None and mounting.confidence != "no":
         yield from _rotation(evidence, mounting)
 
