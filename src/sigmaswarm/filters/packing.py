@@ -62,7 +62,7 @@ def state_estimate(state: Array, model: str) -> tuple[Array, Array]:
 
 
 def _turned(mean: Array, covariance: Array, sign: float) -> tuple[Array, Array]:
-    """Rotate velocity and covariance (to first order) by the heading: body to local frame (sign 1) or back (-1)."""
+    """Rotate velocity and covariance (to first order) by the heading, from body to local frame (sign 1) or back."""
     c, s = np.cos(mean[..., THETA]), sign * np.sin(mean[..., THETA])
     vx, vy = mean[..., 2], mean[..., 3]
     turned, jacobian = mean.copy(), np.zeros_like(covariance) + np.eye(mean.shape[-1])
@@ -104,8 +104,8 @@ def definite(covariance: Array) -> Mask:
 def _find_definite(rows: Array, first: int, n: int, ok: int, definite: Mask) -> None:
     """Find positive definite covariances (n, n), packed in rows (m, s, r) from row ``first`` on, as in `_upper`.
 
-    ``ok``: row that must be 1 (the filter never failed); the state and sums must then also be finite. -1: the rows
-    contain only covariances. The results are written to ``definite``, (m, r).
+    ``ok`` is the row that must be 1 (the filter never failed); the state and sums must then also be finite. If ``ok``
+    is -1, the rows contain only covariances. The results are written to ``definite``, (m, r).
     """
     scale, a = np.empty(n), np.empty((n, n))
     for m in range(rows.shape[0]):

@@ -69,9 +69,9 @@ def start_std(p: FilterParameters) -> Array:
 def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> tuple[Array, Array]:
     """Return means (m, r, n) and covariances (m, r, n, n) for m starts and std of shape (r, 3).
 
-    All starts have the same number of states. States that a start does not contain begin at 0; their standard deviation
+    All starts have the same number of states. States that a start does not contain begin at 0. Their standard deviation
     is ``std`` (see `start_std`) for a bias or fix error, otherwise the state's ``start_std``. The evidence of the
-    alignment is included: see `GyroBiasEvidence.update` and `add_tilt_evidence`.
+    alignment is included (see `GyroBiasEvidence.update` and `add_tilt_evidence`).
     """
     n = len(model.states)
     known = known_states(n, len(initial[0].mean))

@@ -83,7 +83,7 @@ TINY = 1e-100  # added to divisors that may be 0; too small to change other divi
 
 
 def sinc_cos(z):
-    """Return sin(r) / r and cos(r) for an angle r in [-pi/4, pi/4], with z = r^2, without square root or division."""
+    """Return sin(r) / r and cos(r) for an angle r in [-pi/4, pi/4], from z = r^2 alone."""
     s, cos = _series(z)
     return 1.0 + z * s, cos
 

@@ -36,7 +36,7 @@ from sigmaswarm.filters.compiled.unroll import Generated
 from sigmaswarm.filters.tilted import GRAVITY, MEASURED_FIRST, STEP_FIRST, N
 
 ADDED, POSITION = (R.U, R.V, R.I, R.J, R.T), (R.X, R.Y)
-"""States with a nonlinear step, in the order of the step's outputs; and the states that integrate the first two."""
+"""States whose step is nonlinear, in the order of the step's outputs, and the states that integrate the first two."""
 
 
 def _root(w, *, order, columns):
@@ -58,7 +58,10 @@ def _root(w, *, order, columns):
 
 
 def _linearize(w, *, columns):
-    """Replace the slopes by H; compute mu and EXTRA. ``columns``: number of columns with points for each output."""
+    """Replace the slopes by H; compute mu and EXTRA.
+
+    ``columns`` is the number of columns with points for each output.
+    """
     for l in range(LANES):
         gamma2 = 16.0 * w.QUARTER_GAMMA * w.QUARTER_GAMMA
         spread = w.SPREAD - gamma2  # beta - alpha^2

@@ -15,8 +15,8 @@ from sigmaswarm.errors import InputError
 class Log:
     """One recording: inputs, measurements, the initial state of a filter, and truth if known.
 
-    The filter steps to each ``time``; the inputs at t_k drive the step from t_(k-1) to t_k. A measurement between these
-    times splits the step. Measurements before the first or after the last ``time`` are ignored.
+    The filter steps to each ``time``; the inputs at t_k belong to the step from t_(k-1) to t_k. A measurement between
+    two times splits the step. Measurements before the first or after the last ``time`` are ignored.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class Log:
         Shape (f,) is read as (f, 1). NaN means that an element has no value; the update then uses the other elements.
         `from_sensors` merges sensors.
     mean, covariance : ndarray, shapes (n,), (n, n)
-        State estimate at ``time[0]``, where the filter starts; it must not come from truth.
+        State estimate at ``time[0]``, where the filter starts. It must not be computed from truth.
     inputs : ndarray, shape (k, u), optional
         Inputs of the process; shape (k,) is read as (k, 1). If None, the input of f is an empty array.
     truth : mapping of str to ndarray, shape (j,)
@@ -40,7 +40,7 @@ class Log:
     Raises
     ------
     InputError
-        If a shape or a value cannot be used.
+        If a shape or a value is not valid.
     """
 
     name: str
@@ -79,7 +79,7 @@ class Log:
         Raises
         ------
         InputError
-            If a shape or a value cannot be used, or a sensor has no value within ``time``.
+            If a shape or a value is not valid, or a sensor has no value within ``time``.
         """
         clock, columns = _clock(name, "time", time), list[tuple[Array, Array]]()
         given: Any = sensors
