@@ -37,7 +37,7 @@ class ReceiverLog:
 def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
     """Read the fixes of a log in any format of `sigmaswarm import`, or of a drive's folder.
 
-    Clock (``time_origin_s``) and frame (``origin``) are those of ``drive``; ``offset``, s, is added to the times.
+    Clock (``time_origin_s``) and frame (``origin``) are those of ``drive``. ``offset``, s, is added to the times.
     """
     if has_table(path, "gps"):
         return _of_drive(read_with_warnings(path)[0], drive, offset)  # the import has printed the warnings

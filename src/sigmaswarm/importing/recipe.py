@@ -143,7 +143,7 @@ def with_maps(
 ) -> dict[Role, tuple[Part, ...]]:
     """Replace expressions by those of the user: ``ax=-acc_y*9.80665`` or ``gps.t=stamp``; "az=" omits a column.
 
-    ``times``: expressions of the times, by role, used unless the user maps the times of this role.
+    ``times`` contains expressions of the times by role, which are used unless the user maps the times of this role.
     """
     mapped: dict[Role, list[Part]] = {role: list(parts) for role, parts in roles.items()}
     timed: set[Role] = set()
