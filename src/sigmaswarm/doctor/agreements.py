@@ -69,7 +69,7 @@ def agreements(drive: Drive) -> tuple[Agreement, ...]:
     Returns
     -------
     tuple of Agreement
-        If the fixes have no course, agreements that need a moving vehicle are missing.
+        If the fixes have no course, agreements that require a moving vehicle are missing.
     """
     times = {"IMU": drive.imu.time, "fixes": drive.gps.time}
     steps = {name: (time[1:], np.diff(time)) for name, time in times.items()}

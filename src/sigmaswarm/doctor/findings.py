@@ -86,7 +86,7 @@ class Finding:
         A short, stable name for programs, such as "gyro-sign" or "clock-offset"; docs/doctor.md lists them.
     severity : {"note", "warning", "serious"}
     what : str
-        The fault in words, with values. The first sentence is the fault; further sentences are evidence.
+        The fault in words, with values. The first sentence states the fault; further sentences give the evidence.
     where : str
         File and columns.
     span : (float, float)
@@ -94,15 +94,15 @@ class Finding:
     confidence : float
         Confidence in the fault, 0 to 1.
     remedy : str
-        The first sentence is the remedy; further sentences are alternatives and details.
+        The first sentence states the remedy; further sentences give alternatives and details.
     repair : Repair or None
         The repair that ``repair`` applies, if any.
     cut : float or None
-        Time at which to cut the log, s; the part after this time does not have the fault.
+        Time at which to split the log, s. The part after this time does not have the fault.
     command : str
         Command in ``remedy`` with the placeholders DRIVE and parts, or "".
     needs_action : bool
-        False if the remedy is that no action is needed.
+        False if ``remedy`` states that no action is needed.
     """
 
     code: str

@@ -39,7 +39,7 @@ class Course:
 
 
 def with_exchanged_axes(drive: Drive) -> Drive | None:
-    """Exchange x and y of the fixes, or latitude and longitude; None if the longitudes cannot be latitudes."""
+    """Exchange x and y of the fixes, or latitude and longitude. Return None if the longitudes cannot be latitudes."""
     gps, x, y = drive.gps, drive.gps.y, drive.gps.x
     if drive.frame == "wgs84" and drive.origin:
         lat, lon, alt = drive.origin
@@ -51,7 +51,7 @@ def with_exchanged_axes(drive: Drive) -> Drive | None:
 
 
 def with_reversed_east(drive: Drive) -> Drive | None:
-    """Reverse x, as a wrong sign of the longitudes does; None for fixes recorded in meters."""
+    """Reverse x, as a wrong sign of the longitudes does. Return None for fixes recorded in meters."""
     return replace(drive, gps=replace(drive.gps, x=-drive.gps.x)) if drive.frame == "wgs84" else None
 
 

@@ -75,7 +75,7 @@ def split_time(
 
 
 def _warn_of_parts(parts: Sequence[Drive], *, rest: bool) -> None:
-    """Warn about parts on which no filter can start; with ``rest``, warn only if this applies to both parts."""
+    """Warn about parts on which no filter can start. With ``rest``, warn only if no filter can start on either part."""
     starts = [find_start(part) for part in parts]
     failed = [isinstance(start, StartFailure) for start in starts]
     for part, start in zip(parts, starts, strict=True):

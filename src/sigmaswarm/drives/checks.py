@@ -34,7 +34,7 @@ _WINDOW = 5.0  # s, window for speed and course: long enough for noise of meters
 
 @dataclass(frozen=True)
 class Remark:
-    """A probable fault; ``code`` is a code of the doctor (docs/doctor.md)."""
+    """A probable fault. ``code`` is a code of the doctor (docs/doctor.md)."""
 
     code: str
     file: str
@@ -59,7 +59,7 @@ class GapSummary:
 def check_tables(
     imu: Imu, gps: Gps, truth: Truth | None, placed: Callable[[str], str]
 ) -> list[SigmaswarmWarning]:
-    """Raise `DriveError` if a drive has too few data; return warnings of other faults.
+    """Raise `DriveError` if a drive has too few data. Return warnings of other faults.
 
     ``placed`` adds the folder to a message that begins with the name of a file.
     """
@@ -155,7 +155,7 @@ def gravity_on(imu: Imu) -> Remark | None:
 
 
 def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
-    """Check whether the median of az differs from +9.8 m/s2; ``unit`` is m/s2 per unit of az, if known."""
+    """Check whether the median of az differs from +9.8 m/s2. ``unit`` is m/s2 per unit of az, if known."""
     if imu.az is None:
         return None
     az, columns = unit * float(np.median(imu.az)), "az"
@@ -179,9 +179,9 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
 
 
 def gaps_in(time: Array, limit: tuple[float, float], imu: Array | None = None) -> GapSummary | None:
-    """Find the gaps of ``time`` (n,) in s with a limit such as `IMU_GAP`; None if there are none.
+    """Find the gaps of ``time`` (n,) in s with a limit such as `IMU_GAP`. Return None if there are none.
 
-    If the IMU's times ``imu`` (s) are given, a gap that coincides mostly with a gap of the IMU is not counted, since
+    If the IMU's times ``imu`` (s) are given, a gap that mostly coincides with a gap of the IMU is not counted, since
     the logger paused.
     """
     interval = np.diff(time)
@@ -220,7 +220,7 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
 
 
 def outside_of(imu: Array, gps: Array) -> NDArray[np.bool_]:
-    """Mark fixes before or after the IMU samples, which no filter uses; ``imu`` and ``gps`` are times, s."""
+    """Mark fixes before or after the IMU samples, which no filter uses. ``imu`` and ``gps`` are times, s."""
     return (gps < imu[0]) | (gps > imu[-1])
 
 

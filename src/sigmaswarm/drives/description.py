@@ -41,7 +41,7 @@ _ANGLES = {
 
 
 def read_description(path: Path) -> dict[str, Any]:
-    """Read drive.toml; ``frame`` is not checked, since it depends on gps.csv."""
+    """Read drive.toml. ``frame`` is not checked, since it depends on gps.csv."""
     if not path.is_file():
         raise DriveError(f"{path} is missing; {WRITE_IT}")
     try:
@@ -80,7 +80,7 @@ def ineffective_keys(about: Mapping[str, Any], path: Path) -> Iterator[str]:
 
 
 def require_name(name: object, where: object) -> None:
-    """Raise `DriveError` if a name can't be the name of a folder; ``where``: file that contains the name."""
+    """Raise `DriveError` if a name can't be the name of a folder. ``where`` is the file that contains the name."""
     if not isinstance(name, str) or not name.strip():
         raise DriveError(
             f'{where}: name = {printable_value(name)} is empty or not text; write for example name = "monday"'
@@ -119,7 +119,7 @@ def _origin(value: Any, path: Path) -> Origin:
 
 
 def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
-    """Return the stated frame of the fixes, which must agree with the columns; if None, return that of the columns."""
+    """Return the stated frame of the fixes, which must agree with the columns, or the columns' frame if it is None."""
     description = gps.parent / "drive.toml"
     if stated not in (None, *POSITIONS):
         raise DriveError(
@@ -142,7 +142,7 @@ def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
 
 
 def place_on_plane(gps: dict[str, Array], origin: Origin | None) -> Origin:
-    """Add x and y (m) to the columns of a "wgs84" log; return the origin (deg, deg, m) of x and y."""
+    """Add x and y (m) to the columns of a "wgs84" log. Return the origin (deg, deg, m) of x and y."""
     if origin is None:
         altitude = float(gps["alt"][0]) if "alt" in gps else 0.0
         origin = float(gps["lat"][0]), float(gps["lon"][0]), altitude

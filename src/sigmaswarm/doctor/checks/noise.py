@@ -136,9 +136,9 @@ def _place(evidence: Evidence) -> str:
 def _wrong_std(
     evidence: Evidence, stated: float, scatter: float, unseen: float
 ) -> tuple[float, bool, float] | None:
-    """Compare the stated standard deviation with scatter and truth; ``unseen``: noise that may be motion, m.
+    """Compare the stated standard deviation with scatter and truth. ``unseen`` is the noise that may be motion, m.
 
-    Return the standard deviation of the fixes, m per axis, True if the truth shows it, and the confidence.
+    Return the standard deviation of the fixes, m per axis, True if it is from the truth, and the confidence.
     """
     noise, fit = evidence.noise, evidence.truth_fit
     # A receiver that smooths has correlated errors, so its stated accuracy may be right despite little scatter.

@@ -1,4 +1,4 @@
-"""Check the wheel speed against fixes and accelerometer: sign, unit, scale, clock, a stuck counter, slip."""
+"""Check the wheel speed against fixes and accelerometer: sign, unit, scale, clock, stuck readings, slip."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -170,7 +170,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
 
 
 def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
-    """Return two numbers per path: ratio of the odometer's displacement to that of the fixes, and the latter in m."""
+    """Return, per path, the ratio of the odometer's displacement to that of the fixes, and the latter in m."""
     imu, time = evidence.drive.imu, odometer.time
     heading = np.interp(time, imu.time, integral(imu.time, evidence.yaw_rate))
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)
@@ -222,7 +222,7 @@ def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
 
 
 def _quick(time: Array, values: Array, at: Array) -> Array:
-    """Return accelerations at given times minus their means over 10 s; this removes the effect of road slope on ax."""
+    """Return accelerations at given times minus their means over 10 s, which removes the effect of road slope on ax."""
     slope = _gain(time, values, at, AVERAGING_TIME) / AVERAGING_TIME
     n = max(3, min(len(slope) // 2, round(10.0 / STEP)))
     total = np.append(0.0, np.cumsum(slope))

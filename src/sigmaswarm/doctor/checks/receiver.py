@@ -145,7 +145,7 @@ def _offset(off: Array) -> tuple[float, float]:
 
 
 def _fitting(offsets: list[tuple[float, float]]) -> int:
-    """Return the index of the convention with the smallest constant offset among those that follow the course well."""
+    """Of the conventions that follow the course well, return the index of that with the smallest constant offset."""
     limit = min(MAX_DEVIATION, min(rest for _, rest in offsets) + ROTATION_LIMITS[0])
     fitting = [k for k, (_, rest) in enumerate(offsets) if rest <= limit]
     return min(fitting, key=lambda k: abs(offsets[k][0]), default=0)
