@@ -123,7 +123,7 @@ def export(
 def _check_options(options: ExportOptions, *, ros: bool) -> None:
     """Raise `InputError` for options that the target does not have.
 
-    ``ros``: True if a filter with the model robot-localization is exported as YAML.
+    ``ros`` is True if a filter with the model robot-localization is exported as YAML.
     """
     if options.check and options.to != "c99" and not ros:
         raise sigmaswarm.InputError(

@@ -376,7 +376,7 @@ def _command(inspection: "Inspection", options: ImportOptions) -> str:
 
 
 def _columns(preview: "TablePreview") -> Iterator[str]:
-    """Yield a line for each column with a value other than 0: lowest, median and highest value, or an example."""
+    """Yield a line for each column that is not always 0: lowest, median and highest value, or an example."""
     varying = [r for r in preview.ranges if r.low or r.high or r.low is None]
     width = max((len(printable(r.column)) for r in varying), default=0)
     for r in varying:

@@ -101,7 +101,7 @@ def _longest_part(whole: "sigmaswarm.Drive", at: list[float]) -> "sigmaswarm.Dri
 
 
 def _options(train_fraction: float | None, at: list[float] | None) -> list[str]:
-    """Return the options that split the repaired drive in the same way."""
+    """Return the options with which the repaired drive is split in the same way."""
     if at:
         return ["--at", *(f"{time:.12g}" for time in at)]
     return [] if train_fraction is None else ["--train-fraction", f"{train_fraction:g}"]

@@ -48,8 +48,8 @@ def export_texts(
     Raises
     ------
     InputError
-        If the target is unknown or does not support the model, ``replay`` or ``lanes``; if the parameters do not
-        contain the nominal interval; or if a variance of Q is negative or a variance of R is not positive.
+        If the target is unknown or does not support the model, ``replay`` or ``lanes``. If the parameters do not
+        contain the nominal interval. If a variance of Q is negative or a variance of R is not positive.
     """
     interval = _checked(parameters, target)
     if target != "c99" and replay is not None:
@@ -78,7 +78,7 @@ def export_texts(
 
 
 def _checked(parameters: FilterParameters, target: Target) -> float:
-    """Check that a target supports a filter; return the nominal IMU interval of Q, s."""
+    """Check that a target supports a filter. Return the nominal IMU interval of Q, s."""
     if target not in DESCRIPTIONS:
         raise InputError(f"there is no export target {target!r}; choose one of {', '.join(DESCRIPTIONS)}")
     if MODELS[parameters.model].tilts and not DESCRIPTIONS[target].tilts:

@@ -46,7 +46,7 @@ def imu_noise(log: Drive | Imu | str | Path, **settings: Any) -> Noise:
         A path may be a drive's folder, a folder with imu.csv alone, or any log that `import_log` reads. Fixes are not
         needed.
     **settings
-        Settings of the import: ``recipe``, ``maps``, ``time``, ``choice``; see `import_log`.
+        Settings of the import (see `import_log`): ``recipe``, ``maps``, ``time``, ``choice``.
 
     Returns
     -------

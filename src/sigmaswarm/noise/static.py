@@ -86,7 +86,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
 
 
 def _calm_blocks(imu: Imu, starts: NDArray[np.int_], size: int, fresh: Mask) -> Mask:
-    """Return a mask of blocks at rest: their standard deviations are small, and their means like those of neighbors."""
+    """Return a mask of blocks at rest. Their standard deviations are small, and their means like those of neighbors."""
     calm = np.ones(len(starts), np.bool_)
     for axis in imu.axes if len(starts) else ():
         values = getattr(imu, axis)
@@ -223,7 +223,10 @@ def on_trend(axis: str, trend: float) -> Iterator[str]:
 
 
 def on_misfit(axes: Sequence[AxisNoise], duration: float) -> Iterator[str]:
-    """Remark on axes whose Allan deviation differs from that of the model; ``duration``: longest time at rest, s."""
+    """Remark on axes whose Allan deviation differs from that of the model.
+
+    ``duration`` is the longest time at rest, s.
+    """
     misfits: list[str] = []
     for a in axes:
         parts = model_parts(a.tau, a.white.value, a.instability.value, a.walk.value, a.correlation_time)
@@ -242,7 +245,7 @@ def on_misfit(axes: Sequence[AxisNoise], duration: float) -> Iterator[str]:
 
 
 def trend_of(values: Array, interval: float, noise: NoiseFit) -> float:
-    """Return the least-squares trend, unit/s; 0 if the fitted processes explain it."""
+    """Return the least-squares trend, unit/s, or 0 if the fitted processes explain it."""
     n = len(values)
     duration = n * interval
     if duration < MIN_TREND_DURATION:

@@ -66,7 +66,7 @@ Row = tuple[Cell, ...]
 
 
 def _figures(title: str, digits: int = 2, **more: Any) -> Column:
-    """Make a column of numbers in the format of the paper; numbers of 100 or more have no decimals."""
+    """Make a column of numbers in the format of the paper. Numbers of 100 or more have no decimals."""
 
     def printed(value: float) -> str:
         return f"{value:.{digits}f}" if abs(value) < 100 else f"{value:,.0f}"

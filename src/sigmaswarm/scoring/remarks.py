@@ -181,9 +181,9 @@ def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
     """Describe a filter's position error on a drive without truth: an estimate, followed by the evidence.
 
     The estimate is the RMS of the filter's position standard deviations. If the innovations are far smaller than
-    expected, or smaller and correlated, the error is unknown. It may be as large as an innovation that the filter
-    expects, or as the errors that consecutive fixes have in common, which innovations do not show. ``lasting`` is the
-    RMS of these common errors (m per axis), which the covariance does not include.
+    expected, or smaller and correlated, the error is unknown. In this case, the error may be as large as an innovation
+    that the filter expects, or as the errors that consecutive fixes have in common, which innovations do not show.
+    ``lasting`` is the RMS of these common errors (m per axis), which the covariance does not include.
     """
     own, missed = consistency.own_sigma or 0.0, consistency.missed or 0.0
     (low, high), nis = consistency.nis_band, f"mean NIS {consistency.mean_nis:.2g}, should be 2"

@@ -83,7 +83,8 @@ def build_path(legs: Sequence[Leg], heading: float, sway: Sway) -> Array:
 def _reachable(squared: Array, gain: Array, fading: Array, loss: Array) -> None:
     """Reduce squared speeds (n,), m2/s2, in place until acceleration and braking can follow them.
 
-    ``gain`` and ``loss`` (n,): largest increase and decrease between neighboring points, m2/s2. ``fading``: see `Leg`.
+    ``gain`` and ``loss`` (n,) are the largest increase and decrease between neighboring points, m2/s2. For ``fading``
+    see `Leg`.
     """
     for i in range(1, len(squared)):
         rest = max(1.0 - fading[i - 1] * np.sqrt(squared[i - 1]), 0.1)

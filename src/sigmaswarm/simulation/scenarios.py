@@ -336,7 +336,7 @@ def simulate_many(
     leave_out : container of str
         Names of drives to skip, for example after an interruption.
     **options
-        Options of `simulate`; ``duration`` applies to "urban" only.
+        Options of `simulate`. ``duration`` applies to "urban" only.
 
     Yields
     ------

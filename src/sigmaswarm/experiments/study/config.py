@@ -153,12 +153,12 @@ class StudyConfig(BaseModel):
     The paper does not state the noise of its sensors; CARLA's GNSS sensor has white noise.
     """
     vibration: float = Field(default=0.0, ge=0)
-    """Vibration of the IMU, relative to real cars; a network can infer the speed from vibration."""
+    """Vibration of the IMU, relative to real cars. A network can infer the speed from vibration."""
     terrain: str = "flat"
     drives: tuple[str, ...] = ()
     """Folders or URLs of your own drives with truth, instead of simulated drives."""
     train_fraction: float = Field(default=0.7, gt=0, lt=1)
-    """Fraction of the drives of each condition used for training; each trial draws these drives again."""
+    """Fraction of the drives of each condition used for training. Each trial draws these drives again."""
     trials: int = Field(default=20, ge=2)
     """Number of repetitions, each with a different split of the drives and a different seed."""
     particles: int = Field(default=30, ge=2)

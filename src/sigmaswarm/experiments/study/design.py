@@ -79,9 +79,9 @@ def tuning_name(protocol: str, method: str, group: str) -> str:
 class Design:
     """The drives of a study and their use.
 
-    ``drives`` have truth and unique names; drives on a cluster (``remote``) are represented by `LogProperties`.
-    ``conditions``: maneuver and environment of each drive. ``strata``: stratum of each drive; each stratum is split
-    into training and test drives. ``apart``: True if all drives are test drives.
+    ``drives`` have truth and unique names. Drives on a cluster (``remote``) are represented by `LogProperties`.
+    ``conditions`` contains maneuver and environment of each drive. ``strata`` contains the stratum of each drive; each
+    stratum is split into training and test drives. ``apart`` is True if all drives are test drives.
     """
 
     drives: tuple[Drive | LogProperties, ...]
@@ -105,7 +105,10 @@ class Design:
     def map_prepared(
         self, function: Callable[[PreparedDrive], T], drives: Sequence[int] | None = None
     ) -> list[T]:
-        """Apply a module-level function to prepared local or remote drives; ``drives``: indices, by default all."""
+        """Apply a module-level function to prepared local or remote drives.
+
+        ``drives`` contains indices, by default all.
+        """
         chosen = range(len(self.drives)) if drives is None else drives
         if self.remote is None:
             return [function(self.prepared[i]) for i in chosen]
@@ -145,7 +148,10 @@ class Design:
 
     @cached_property
     def _races(self) -> bool:
-        """The option ``racing``; by default, True if every tuning has at least `MIN_RACED_DRIVES` training drives."""
+        """The option ``racing``.
+
+        By default, it is True if every tuning has at least `MIN_RACED_DRIVES` training drives.
+        """
         if self.config.racing is not None:
             return self.config.racing
         train = set(self.split(0)[0])
@@ -272,7 +278,7 @@ def _condition_of(drive: Drive) -> tuple[str, str]:
 
 
 def _require_apart(marks: Sequence[Landmarks]) -> None:
-    """Raise `InputError` if drives have a common part, which could be in a training drive and in a test drive."""
+    """Raise `InputError` if drives have a common part, which a training drive and a test drive could both contain."""
     for i, one in enumerate(marks):
         if overlap := overlap_of(one, marks[:i]):
             raise InputError(
