@@ -270,7 +270,7 @@ def next_steps(diagnosis: "Diagnosis", out: Path, drive: "Drive") -> Iterator[st
     elif part != "test" and (short := too_short_for_outages(drive)):
         yield f"next: use a longer drive; {short}"
         return
-    why = "    (writes a copy with the repairs that help)" * (" --fix " in repair)
+    why = "    (writes a copy with the repairs that reduce errors)" * (" --fix " in repair)
     yield from [f"next: {repair}{why}"] if repair else []
     then, place = "then" if repair else "next", shlex.quote(str(ready))
     if part == "test":

@@ -100,7 +100,7 @@ def _diagnosed(drive: Drive) -> Diagnosis:
 def _contradicted(finding: Finding) -> Finding:
     """Convert a finding whose repair made predictions worse to a finding without repair, at most a warning."""
     remedy = (
-        f"{NO_ACTION}: the repair was tried, but then a filter predicts the fixes less accurately. If you know "
+        f"{NO_ACTION}: the repair was tried, but with it a filter predicts the fixes less accurately. If you know "
         f"that this fault exists, repair it yourself: {finding.remedy}"
     )
     severity = "warning" if finding.severity == "serious" else finding.severity

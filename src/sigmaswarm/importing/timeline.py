@@ -252,7 +252,7 @@ def spread_stamps(
         seen = f"the times in days are rounded to {rounding / SECOND:.3g} s"
         if (even := _spread_days(time, rounding)) is not None:
             spread = f"rows are spread evenly at a constant rate of {SECOND / even[1]:.4g} Hz"
-            return even[0], f"{seen}; {spread} (if they were cut off instead of rounded, all are too early)"
+            return even[0], f"{seen}; {spread} (if they were truncated instead of rounded, all are too early)"
         if rounding > MAX_DAY_ROUNDING * step and shared < MIN_REFUSED_SHARE:
             raise InputError(
                 f"{where}: {seen}, but rows of the {role} are {step / SECOND:.3g} s apart, and their rate is not "

@@ -55,7 +55,7 @@ class StdCheck:
             "the receiver states no accuracy. `tune` used the scatter of the fixes as their standard deviation, "
             f"{self.std:.2g} m per axis: with this value the baseline drifts {self.drift_m:.3g} m instead of "
             f"{self.assumed_m:.3g} m in outages of {self.length_s:g} s. The true value may be larger, since the "
-            f"scatter does not contain slow errors of the fixes. {IF_KNOWN}"
+            f"scatter does not contain slowly varying errors. {IF_KNOWN}"
         )
 
 
