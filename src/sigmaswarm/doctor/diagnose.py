@@ -112,7 +112,7 @@ def _of_one_sensor(finding: Finding) -> Finding:
     first, stop, more = finding.remedy.partition(". ")
     remedy = (
         f"if you know that this fault exists, {first}, and check again; or split the drive if it begins in reverse. "
-        "With the repairs of all findings, accelerometers and gyro would have different axes, so one finding may be "
+        "All repairs together would give accelerometers and gyro different axes, so one finding may be "
         f"a consequence of another fault{stop}{more}"
     )
     return replace(finding, remedy=remedy, repair=None)

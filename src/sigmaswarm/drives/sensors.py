@@ -34,9 +34,9 @@ If the fixes have less white noise, their error is unknown, since the receiver m
 FIXES_FOR_FIX_ERROR = 250
 """Smallest number of fixes, over all drives, at which `tune` uses fix-error by default.
 
-On eight simulated drives of 142 s with a u-blox M8 at 1 Hz, fix-error increased the drift in outages of 30 s on six
-drives, on one of them to 1319 m. With 300 and 600 fixes, fix-error did not change the mean drift, and reduced the
-position error by 3 to 6%.
+On six of eight simulated drives of 142 s with a u-blox M8 at 1 Hz, fix-error increased the drift in outages of 30 s, in
+one case to 1319 m. With 300 and 600 fixes, fix-error did not change the mean drift, and reduced the position error by 3
+to 6%.
 """
 
 LASTING_ERRORS = (

@@ -98,7 +98,7 @@ def _of_first_sensor(columns: Columns, role: Role) -> Conversion | None:
 
 
 def _with_fix(columns: Columns) -> Conversion | None:
-    """Return the condition of rows with a fix from a column of flags, or a note if it would exclude many likely fixes.
+    """From a column of flags, return the condition of rows with a fix, or a note if it would exclude many likely fixes.
 
     In some codes, 0 is a fix without fixed ambiguities.
     """

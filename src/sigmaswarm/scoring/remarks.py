@@ -109,7 +109,7 @@ def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
 
 
 def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> dict[str, str]:
-    """Return a message for each method without tuning that is more accurate in some measures."""
+    """Return a message for each method without tuning that is more accurate than the tuned filter in some measures."""
     messages: dict[str, str] = {}
     for method in (BASELINE, FIXES):
         name = in_sentence(method, METHODS[method])

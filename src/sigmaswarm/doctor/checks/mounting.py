@@ -141,7 +141,7 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
 def find_turn(evidence: Evidence) -> tuple[float, float] | None:
     """Find the time, s, at which the IMU was turned about the vertical, and the angle, rad; None if it was not turned.
 
-    For a part of the drive, S is the sum of a conj(u), where u = ax + i ay is the measured force and a the
+    For a part of the drive, S is the sum of a conj(u). Here u = ax + i ay is the measured force and a is the
     acceleration of the vehicle, each minus its mean. The argument of S is the angle of the IMU about the vertical. The
     time of the turn maximizes the sum of |S| of the parts before and after it.
     """

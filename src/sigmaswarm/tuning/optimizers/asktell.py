@@ -12,7 +12,7 @@ from sigmaswarm.errors import InputError
 FIRST_STEP = 0.3
 """Standard deviation of the first points around a start point, in widths of the bounds.
 
-With 0.1, parameters that the cost hardly determines stayed near the start point: after tuning with truth on 30 s of
+With 0.1, parameters that the cost hardly determines stayed near the start point. After tuning with truth on 30 s of
 comma2k19, the position RMSE on the remaining part was 10 to 30% larger than after a uniform first generation. With 0.3,
 the RMSE was the same as after a uniform first generation.
 """
