@@ -148,7 +148,7 @@ def run(
     as_recorded = tuned.record.as_recorded if as_recorded is None else as_recorded
     if smooth and bank:
         raise InputError(
-            "smooth and bank can't be combined, since a filter bank is not smoothed; leave one option out"
+            "smooth and bank can't be combined, since a filter bank is not smoothed; omit one option"
         )
     run_with = run_smoother if smooth else run_bank if bank else run_filter
     return run_with(drive, tuned.parameters, initial=initial, recover=recover, as_recorded=as_recorded)

@@ -249,7 +249,7 @@ def test_a_stated_deviation_is_positive(folder: Path, value: str):
     read_drive(folder)
     cell("gps.csv", 8, "std_x", value)(folder)
     with pytest.raises(
-        DriveError, match=rf"gps.csv, row 8, column std_x: '{value}' is outside .*; leave the column"
+        DriveError, match=rf"gps.csv, row 8, column std_x: '{value}' is outside .*; omit the column"
     ):
         read_drive(folder)
 
@@ -267,7 +267,7 @@ def test_the_truth_s_deviations_are_positive_and_whole(folder: Path):
     assert read_drive(folder).truth.std_y[3] == 0.5
     cell("truth.csv", 8, "std_y", "0")(folder)
     with pytest.raises(
-        DriveError, match=r"truth.csv, row 8, column std_y: '0' is outside .*; leave the column"
+        DriveError, match=r"truth.csv, row 8, column std_y: '0' is outside .*; omit the column"
     ):
         read_drive(folder)
 

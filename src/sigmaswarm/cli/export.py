@@ -127,11 +127,11 @@ def _check_options(options: ExportOptions, *, ros: bool) -> None:
     """
     if options.check and options.to != "c99" and not ros:
         raise sigmaswarm.InputError(
-            "--check needs --to c99 or a tuning of the model robot-localization; leave --check out"
+            "--check needs --to c99 or a tuning of the model robot-localization; omit --check"
         )
     if options.against and not (options.check and ros):
         raise sigmaswarm.InputError(
-            "--against needs --check and a tuning of the model robot-localization; leave --against out"
+            "--against needs --check and a tuning of the model robot-localization; omit --against"
         )
 
 

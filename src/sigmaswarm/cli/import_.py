@@ -56,7 +56,7 @@ class ImportOptions:
     odometer
         Log of the wheel speed, if SOURCE does not contain it.
     map
-        Columns of the drive as column=expression: "ax=-acc_y*9.80665", "gps.t=stamp"; "az=" leaves a column out.
+        Columns of the drive as column=expression: "ax=-acc_y*9.80665", "gps.t=stamp"; "az=" omits a column.
     time
         Expression for the times, s, in the tables of SOURCE, such as "stamp*1e-9" or "utc(date)".
     recipe

@@ -52,7 +52,7 @@ def split(
         raise sigmaswarm.InputError("specify --at or --train-fraction, not both")
     if at is not None and len(at) > 2:
         raise sigmaswarm.InputError(
-            f"--at has {len(at)} times; specify one time, or two times to leave out the part between them"
+            f"--at has {len(at)} times; specify one time, or two times to omit the part between them"
         )
     from sigmaswarm.drives.split import is_repaired_alone
 

@@ -74,7 +74,7 @@ def make_datasets(
     """
     if cluster is not None and executor is not None:
         raise InputError(
-            "executor and cluster can't be combined, since a cluster distributes the work itself; leave one option out"
+            "executor and cluster can't be combined, since a cluster distributes the work itself; omit one option"
         )
     given = [_listed(group, cluster, takes) for group in groups]
     lists = [group for group in given if isinstance(group, list)]

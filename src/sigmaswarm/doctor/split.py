@@ -49,7 +49,7 @@ def split_time(
     times = np.ravel(np.asarray(at, np.float64))
     if len(times) not in (1, 2):
         raise InputError(
-            f"at has {len(times)} times; pass one time, or two times to leave out the part between them"
+            f"at has {len(times)} times; pass one time, or two times to omit the part between them"
         )
     end, start = float(times[0]), float(times[-1])
     if start < end:

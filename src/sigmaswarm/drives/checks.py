@@ -170,7 +170,7 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
         what = f"column az has a median of {az:.2f} m/s2, but the specific force at rest is +9.8 m/s2 if z points up"
         remedy = "rotate the axes, or change the signs of ax, ay, az if the sensor reports the negated specific force"
     elif abs(az) < 0.2 * GRAVITY:
-        remedy = "check its unit and axis, or leave the column out if gravity was already subtracted"
+        remedy = "check its unit and axis, or omit the column if gravity was already subtracted"
     elif abs(az - GRAVITY) > 0.2 * GRAVITY:
         remedy = "check its unit and axis"
     else:

@@ -102,7 +102,7 @@ def _require_numbers(key: str, value: Any, path: Path) -> None:
     elif key in _ANGLES and max(map(abs, numbers)) > 360:
         what = f"is not an angle; specify {_ANGLES[key]}, -360 to 360"
     elif key not in (*_ANGLES, "gps_lever_arm_m") and not min(numbers) > 0:
-        what = "must be positive; leave the key out if the value is not known"
+        what = "must be positive; omit the key if the value is not known"
     if what:
         raise DriveError(f"{path}: {key} = {printable_value(value)} {what}")
 

@@ -20,7 +20,7 @@ from sigmaswarm.wording import list_names, printable, quoted
 
 MAX_VALUE = 1e7  # largest accepted magnitude; values of a car's sensors are smaller, even in mm, mg or mdeg/s
 _METERS = "convert it to meters from a nearby origin"
-_NO_STD = "leave the column out if no standard deviation is stated"
+_NO_STD = "omit the column if no standard deviation is stated"
 _DAMAGED = "the value is damaged or in a wrong unit; delete the row or correct the unit"
 # Lowest and highest allowed value of a column, and the remedy.
 RANGES: dict[str, tuple[float, float, str]] = {
@@ -191,10 +191,10 @@ class TableFile:
 def _require_size(path: Path, rows: int, columns: int) -> None:
     if columns > MAX_COLUMNS:
         what = f"has {columns} columns; the limit is {MAX_COLUMNS}"
-        raise DriveError(f"{path}: {what}; leave out columns that a drive does not need")
+        raise DriveError(f"{path}: {what}; omit columns that a drive does not need")
     if rows * columns > MAX_CELLS:
         raise DriveError(
-            f"{path}: has {rows} rows of {columns} columns; the limit is {MAX_CELLS} cells; leave out "
+            f"{path}: has {rows} rows of {columns} columns; the limit is {MAX_CELLS} cells; omit "
             "columns that a drive does not need, or divide the log before the import"
         )
 

@@ -110,7 +110,7 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
         if "rofile" in str(error):
             raise InputError(
                 f"{path}: is an MCAP file that ROS 2 did not write, so a ROS 2 bag can't contain its messages; "
-                "leave --merge out"
+                "omit --merge"
             ) from None
         raise damage_error(path, error) from None
     try:

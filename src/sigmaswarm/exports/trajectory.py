@@ -159,7 +159,7 @@ def true_trajectory(drive: Drive) -> Estimate:
     """Return the truth of a drive as an estimate. Raises `InputError` if there is no truth."""
     truth = drive.truth
     if truth is None:
-        raise InputError(f"{drive.name}: has no truth.csv; leave --truth out")
+        raise InputError(f"{drive.name}: has no truth.csv; omit --truth")
     mean = np.column_stack([truth.x, truth.y, truth.vx, truth.vy, truth.theta])
     return Estimate(truth.time, mean, np.empty(0), InitialState(mean[0], np.eye(5), float(truth.time[0])))
 

@@ -426,7 +426,7 @@ _ALIGNING = (1, 2, 3, 5, 6)
 
 def _check_spans(interval: float, history: float, lag: float | None) -> None:
     if lag is not None and not 0 < lag < np.inf:
-        raise InputError(f"lag = {lag}: pass a positive number of seconds, or leave lag out")
+        raise InputError(f"lag = {lag}: pass a positive number of seconds, or omit lag")
     if not (interval > 0 and history >= 0 and max(history, lag or 0) <= MAX_HISTORY * interval < np.inf):
         raise InputError(
             f"nominal_interval = {interval} s, history = {history} s, lag = {lag} s: pass a positive "

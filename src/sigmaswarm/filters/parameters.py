@@ -208,11 +208,11 @@ class FilterParameters:
         for option in used:
             if known is not None and option not in known:
                 raise ValueError(
-                    f"{self.model} does not have the option {_ACTIVATES[option]}; leave this option out"
+                    f"{self.model} does not have the option {_ACTIVATES[option]}; omit this option"
                 )
         if self.kernel not in FILTERS:
             raise ValueError(
-                f"fix_error can't be combined with {self.model} of kind {self.kind}; use ekf, or leave fix_error out"
+                f"fix_error can't be combined with {self.model} of kind {self.kind}; use ekf, or omit fix_error"
             )
         if known is not None and self.latency:
             raise ValueError(
@@ -377,12 +377,12 @@ def incompatibility(kind: str, use: Collection[str]) -> str | None:
     """Return the reason why a filter type and options conflict; None if they do not."""
     if "robust" in use and "gate" in use:
         return (
-            "robust and gate can't be combined: robust reduces the weight of fixes that gate rejects; leave one of "
-            "them out"
+            "robust and gate can't be combined: robust reduces the weight of fixes that gate rejects; omit one of "
+            "them"
         )
     for option, kinds, why in _CONFLICTS:
         if option in use and kind in kinds:
-            return f"{option} can't be combined with {kind}, which {why}, or leave {option} out"
+            return f"{option} can't be combined with {kind}, which {why}, or omit {option}"
     return None
 
 

@@ -231,7 +231,7 @@ def _complete_rows(
     full = finite(values, len(time)).all(axis=0)
     if not full.any():
         raise InputError(
-            f"{role}: no row has values in all columns ({', '.join(values)}); leave one out with --map {role}.NAME="
+            f"{role}: no row has values in all columns ({', '.join(values)}); omit one with --map {role}.NAME="
         )
     sparse = role == "gps" and np.mean(placed) < 0.5
     if (left := int(np.count_nonzero(~full))) and not sparse:

@@ -120,7 +120,7 @@ def _with_fix(columns: Columns) -> Conversion | None:
     seen = (
         f"{(~kept).sum()} of {len(fixes)} fixes are used, although the condition {text} is not true for them"
     )
-    return Conversion("", note=f'{seen}; to leave these fixes out, write --map "gps.keep={text}"')
+    return Conversion("", note=f'{seen}; to omit these fixes, write --map "gps.keep={text}"')
 
 
 def _jump(places: pl.DataFrame, kept: pl.Series) -> bool:

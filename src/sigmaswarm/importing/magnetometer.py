@@ -71,7 +71,7 @@ def with_magnetometer(
 ) -> Drive:
     if drive.gps.heading is not None:
         raise InputError(
-            'mag: the fixes already have a heading; leave it out with --map "gps.heading=", or omit the magnetometer'
+            'mag: the fixes already have a heading; omit it with --map "gps.heading=", or omit the magnetometer'
         )
     samples = join(parts, "mag", ("mx", "my"), say, recording)
     zero = int(drive.metadata.get("time_origin_s", 0))

@@ -151,7 +151,7 @@ def date_time(columns: Sequence[str], frame: pl.DataFrame) -> Conversion:
             f"column {quoted(columns[0])}: {quoted(left)} has a format different from that of {most} of "
             f"{len(texts)} texts"
         )
-        return refused(f'{message}; correct rows like this, or leave them out with --time "{whole}"')
+        return refused(f'{message}; correct rows like this, or omit them with --time "{whole}"')
     orders = [(word, f) for word in ("day", "month", "year") for f in fitting if f.startswith(f"%{word[0]}/")]
     if len(orders) > 1:
         options = (f"--time \"utc({called}, '{f}')\" if the {word} comes first" for word, f in orders)

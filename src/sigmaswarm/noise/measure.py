@@ -65,9 +65,7 @@ def imu_noise(log: Drive | Imu | str | Path, **settings: Any) -> Noise:
     folder = Path(log)
     if is_url(log) or (has_table(folder, "imu") and has_table(folder, "gps")):
         if settings:
-            raise InputError(
-                f"{log} is a drive; leave the import settings out, since they apply to logs only"
-            )
+            raise InputError(f"{log} is a drive; omit the import settings, since they apply to logs only")
         drive = read_with_warnings(log)[0]
         imu, gps, name = drive.imu, drive.gps, drive.name
     else:

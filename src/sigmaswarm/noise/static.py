@@ -56,7 +56,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
             f"or its times do not increase; record at least {MIN_DURATION:g} s"
         )
     if wrong := [axis for axis in imu.axes if not np.isfinite(getattr(imu, axis)).all()]:
-        raise InputError(f"{wrong[0]} has values that are not finite numbers; leave these samples out")
+        raise InputError(f"{wrong[0]} has values that are not finite numbers; omit these samples")
     interval = float(np.median(steps))
     size = max(round(BLOCK / interval), MIN_BLOCK_SAMPLES)
     gap = max(gaps.MANY * interval, gaps.SHORTEST)

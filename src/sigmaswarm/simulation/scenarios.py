@@ -215,7 +215,7 @@ def check_duration(maneuver: str, duration: float | None) -> None:
         return
     if maneuver != "urban":
         raise InputError(
-            f"duration is {duration:g} s for {maneuver!r}; only 'urban' takes a duration; leave it out"
+            f"duration is {duration:g} s for {maneuver!r}; only 'urban' takes a duration; omit it"
         )
     if not 30 <= duration < math.inf:
         raise InputError(f"duration is {duration:g} s; choose 30 s or more")

@@ -91,7 +91,7 @@ def run_batch(
     if given is not None and not isinstance(given, Executor):
         raise InputError(
             f"executor = {printable(given)} is not an executor; use concurrent.futures.ThreadPoolExecutor(2), or "
-            "leave executor out"
+            "omit executor"
         )
     goal = parse_objective(objective)
     check_drives(dataset.map(log_properties), goal)

@@ -163,7 +163,7 @@ class SearchConfig(BaseModel):
             if getattr(self, name) != type(self).model_fields[name].default:
                 raise ValueError(
                     f"{name} is an option of the optimizer pso, not of {_qualified_name(self.optimizer)}; choose "
-                    f"pso, or leave {name} out"
+                    f"pso, or omit {name}"
                 )
         return self
 
@@ -250,7 +250,7 @@ def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:
             papers = "nothing" if PAPER_OPTIONS[name] in ((), None) else PAPER_OPTIONS[name]
             raise InputError(
                 f"{name} = {value!r} contradicts the paper's setting, which is {papers}; "
-                f"leave out {name}, or --paper (in Python: paper=True)"
+                f"omit {name}, or --paper (in Python: paper=True)"
             )
     return {**options, **PAPER_OPTIONS}
 
@@ -267,7 +267,7 @@ def current_options(
         if name in RENAMED and RENAMED[name] in known:
             warn_deprecated(f"the option {name}", RENAMED[name])
         elif config is ModelTuneConfig and name not in known and name in TuneConfig.model_fields:
-            remedy = MODEL_REMEDIES.get(name, f"leave {name} out")
+            remedy = MODEL_REMEDIES.get(name, f"omit {name}")
             raise InputError(f"{name} = {value!r} is only possible with built-in models; {remedy}")
         elif name not in known:
             nearest = similar_name(name, [*known, *arguments])

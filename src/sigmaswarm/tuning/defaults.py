@@ -173,7 +173,7 @@ def objective_for(
     without_truth = [one.name for one in data if not one.truth]
     if without_truth and len(without_truth) < len(data):
         warnings.warn(
-            f"{without_truth[0]} has no truth, so the objective is {without}; leave drives without truth out, or set "
+            f"{without_truth[0]} has no truth, so the objective is {without}; omit drives without truth, or set "
             "--objective",
             SigmaswarmWarning,
             stacklevel=5,

@@ -286,7 +286,7 @@ def _whitened(ready: PreparedDrive, parameters: FilterParameters, values: Values
     if not np.isfinite(start.nis).all():
         name = ready.drive.name
         raise InputError(
-            f"the filter fails on {name}; repair the faults that `sigmaswarm doctor` finds, or leave the drive out"
+            f"the filter fails on {name}; repair the faults that `sigmaswarm doctor` finds, or omit the drive"
         )
     moved = [run({**values, name: v + STEP[name]}).innovation for name, v in values.items()]
     slopes = [(nu - start.innovation) / STEP[name] for name, nu in zip(values, moved, strict=True)]

@@ -283,7 +283,7 @@ def car_problem(
     objective = parse_objective(config.objective)
     if config.prior and not objective.nats:
         raise InputError(
-            f"prior = {config.prior:g}: the prior is in nats, but {objective.name} is not; leave prior out, or use "
+            f"prior = {config.prior:g}: the prior is in nats, but {objective.name} is not; omit prior, or use "
             "innovation-nll or innovation-t"
         )
     dataset = LocalDataset(drives) if isinstance(drives, Sequence) else drives
@@ -336,6 +336,6 @@ def _check_columns(drives: Sequence[LogProperties], config: TuneConfig) -> None:
     for drive in drives:
         for option, columns in needed.items():
             if option in config.use and not getattr(drive, option):
-                why = f"which --use {option} needs; leave {option} out"
+                why = f"which --use {option} needs; omit {option}"
                 raise InputError(f"{drive.name}: its gps.csv has no {columns}, {why}")
         require_named_axes(drive.name, drive.axes, config.model)

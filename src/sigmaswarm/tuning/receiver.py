@@ -220,7 +220,7 @@ def accuracy_warnings(
         "accuracy hardly changes from fix to fix, or is unrelated to the errors of the fixes"
     )
     rest = " ".join(name for name in use if name != "accuracy")
-    return [to_do(f"tune with --use {rest}" if rest else "leave accuracy out of --use", why)]
+    return [to_do(f"tune with --use {rest}" if rest else "omit accuracy from --use", why)]
 
 
 def _median(values: Sequence[float]) -> float:

@@ -195,9 +195,7 @@ def search_space(
     if kind not in filter_types:
         raise InputError(f"{model} is not available as {kind}; use {' or '.join(filter_types)}")
     if kernel_name(model, kind, "fix-error" in use) not in FILTERS:
-        raise InputError(
-            f"fix-error can't be combined with {model} as {kind}; use ekf, or leave fix-error out"
-        )
+        raise InputError(f"fix-error can't be combined with {model} as {kind}; use ekf, or omit fix-error")
     fixed: dict[str, Any] = {"model": model, "kind": kind, "nominal_interval": nominal_interval}
     if "fix-error" in use:
         fixed["fix_std"] = fix_std

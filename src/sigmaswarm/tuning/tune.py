@@ -160,7 +160,7 @@ def _search_options(options: dict[str, Any], *, paper: bool) -> dict[str, Any]:
     kind = ModelTuneConfig if isinstance(options.get("model"), Model) else TuneConfig
     options = current_options(kind, options, ARGUMENTS)
     if paper and kind is ModelTuneConfig:
-        raise InputError("paper = True is only possible with built-in models; leave paper out")
+        raise InputError("paper = True is only possible with built-in models; omit paper")
     return paper_options(options) if paper else options
 
 
@@ -190,7 +190,7 @@ def _problem_of(
     others: Any
     if isinstance(model, Model):
         if cluster is not None:
-            raise InputError("a custom model runs only on this machine; leave cluster out")
+            raise InputError("a custom model runs only on this machine; omit cluster")
         if start is not None:
             raise InputError(f"start is only possible with built-in models; {MODEL_REMEDIES['start']}")
         data, others = as_list(drives), as_list(validation)
@@ -224,8 +224,8 @@ def start_point(space: SearchSpace, given: FilterParameters) -> Array:
     wanted = space.fixed["model"], space.fixed["kind"]
     if (given.model, given.kind) != wanted:
         raise InputError(
-            f"the start filter is {given.model} ({given.kind}), but {' ('.join(wanted)}) is tuned; leave --model and "
-            "--kind out"
+            f"the start filter is {given.model} ({given.kind}), but {' ('.join(wanted)}) is tuned; omit --model and "
+            "--kind"
         )
     return space.point_of(given)
 

@@ -245,7 +245,7 @@ def check_handled(evidence: Evidence) -> Iterator[Finding]:
     for word, edge, span in (("before", begin, (first, begin)), ("after", end, (end, last))):
         if span[0] < span[1]:
             repair = Repair("cut-ends", (begin, last) if edge == begin else (first, end))
-            remedy = f"leave out the samples and fixes {word} this time"
+            remedy = f"omit the samples and fixes {word} this time"
             if edge == begin and evidence.drive.heading is not None:
                 remedy += ", and heading_deg of drive.toml, which refers to the first sample"
             yield Finding(

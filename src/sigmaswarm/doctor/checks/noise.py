@@ -48,7 +48,7 @@ def check_noise(evidence: Evidence) -> Iterator[Finding]:
     if off[0] and jump > MAX_FIRST_DISTANCE:
         severity, what = "serious", f"{what}; the first fix lies {jump / 1e3:.3g} km from the others"
     span, repair = (float(time[0]), float(time[-1])), Repair("drop-fixes", tuple(time.tolist()))
-    remedy = "leave these fixes out. The default filter of tune also reduces their weight (robust)"
+    remedy = "omit these fixes. The default filter of tune also reduces their weight (robust)"
     yield Finding("gps-outliers", severity, what, "gps.csv, positions", span, 0.99, remedy, repair)
 
 

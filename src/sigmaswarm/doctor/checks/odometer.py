@@ -56,7 +56,7 @@ def check_odometer(evidence: Evidence) -> Iterator[Finding]:
         if spans := find(odometer, course, evidence):
             named = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in spans[:3]) + " ..." * (len(spans) > 3)
             repair = Repair("drop-readings", tuple(t for span in spans for t in span))
-            span, remedy = (spans[0][0], spans[-1][1]), "leave these readings out"
+            span, remedy = (spans[0][0], spans[-1][1]), "omit these readings"
             what = f"{fault}: t = {named}"
             yield Finding(f"odometer-{code}", "warning", what, SPEED, span, confidence, remedy, repair)
             odometer = without_spans(odometer, spans)

@@ -206,16 +206,14 @@ class StudyConfig(BaseModel):
     @classmethod
     def _learn_from_all(cls, rivals: bool, others: ValidationInfo) -> bool:
         if rivals and others.data.get("per_condition"):
-            raise ValueError("networks learn from all conditions together; leave per_condition out")
+            raise ValueError("networks learn from all conditions together; omit per_condition")
         return rivals
 
     @field_validator("learn_minutes", "elsewhere")
     @classmethod
     def _of_rivals(cls, value: Any, others: ValidationInfo) -> Any:
         if not others.data.get("rivals"):
-            raise ValueError(
-                "only studies with rivals have this option; set rivals, or leave this option out"
-            )
+            raise ValueError("only studies with rivals have this option; set rivals, or omit this option")
         return value
 
     @model_serializer(mode="wrap")
@@ -235,7 +233,7 @@ def read_config(path: Path | None, **changes: Any) -> StudyConfig:
     if path is not None:
         from sigmaswarm.record_files import read_content
 
-        missing = "leave --config out for the paper's study"
+        missing = "omit --config for the paper's study"
         options = read_content(path, "name a readable TOML file", missing=missing)
     try:
         return StudyConfig(**(options | changes))

@@ -213,7 +213,7 @@ def make_design(
     _require_truth(drives)
     if not config.drives and config.runs < 2 and config.per_condition:
         raise InputError(
-            "runs = 1: per_condition needs 2 drives per condition; choose runs = 2 or more, or leave per_condition out"
+            "runs = 1: per_condition needs 2 drives per condition; choose runs = 2 or more, or omit per_condition"
         )
     dataset: Dataset = remote or LocalDataset([d for d in drives if isinstance(d, Drive)])
     if config.drives:  # simulated drives never share a part
@@ -223,7 +223,7 @@ def make_design(
     lonely = [name for name in dict.fromkeys(strata) if strata.count(name) < 2]
     if lonely and config.per_condition:
         what = f"condition {lonely[0]} has only one drive, which can't be split"
-        raise InputError(f"{what}; leave per_condition out")
+        raise InputError(f"{what}; omit per_condition")
     # If a condition has only one drive, all drives are split as one stratum.
     return Design(tuple(drives), conditions, (ALL,) * len(drives) if lonely else strata, config, remote)
 
@@ -282,8 +282,8 @@ def _require_apart(marks: Sequence[Landmarks]) -> None:
     for i, one in enumerate(marks):
         if overlap := overlap_of(one, marks[:i]):
             raise InputError(
-                f"{one.name}: {overlap.seconds:.0f} s of this drive are also in {', '.join(overlap.of)}; leave this "
-                "drive out, since a study trains on some drives and tests on others"
+                f"{one.name}: {overlap.seconds:.0f} s of this drive are also in {', '.join(overlap.of)}; omit this "
+                "drive, since a study trains on some drives and tests on others"
             )
 
 

@@ -182,7 +182,7 @@ def _numbers(name: str, values: ArrayLike, size: int, *, absent: bool = False) -
     if len(numbers) != size:
         raise InputError(f"{name} has {len(numbers)} numbers; pass {size}")
     if (np.isinf(numbers) if absent else ~np.isfinite(numbers)).any():
-        raise InputError(f"{name} contains a value that is not finite; leave the sample out")
+        raise InputError(f"{name} contains a value that is not finite; omit the sample")
     return numbers
 
 

@@ -132,7 +132,7 @@ class Log:
         measured = ~np.isnan(measurements)
         if not measured.any(axis=1).all():
             row = int(np.argmin(measured.any(axis=1)))
-            raise self.wrong(f"measurements[{row}] has no value, only nan; leave the row out")
+            raise self.wrong(f"measurements[{row}] has no value, only nan; omit the row")
         for i in range(measurements.shape[1]):
             _check_overlap(self.name, f"measurements[:, {i}]", fixes[measured[:, i]], time)
 
@@ -178,7 +178,7 @@ def _finite(log: str, name: str, values: ArrayLike | None, *, absent: bool = Fal
     if len(bad):
         index = ", ".join(str(i) for i in bad[0])
         value = column[tuple(bad[0])]
-        raise _wrong(log, f"{name}[{index}] is {value:g}; correct the value, or leave the row out")
+        raise _wrong(log, f"{name}[{index}] is {value:g}; correct the value, or omit the row")
     return column
 
 
@@ -212,7 +212,7 @@ def _check_overlap(log: str, name: str, moments: Array, time: Array) -> None:
     if not len(moments):
         raise _wrong(
             log,
-            f"{name} has no value, only nan; leave out this sensor and its elements of h and measurement_noise",
+            f"{name} has no value, only nan; omit this sensor and its elements of h and measurement_noise",
         )
     if not np.any((moments >= time[0]) & (moments <= time[-1])):
         raise _wrong(
