@@ -131,7 +131,7 @@ class Table:
         return drawn
 
     def _printed(self) -> list[list[str]]:
-        """Return heading and rows. The text of a joined column is added to the previous column."""
+        """Return the heading and the rows. The text of a joined column is added to the previous column."""
         lines: list[list[str]] = [[]]
         for column in self.columns:
             if column.joined:

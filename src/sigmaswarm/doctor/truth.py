@@ -97,7 +97,7 @@ def _inside(index: NDArray[np.intp], known: Array) -> NDArray[np.bool_]:
 
 
 def _velocities(time: Array, position: Complex, usual: float) -> tuple[float, Complex, Array]:
-    """Return the first time, velocities (k,), m/s, at steps of `CLOCK_STEP` s, and 1 where they are known, otherwise 0.
+    """Return the first time, the velocities (k,), m/s, at steps of `CLOCK_STEP` s, and 1 where they are known, else 0.
 
     ``usual`` is the longer of the usual intervals of fixes and truth, s.
     """

@@ -65,7 +65,7 @@ class GyroBiasEvidence:
 def mix_biases(
     observed: Array, unsure: Array, indices: NDArray[np.int64], std: float, bias: Array, variance: Array
 ) -> None:
-    """Combine the observed biases and their variances with a prior. Write mean and variance of each estimated bias.
+    """Combine the observed biases and their variances with a prior. Write the mean and variance of each estimated bias.
 
     The prior is a mixture of two normal distributions with mean 0: standard deviation ``std`` (rad/s), or, for a gyro
     that is far worse, `OUTLIER_STD` with `OUTLIER_PROBABILITY`. The likelihood of all axes determines the weights.

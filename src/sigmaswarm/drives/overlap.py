@@ -123,7 +123,7 @@ def known_overlap(drive: Landmarks, others: Sequence[Landmarks]) -> Overlap | No
 
 
 def _common(one: Landmarks, other: Landmarks) -> tuple[float, float] | None:
-    """Return start and end of the part of ``one`` that ``other`` also contains, s on the clock of ``one``, or None."""
+    """Return the start and end of the part of ``one`` that is also in ``other``, s on the clock of ``one``, or None."""
     if one.sha256 == other.sha256:
         return one.span
     for offset in (_by_fixes(one, other), _by_rates(one, other)):

@@ -60,7 +60,7 @@ def std(values: Array) -> float:
 
 
 def trial_interval(values: Array) -> Interval:
-    """Return mean +- 1.96 SD / sqrt(n) over the trials, as in the paper.
+    """Return the interval mean +- 1.96 SD / sqrt(n) over the trials, as in the paper.
 
     The interval is too narrow for new drives: in simulated studies, its coverage is 45 to 91% (docs/study.md).
     """

@@ -121,7 +121,7 @@ def replay_rows(
 def replay_events(
     drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False, heading: bool = False
 ) -> list[tuple[str, list[float]]]:
-    """Return name and numbers of each row in the input of replay.c: ``start``, then the data in order of time.
+    """Return the name and the numbers of each row in the input of replay.c: ``start``, then the data in order of time.
 
     ``model`` determines the axes of the IMU and of the lever arm. If ``heading`` is True, headings of fixes are
     included. Fixes and readings after the last IMU sample are left out. For errors see `start_numbers`.

@@ -86,7 +86,7 @@ def _timed_kml(time: Array, places: Array, path: Path, name: str) -> None:
 
 
 def split_at_antimeridian(time: Array, places: Array) -> list[tuple[Array, Array]]:
-    """Cut a track at the antimeridian. Return times (k,) in s and places (k, 2) in deg of each part.
+    """Cut a track at the antimeridian. Return the times (k,) in s and places (k, 2) in deg of each part.
 
     At each cut, a new point on the antimeridian ends one part and starts the next part.
     """
@@ -119,7 +119,7 @@ def _escaped(text: str) -> str:
 
 
 def _stamps(time: Array) -> list[str]:
-    """Return times in UTC as text; an empty list if the times are not Unix times."""
+    """Return the times in UTC as text, or an empty list if they are not Unix times."""
     if not (len(time) and _UNIX_TIMES[0] <= time[0] and time[-1] <= _UNIX_TIMES[1]):
         return []
     return [

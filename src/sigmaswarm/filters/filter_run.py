@@ -236,7 +236,7 @@ class FilterRun:
         return state_at_fix(time, line.fixes[fix, :2], self._variance_of(fix), theta, line.lever)
 
     def _estimate(self) -> tuple[Array, Array]:
-        """Return mean (n,), with the heading not wrapped, and covariance (n, n)."""
+        """Return the mean (n,), whose heading is not wrapped, and the covariance (n, n)."""
         mean, covariance = state_estimate(self._rows[0, self._state, :1], self._array.kernel)
         return mean[0], covariance[0]
 

@@ -354,7 +354,7 @@ class LiveFilter:
         return self._memory.arrays.filter_state
 
     def _estimate(self) -> tuple[Array, Array]:
-        """Return mean (n,), with the heading not wrapped, and covariance (n, n)."""
+        """Return the mean (n,), whose heading is not wrapped, and the covariance (n, n)."""
         mean, covariance = state_estimate(self._filter_state[self._state, np.newaxis], self.parameters.kernel)
         return mean[0], covariance[0]
 
@@ -435,7 +435,7 @@ def _check_spans(interval: float, history: float, lag: float | None) -> None:
 
 
 def _known_heading(theta: float, std: float) -> tuple[float, float]:
-    """Return heading (rad) and stated variance (rad2; infinite without a heading), as in `Timeline.fixes`."""
+    """Return the heading (rad) and its stated variance (rad2; infinite without a heading), as in `Timeline.fixes`."""
     known = math.isfinite(theta) and 0 <= std < NO_HEADING
     return (theta, std**2) if known else (0.0, math.inf)
 

@@ -59,7 +59,7 @@ class Estimate:
     lost: NDArray[np.bool_] | None = None
 
     def columns(self, *, std: bool = False) -> dict[str, Array]:
-        """Return time and states by name, in the units of ``mean``, each of shape (n,).
+        """Return the time and the states by name, in the units of ``mean``, each of shape (n,).
 
         If ``std`` is True, also return standard deviations, named ``std_STATE``, if there is a covariance.
         """

@@ -211,7 +211,7 @@ class SmootherRun:
         return EstimateChunk(time, mean, covariance, np.arange(size) < sound, lost)
 
     def _estimate(self, states: Array) -> tuple[Array, Array]:
-        """Return means (r, n), with wrapped headings, and covariances (r, n, n) of packed states (r, s)."""
+        """Return the means (r, n), with wrapped headings, and covariances (r, n, n) of packed states (r, s)."""
         mean, covariance = state_estimate(states.T, self._kernel)
         mean[:, THETA] = wrap_angle(mean[:, THETA])
         return mean, covariance

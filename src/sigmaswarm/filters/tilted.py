@@ -215,7 +215,7 @@ def along_the_road(state: Array, up: Array) -> Array:
 
 @cached(error_model="numpy")
 def add_tilt_evidence(mean: Array, covariance: Array, seen: Array) -> None:
-    """Update mean (12,) and covariance (12, 12) of a level start with `TiltEvidence.numbers`, in place.
+    """Update the mean (12,) and covariance (12, 12) of a level start with `TiltEvidence.numbers`, in place.
 
     The evidence is the mean specific force, forward and left, which gives two Kalman updates. The state of the
     alignment depends on an assumed distribution of the forward force; the updated distribution replaces it here.

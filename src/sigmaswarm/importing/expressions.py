@@ -351,7 +351,7 @@ def _exact_term(text: str, frame: pl.DataFrame) -> pl.Expr | None:
 
 
 def integer_scale(text: str, columns: Collection[str]) -> tuple[str, float] | None:
-    """Return column and factor of an expression ``column``, ``column * number`` or ``column / number``; otherwise None.
+    """Return the column and factor of an expression ``column``, ``column * number`` or ``column / number``; or None.
 
     Such times are scaled as integers, since nanoseconds since 1970 have more digits than a float.
     """

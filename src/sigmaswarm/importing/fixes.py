@@ -50,7 +50,7 @@ def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
 
 
 def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.bool_]]:
-    """Return times (n,), ns, columns (n,), and a mask (n,) of fixes with integer ambiguities."""
+    """Return the times (n,), ns, the columns (n,), and a mask (n,) of fixes with integer ambiguities."""
     request = Request(source=path)
     with opened(request) as plan:
         log, guess = plan.log("gps"), plan.guess("gps")

@@ -86,7 +86,10 @@ def gravity_columns(names: Sequence[str]) -> dict[str, str]:
 
 
 def with_gravity(columns: Columns) -> dict[str, dict[str, str]]:
-    """Add the columns of gravity to accelerations without gravity. Return expression and note by axis, or {}."""
+    """Add the columns of gravity to accelerations without gravity.
+
+    Return the expression and the note by axis, or {}.
+    """
     axes = AXES[:3]
     parts = {a: read_name(n) for a, n in gravity_columns(columns.frame.columns).items()}
     units = {n.unit for n in (*parts.values(), *(columns.names[a] for a in axes if a in columns))}

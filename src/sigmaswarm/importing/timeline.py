@@ -304,7 +304,10 @@ def _rounding_of_days(time: Nanoseconds, smallest: int) -> float:
 
 
 def _spread_days(time: Nanoseconds, rounding: float) -> tuple[Nanoseconds, float] | None:
-    """Spread rows with rounded times in days evenly. Return times and step, ns, or None if the rate is not constant."""
+    """Spread rows with rounded times in days evenly.
+
+    Return the times and the step, ns, or None if the rate is not constant.
+    """
     length = max(rounding, float(np.median(np.diff(time))))
     late, low, high, step = _bands(time, np.arange(len(time)), length)
     even = high - low <= MAX_BAND * rounding
@@ -345,7 +348,7 @@ def _by_stamp(stamps: Nanoseconds, sizes: NDArray[np.intp]) -> Nanoseconds | Non
 
 
 def _bands(time: Nanoseconds, known: NDArray[np.intp], length: float) -> tuple[Array, Array, Array, float]:
-    """Return stamps minus a straight line over the rows, the lower and upper edge of the band (n,), and the slope, ns.
+    """Return the stamps minus a line over the rows, the lower and upper edges of the band (n,), and the slope, ns.
 
     ``known`` contains the rows through which the line is fitted. ``length`` is the usual step between different stamps,
     ns.

@@ -131,7 +131,7 @@ def _summed(values: dict[str, Array]) -> dict[str, str]:
 
 
 def _meters(values: dict[str, Array]) -> dict[str, str]:
-    """Return the first two columns of a matrix of positions that do not follow a time; {} for degrees."""
+    """Return the first two columns of a matrix of positions that has no time before them; {} for degrees."""
     names = [name for name in values if POSITIONS.fullmatch(name)]
     if names and np.all(np.diff(values[names[0]]) > 0) and len(names) > 2:
         names = names[1:]

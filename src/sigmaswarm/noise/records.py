@@ -68,7 +68,7 @@ class AxisNoise:
         return {"white": self.white, "instability": self.instability, "walk": self.walk}
 
     def bias(self, longest: float) -> tuple[float, float]:
-        """Return standard deviation (unit) and correlation time (s) of the bias as a Gauss-Markov process.
+        """Return the standard deviation (unit) and correlation time (s) of the bias as a Gauss-Markov process.
 
         ``longest`` is the length (s) of the longest stretch at rest, which replaces an infinite correlation time.
         Flicker noise adds the variance of a Gauss-Markov process whose largest Allan variance equals that of the

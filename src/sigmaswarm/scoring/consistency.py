@@ -109,7 +109,10 @@ def consistency(
 def consistency_of(
     innovations: Innovations, mean_nees: float = math.nan, own_sigma: float = math.nan
 ) -> Consistency | None:
-    """Compute consistency from innovations. Return None for at most 2 LAGS innovations, or an invalid covariance."""
+    """Compute the consistency from innovations.
+
+    Return None for at most 2 LAGS innovations, or an invalid covariance.
+    """
     n, s = len(innovations.time), innovations.covariance
     if n <= 2 * LAGS or not np.isfinite(s).all():
         return None

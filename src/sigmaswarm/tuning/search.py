@@ -60,7 +60,7 @@ class RaceResult:
 
 
 def rungs(n_candidates: int, n_drives: int) -> list[tuple[int, int]]:
-    """Return numbers of candidates and drives per rung. Each rung halves the candidates and doubles the drives."""
+    """Return the numbers of candidates and drives per rung. Each rung halves the candidates and doubles the drives."""
     rungs = [(n_candidates, n_drives // FIRST_DIVISOR if n_drives >= MIN_RACED_DRIVES else min(1, n_drives))]
     while (drives := rungs[-1][1]) < n_drives:
         rungs.append(((rungs[-1][0] + 1) // 2, min(2 * drives, n_drives)))

@@ -199,7 +199,7 @@ def _tilt_rates(evidence: Evidence) -> list[RateMatch | None]:
 
 
 def _force_and_rates(evidence: Evidence) -> tuple[Array, Array] | None:
-    """Return specific force and angular rates, (3, n), corrected as the other findings propose."""
+    """Return the specific force and the angular rates, (3, n), corrected as the other findings propose."""
     imu, mount, yaw = evidence.drive.imu, evidence.mount, evidence.yaw
     if imu.az is None or imu.gx is None or imu.gy is None:
         return None

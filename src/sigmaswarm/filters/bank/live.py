@@ -323,7 +323,7 @@ class LiveFilterBank(LiveFilter):
         return [i for i, state in enumerate(FILTERS[self._kernel].states) if state.bias_of]
 
     def _with_sound_biases(self, lost: bool, mean: Array, covariance: Array) -> tuple[Array, Array]:
-        """Return mean (n,) and covariance (n, n). If ``lost``, the biases are those before the divergence."""
+        """Return the mean (n,) and the covariance (n, n). If ``lost``, the biases are those before the divergence."""
         if not lost:
             self._last_sound = mean, covariance
             return mean, covariance

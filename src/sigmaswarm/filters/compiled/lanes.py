@@ -89,7 +89,7 @@ def sinc_cos(z):
 
 
 def _near(x, n):
-    """Return sine and cosine of x - n pi/2, which is in [-pi/4, pi/4].
+    """Return the sine and cosine of x - n pi/2, which is in [-pi/4, pi/4].
 
     The rounding of n pi/2 adds an error of at most 2.4e-16 n.
     """

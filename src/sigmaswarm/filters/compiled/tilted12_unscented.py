@@ -212,20 +212,20 @@ def _point(w, l, j, sign, quarter, per_dt, *, sinc_cos, rotation_vector):
 
 @kernel
 def _store_near(w, l, j, k, a, b, one, two):
-    """Store slope and curvature of an output, from its values at the two points."""
+    """Store the slope and curvature of an output, from its values at the two points."""
     SLOPE[j, k], BEND[j, k] = one * (a - b), two * (a + b)
 
 
 @kernel
 def _store_far(w, l, j, k, a, b, one, two):
-    """Store slope and curvature of an output, only in lanes with a large angle."""
+    """Store the slope and curvature of an output, only in lanes with a large angle."""
     far = w.POINT_FAR > 0.0
     SLOPE[j, k] = one * (a - b) if far else SLOPE[j, k]
     BEND[j, k] = two * (a + b) if far else BEND[j, k]
 
 
 def _draw(w, u, *, point, sinc_cos, store):
-    """Compute slopes and curvatures of the first three columns of the root, each from its two points."""
+    """Compute the slopes and curvatures of the first three columns of the root, each from its two points."""
     quarter, per_dt = 0.25 * u[DT], 1.0 / u[DT]
     for j in range(3):
         for l in range(LANES):

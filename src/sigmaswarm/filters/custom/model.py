@@ -194,7 +194,7 @@ class Model:
         return self.indices(names)
 
     def identity(self) -> dict[str, Any]:
-        """Return names and bounds in plain types, and a hash of names, bounds and functions."""
+        """Return the names and bounds in plain types, and a hash of names, bounds and functions."""
         plain: dict[str, Any] = {
             "name": self.name,
             "kind": self.kind,
