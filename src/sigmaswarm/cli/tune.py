@@ -151,7 +151,7 @@ def tune(
         steps = [f"next: {check}    (then tune with more --trials, or on other drives)"]
     else:
         first = any(remark.startswith(TO_DO) for remark in tuning.remarks)
-        steps = ['first: follow "to do" above, or go on with this filter:'] * first + following
+        steps = ['first: follow "to do" above, or continue with this filter:'] * first + following
     output.next(*steps, place=out / DETAILS_FILE)
 
 

@@ -39,7 +39,7 @@ CONSEQUENCES = {
     "gyro-scale": "a filter's heading is wrong after each turn",
     "gyro-sign": "a filter turns left where the car turns right",
     "gyro-tilt": "a filter with roll and pitch has wrong angles, so it mistakes gravity for acceleration",
-    "gyro-unit": "a filter turns 57 times as far as the car",
+    "gyro-unit": "a filter's turns are 57 times those of the car",
     "heading-convention": _WRONG_HEADING,
     "heading-delay": "in turns, a filter with --use heading follows a wrong heading",
     "heading-offset": _WRONG_HEADING,

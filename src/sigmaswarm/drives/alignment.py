@@ -222,7 +222,7 @@ class Alignments:
             )
         every = float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
         if every > MAX_DURATION / (ALIGNMENT_FIXES - 1):
-            what = f"the fixes come every {every:.3g} s, but a heading needs {ALIGNMENT_FIXES} fixes within {time}"
+            what = f"the fixes are {every:.3g} s apart, but a heading needs {ALIGNMENT_FIXES} fixes within {time}"
             return StartFailure(f"no filter can start, since {what}", "record fixes at 1 Hz or faster")
         span = float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
         usable = f"the usable fixes ({len(self.time)} of {len(self._drive.gps.time)}) span {span:.3g} s"

@@ -128,7 +128,7 @@ def _time_unit(imu: Array, gps: Array) -> Remark | None:
             if usual[0] <= _USUAL_INTERVALS[0] * f and usual[1] <= _USUAL_INTERVALS[1] * f
         )
         unit, file = next(fits, None), "imu.csv, gps.csv"
-        every = f"the IMU's samples come every {usual[0]:.6g} s and the fixes every {usual[1]:.6g} s"
+        every = f"the IMU's samples are {usual[0]:.6g} s apart and the fixes {usual[1]:.6g} s"
         what = f"{every}, as if t were in {unit} in both files"
     else:
         return None

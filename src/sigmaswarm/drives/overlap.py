@@ -156,7 +156,7 @@ def _offset(a: Array, b: Array, tolerance: float) -> float | None:
 
     ``a`` and ``b`` are landmarks, in rows of time (us) and values. Some landmarks agree by chance. Therefore, in the
     common time, at least half of the landmarks of the drive with fewer landmarks must agree. The other drive may have
-    more, since a copy may be decimated. A standing car repeats one value, so several values must agree.
+    more, since a copy may be decimated. A stationary car repeats one value, so several values must agree.
     """
     if min(len(a), len(b)) < MIN_MATCHES:
         return None

@@ -116,7 +116,7 @@ class Timeline:
 
     @cached_property
     def stands(self) -> Mask:
-        """True if the car stands at the step's end, (k,)."""
+        """True if the car is stationary at the step's end, (k,)."""
         return detect_standstills(self.drive, self.kinds)[self.sample]
 
     @cached_property

@@ -167,7 +167,7 @@ def _wrong_clock(ratio: float, columns: str, times: Mapping[Any, str]) -> str:
     if not plain or abs(math.log(ratio / 10.0**power)) > FACTOR_TOLERANCE:
         return ""
     maps = " ".join(f'"{role}.t={text}*1e{power}"' for role, text in times.items())
-    message = f"the course of the fixes turns {ratio:.3g} times as far as the integral of {columns}"
+    message = f"the changes of the course of the fixes are {ratio:.3g} times the integral of {columns}"
     return f"{message}, so the unit of the times is likely {10.0**power:g} times the assumed unit; write --map {maps}"
 
 

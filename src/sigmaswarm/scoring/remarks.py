@@ -200,9 +200,9 @@ def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
                 "filter expects"
             )
         return (
-            f"unknown, since there is no truth{guess}. The filter's covariance gives {own:.2g} m RMS, but it is not "
-            f"reliable: the innovations are smaller than expected ({nis}). The receiver smooths its fixes, or their "
-            "errors are correlated"
+            f"unknown, since there is no truth{guess}. The filter's covariance corresponds to {own:.2g} m RMS, but it is "
+            f"not reliable: the innovations are smaller than expected ({nis}). The receiver smooths its fixes, or "
+            "their errors are correlated"
         )
     size, source = f"{own:.2g} m RMS", "estimated by the filter, since there is no truth"
     included = f"The fixes, with their own errors, differ from the predictions by {missed:.2g} m RMS"

@@ -96,7 +96,7 @@ def _reachable(squared: Array, gain: Array, fading: Array, loss: Array) -> None:
 def plan_speed(legs: Sequence[Leg], sway: Sway, stand: float | None) -> Array:
     """Return the fastest plan within all limits, (m, 3): speed m/s, acceleration m/s2, distance m, every `DRIVER_STEP`.
 
-    The car first stands for ``stand`` s; if ``stand`` is None, the car starts at the speed of the first leg.
+    The car is first stationary for ``stand`` s; if ``stand`` is None, the car starts at the speed of the first leg.
     """
     ends = np.cumsum([0.0, *(leg.length for leg in legs)])
     distance = np.arange(0.0, ends[-1] + SPACING / 2, SPACING)

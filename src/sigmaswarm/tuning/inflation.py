@@ -148,7 +148,7 @@ STEP = 0.1  # decades between two factors
 def inflate(
     problem: CarProblem, point: Array, allowed: float, executor: Executor | None
 ) -> tuple[Array, float, float]:
-    """Inflate the process noise of a point, shape (d,), within the bounds, as far as its cost permits.
+    """Inflate the process noise of a point, shape (d,), within the bounds, as much as its cost permits.
 
     ``allowed`` is the largest relative increase of the cost without a prior. It is reduced for driving times above the
     reference. Parameters below their minima are then raised to these minima. Return the new point, its cost and the

@@ -65,7 +65,7 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
     column, unit = float("xyz".index(yaw.column[1])), abs(yaw.factor)
     alone = _only_yaw_is_wrong(evidence)
     columns = "gz" if alone else "gx, gy, gz"
-    turns = "the car turns {:.3g} times as far as the gyro measures".format
+    turns = "the turns of the car are {:.3g} times those that the gyro measures".format
 
     def found(code: str, what: str, remedy: str, *repair: float) -> Finding:
         what = f"{what}. {seen}"
