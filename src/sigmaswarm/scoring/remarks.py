@@ -200,8 +200,8 @@ def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
                 "filter expects"
             )
         return (
-            f"unknown, since there is no truth{guess}. The filter's covariance corresponds to {own:.2g} m RMS, but it is "
-            f"not reliable: the innovations are smaller than expected ({nis}). The receiver smooths its fixes, or "
+            f"unknown, since there is no truth{guess}. The filter's covariance corresponds to {own:.2g} m RMS, but it "
+            f"is not reliable: the innovations are smaller than expected ({nis}). The receiver smooths its fixes, or "
             "their errors are correlated"
         )
     size, source = f"{own:.2g} m RMS", "estimated by the filter, since there is no truth"
