@@ -30,7 +30,7 @@ CONSEQUENCES = {
     "gps-noise": "without truth, tune takes the accuracy of the fixes from the stated value",
     "gps-outliers": "these fixes pull a filter away from the path",
     "gps-outside": "these fixes improve neither the tuning nor an evaluation",
-    "gps-repeats": "such a fix contains an earlier position than that at its time",
+    "gps-repeats": "the position of such a fix is older than its time stamp",
     "gravity": "a filter mistakes the offsets for acceleration, so its position drifts between fixes",
     "gravity-axis": "a filter mistakes gravity for acceleration, so its position is wrong within seconds",
     "gravity-size": "a filter with roll and pitch is less accurate",

@@ -70,8 +70,7 @@ MIN_DAY_ROUNDING, MAX_DAY_ROUNDING = 0.2, 0.5
 def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
     """Convert times of day with digits hhmmss (115959.98) to seconds. Return the times, and a sentence or "".
 
-    This format is recognized by the additional 40 by which the numbers, read as seconds, increase at each change of the
-    minute (59 to 100).
+    In this format, the numbers, read as seconds, increase by an additional 40 at each change of the minute (59 to 100).
     """
     whole = time // SECOND
     if len(time) < 3 or int(whole.min()) < 10_000 or int(whole.max()) >= 240_000:
