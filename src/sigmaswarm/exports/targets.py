@@ -48,8 +48,8 @@ def export_texts(
     Raises
     ------
     InputError
-        If the target is unknown or does not support the model, ``replay`` or ``lanes``. If the parameters do not
-        contain the nominal interval. If a variance of Q is negative or a variance of R is not positive.
+        If the target is unknown or does not support the model, ``replay`` or ``lanes``; if the parameters do not
+        contain the nominal interval; or if a variance of Q is negative or a variance of R is not positive.
     """
     interval = _checked(parameters, target)
     if target != "c99" and replay is not None:

@@ -168,8 +168,8 @@ def wrong_tick(drive: Drive, counter: Counter, time: str, other: DurationRate) -
 
     ``time`` is the expression of the IMU's time.
 
-    A counter that only the IMU has is refused only if the motions agree at the rate that the durations show. The IMU
-    may also have recorded longer or shorter than the receiver.
+    A counter that the fixes do not share is refused only if the motions agree at the rate that the durations show. The
+    IMU may also have recorded longer or shorter than the receiver.
     """
     if not (counter.shared or other.rate):
         return ""

@@ -86,7 +86,7 @@ def geographic_position(columns: Columns, role: Role) -> dict[str, Conversion]:
 def _are_dms(lat: pl.Series, lon: pl.Series) -> bool:
     """Return True for texts with degree marks or hemisphere letters: 48°07'02.3"N, 11 31.5 E, N48.12.
 
-    In both latitude and longitude, degrees and minutes must be joined to one number (4807.038), or in neither.
+    Degrees and minutes must be joined in one number (4807.038) in both latitude and longitude, or in neither.
     """
     if lat.dtype != pl.String or lon.dtype != pl.String:
         return False

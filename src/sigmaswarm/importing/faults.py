@@ -87,7 +87,7 @@ def _with_rate_of_ticks(faults: list[str], plan: Plan) -> list[str]:
 
 
 def with_rate_of_rows(faults: list[str], plan: Plan) -> list[str]:
-    """If IMU and fixes are in one table without a time, write the rate of rows that the motion shows into the remedy.
+    """If IMU and fixes are in one table without a time, add the rate of rows that agrees with the motion to the remedy.
 
     ``faults`` are those of `with_tables`.
     """
@@ -119,7 +119,7 @@ def _rate_by_trial(counter: Counter, plan: Plan, rates: Sequence[float] = TRIAL_
 
 
 def _with_unit_of_rates(faults: list[str], plan: Plan) -> list[str]:
-    """For angular rates without a unit, write the unit that agrees with the course of the fixes into the remedy."""
+    """For angular rates without a unit, add the unit that agrees with the course of the fixes to the remedy."""
     rates = [fault for fault in faults if '"imu.g' in fault]
     if "gps" not in plan.recipe.roles or not rates:
         return faults

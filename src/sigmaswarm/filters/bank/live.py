@@ -440,7 +440,7 @@ class LiveFilterBank(LiveFilter):
         return self._together is not None and self._together.lost
 
     def lanes(self) -> tuple[Array, Array]:
-        """Return the current state rows (s, 16), see `compiled.layout`, and weights (16,) of the filters."""
+        """Return the current state rows (s, 16) (see `compiled.layout`) and the weights (16,) of the filters."""
         return self._rows_of(self._numbers)[state_rows(self._kernel)], self.weights
 
     def _mixed(self) -> tuple[Array, Array]:
