@@ -163,7 +163,7 @@ def _tuned(
 ) -> FilterParameters:
     """Tune the default filter, without ``standstill``, on the fixes of the reference receiver.
 
-    With ``standstill``, a tuning on fixes with errors of a centimeter would choose a very small noise for the
+    With ``standstill``, tuning on fixes with errors of a centimeter would choose a very small noise for the
     standstill constraint. One wrongly detected standstill in an outage would move the track by meters, while the
     covariance stays small.
     """

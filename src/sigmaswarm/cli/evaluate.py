@@ -266,7 +266,7 @@ def _evaluated(
 
 
 def _warn_of_drives(evaluation: "Evaluation", tuning: "TuningRecord") -> None:
-    """Warn about drives that the tuning used, and drives with other sensors than the training drives."""
+    """Warn about drives that the tuning used, and drives with sensors other than those of the training drives."""
     from sigmaswarm.scoring.remarks import describe_training_drives, other_sensors
 
     for result in evaluation.drives.values():

@@ -99,8 +99,8 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         assumed = float(np.mean(receiver_std(evidence.drive)))
         or_scatter = ", or the scatter if this clearly reduces the drift of the baseline filter"
         what = (
-            f"the receiver states no accuracy. The fixes scatter by {scatter:.2g} m per axis, which is a lower limit "
-            "of their standard deviation, since it does not contain slowly varying errors. A tuning without truth "
+            f"the receiver states no accuracy. The fixes scatter by {scatter:.2g} m per axis. Their standard "
+            "deviation may be larger, since slowly varying errors do not increase the scatter. Tuning without truth "
             f"assumes {assumed:.2g} m{or_scatter if assumes_std(evidence.drive) else ''}"
         )
         remedy = "if you know a better value, write gps_std_m at the top of drive.toml"
@@ -180,7 +180,7 @@ def _wrongly_stated(
     elif not larger:  # the lever arm of the antenna may be missing
         repair, remedy = None, f"check the lever arm of the antenna; if it is right, {remedy}"
     if typed:
-        what += ". A tuning without truth takes R from this value: with a smaller value the filter follows the fixes "
+        what += ". Tuning without truth takes R from this value: with a smaller value the filter follows the fixes "
         what += "more closely, and with a larger value it relies on the IMU for longer"
         if larger and not by_truth:  # a user may know of slowly varying errors
             repair, severity = None, "note"

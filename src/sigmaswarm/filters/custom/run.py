@@ -250,7 +250,7 @@ def _compiled(model: Model, steps: FilterSteps) -> Any:
             return kernel
         if _BUILT.pop(key, None):  # a global value that the functions read has changed
             return _compiled(model, steps)
-        why = "the compiled functions return other numbers than the Python functions"
+        why = "the compiled functions and the Python functions return different numbers"
     warnings.warn(
         f"model {model.name}: can't be compiled ({why}); the textbook filter runs instead, about a hundred times "
         "slower",
