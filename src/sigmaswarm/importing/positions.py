@@ -209,7 +209,7 @@ def without_wrong_velocity(
         dx, dy = (values[n][end] - values[n][begin] for n in ("x", "y"))
         apart = np.abs(wrap_angle(course[(begin + end) // 2] - np.arctan2(dy, dx)))
         if (middle := float(np.median(apart))) > MAX_COURSE_ERROR:
-            wrong = f"the course differs from the direction between the positions by {np.degrees(middle):.0f} deg (median)"
+            wrong = f"the course differs from that computed from the positions by {np.degrees(middle):.0f} deg (median)"
     if not wrong:
         return recorded
     stated = ", ".join(f"{name}={text}" for name, text in texts.items())
