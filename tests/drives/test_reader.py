@@ -201,7 +201,12 @@ BAD: dict[str, tuple[Edit, list[str]]] = {
     "few-samples": (keep_rows("imu.csv", 99), ["imu.csv", "99 samples", "too few", "at least 100"]),
     "no-positions": (
         line("gps.csv", 1, "t,east,north"),
-        ["gps.csv", "row 1", "neither columns x, y nor lat, lon", "t, east, north", "name the positions"],
+        [
+            "gps.csv",
+            "row 1",
+            "has columns t, east, north, but neither x, y nor lat, lon",
+            "name the positions",
+        ],
     ),
     "toml-invalid": (
         text("drive.toml", "name = drive"),

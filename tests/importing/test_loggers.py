@@ -915,7 +915,7 @@ def test_codes_of_an_imu_in_rows_of_equal_length_are_kinds(tmp_path: Path):
     with pytest.raises(InputError, match="rows of several kinds") as caught:
         imported(tmp_path / "log.csv")
     run(str(caught.value).partition("run: ")[2].partition(", and import")[0], tmp_path)
-    with pytest.raises(InputError, match="write headers") as caught:
+    with pytest.raises(InputError, match="add the headers") as caught:
         imported(tmp_path / "kinds")
     run(str(caught.value).partition("suggest: ")[2].partition(", and import")[0], tmp_path)
     require_same(as_proposed(tmp_path / "kinds" / "named"))

@@ -122,7 +122,7 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
 def _turning(drive: Drive, course: Course, moving: Mask) -> Agreement:
     """Compare the integral of gz, without its bias, with the course.
 
-    Each part of the course between stops is shifted to the mean of the integral.
+    Each part of the course between stops is shifted so that its mean equals that of the integral.
     """
     imu, at = drive.imu, course.time[moving]
     track = np.unwrap(np.angle(course.velocity[moving]))

@@ -28,8 +28,8 @@ def split_time(
     train_fraction : float
         Fraction of the drive's duration in the first part, between 0 and 1.
     at : float or (float, float), optional
-        Time of the split, s on the drive's clock, for example at a pause of the logger. Two times leave out the part
-        between them; the parts are then ``<name>-before`` and ``<name>-after``.
+        Time of the split, s on the drive's clock, for example at a pause of the logger. If two times are given, the
+        part between them is omitted, and the other parts are ``<name>-before`` and ``<name>-after``.
 
     Warns
     -----

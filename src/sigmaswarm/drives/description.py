@@ -128,8 +128,8 @@ def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
     present = [frame for frame, pair in POSITIONS.items() if set(pair) <= set(columns)]
     if not present:
         raise DriveError(
-            f"{gps}{', row 1' if gps.suffix == CSV else ''}: has neither columns x, y nor lat, lon, only "
-            f"{list_names(columns)}; name the positions x, y (m east, north) or lat, lon (deg)"
+            f"{gps}{', row 1' if gps.suffix == CSV else ''}: has columns {list_names(columns)}, "
+            f"but neither x, y nor lat, lon; name the positions x, y (m east, north) or lat, lon (deg)"
         )
     frame = cast("Frame", stated or present[0])
     if frame not in present:

@@ -20,7 +20,7 @@ from sigmaswarm.exports.c_text import declaration
 from sigmaswarm.filters.compiled import live
 
 MODULES = gaps, stale_fixes, standstill, odometer, events
-"""Modules with constants of the rules."""
+"""Modules whose constants the rules use."""
 
 
 def by_name(names: Mapping[str, str]) -> dict[str, str]:

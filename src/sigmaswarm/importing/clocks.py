@@ -195,8 +195,8 @@ def wrong_tick(drive: Drive, counter: Counter, time: str, other: DurationRate) -
 def rate_by_motion(drive: Drive) -> float | None:
     """Return the factor of all times with which turns and accelerations agree with the fixes, or None if it is unclear.
 
-    At a wrong rate, turns differ by a factor and accelerations by its square; with a wrong unit of the gyro they do
-    not. A receiver has one of the usual rates, so a counter that IMU and fixes share has few possible rates.
+    At a wrong rate, turns differ by a factor and accelerations by its square. A wrong unit of the gyro changes only the
+    turns. A receiver has one of the usual rates, so a counter that IMU and fixes share has few possible rates.
     """
     step, interval = (float(np.median(np.diff(sensor.time))) for sensor in (drive.imu, drive.gps))
     possible = (1 / (rate * interval) for rate in FIX_RATES)

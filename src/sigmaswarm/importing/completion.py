@@ -26,7 +26,7 @@ Beginnings = Mapping[Path, Mapping[str, pl.DataFrame]]  # first rows of the tabl
 def completed(plan: Plan) -> Plan:
     """Return the plan with the parts of the request.
 
-    Roles that the request lacks have the guessed parts, changed by mappings.
+    A role that is not in the request has the guessed parts, changed by the mappings.
     """
     request, own = plan.request, plan.request.recipe
     roles: dict[Role, tuple[Part, ...]] = {}

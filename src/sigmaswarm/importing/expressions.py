@@ -275,7 +275,7 @@ class _Compiler:
         return _OPERATORS[type(op)](_number(self.build(a)), _number(self.build(b)))
 
     def _utc(self, args: list[ast.expr]) -> pl.Expr:
-        """Compile ``utc(...)`` of a column of dates, or of one of days and one of times of day; a format may follow."""
+        """Compile ``utc(...)`` of a column of dates, or of two columns, days and times of day; a format may follow."""
         form = ""
         if isinstance(args[-1], ast.Constant) and isinstance(args[-1].value, str):
             form, args = args[-1].value, args[:-1]
@@ -351,7 +351,7 @@ def _exact_term(text: str, frame: pl.DataFrame) -> pl.Expr | None:
 
 
 def integer_scale(text: str, columns: Collection[str]) -> tuple[str, float] | None:
-    """Return the column and factor of an expression ``column``, ``column * number`` or ``column / number``; or None.
+    """Return the column and factor of ``column``, ``column * number`` or ``column / number``. Return None for others.
 
     Such times are scaled as integers, since nanoseconds since 1970 have more digits than a float.
     """

@@ -233,9 +233,7 @@ def _headers(log: Log) -> str:
     command = " && ".join([f"cd {quote(str(log.path))}", f"mkdir -p {' '.join(folders)}", *lines])
     there = quote(str(log.path / "named"))
     more = f"; copy {list_names(left)} to {there} with a header, such as t,lat,lon, since the values suggest none"
-    return (
-        f"write headers as the values suggest: ({command}){more * bool(left)}, and import the folder {there}"
-    )
+    return f"add the headers that the values suggest: ({command}){more * bool(left)}, and import the folder {there}"
 
 
 def describe_kinds(log: Log) -> str:

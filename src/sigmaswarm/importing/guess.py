@@ -165,7 +165,7 @@ def _other_tables(
 
 
 def _best_table(role: Role, tables: Sequence[str], found: Mapping[str, Columns]) -> str:
-    """Return the first table with a fitting name or, if there is none, the first table.
+    """Return the first table with a matching name or, if there is none, the first table.
 
     Tables that may contain estimates come last. For fixes, positions from wheels come after all measured positions, and
     a reference comes after other measurements. Tables whose x, y, z have a constant magnitude come later, since they

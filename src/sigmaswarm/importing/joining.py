@@ -172,7 +172,7 @@ def _in_order(
     if not len(time):
         why = "no usable row; --show shows the contents of the log"
         if part.timeless:
-            why = f"no time within 292 years of 1970; specify its column and unit with --map {role}.t=..."
+            why = f"no time within 292 years of 1970; specify the column and unit of the time with --map {role}.t=..."
         raise InputError(f"{role}: {table} contains {why}")
     text = part.part.columns["t"]
     tick = (scaled_column(text) or ("", 0.0))[1]

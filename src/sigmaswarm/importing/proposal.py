@@ -93,7 +93,7 @@ def propose(plan: Plan, first: Beginnings) -> Proposal | None:
 
 
 def _with_columns(role: Role, plan: Plan, first: Beginnings) -> _Sensor:
-    """Find columns by their values or names or, if the recipe has none of the role, by increments or units."""
+    """Find columns by names or, if the recipe has no columns of the role, also by values, increments or units."""
     log, parts = plan.log(role), plan.parts(role)
     there, known = first[log.path], texts_of(parts)
     frames = {table: there[table] for table in [p.table for p in parts if p.table in there] or there}

@@ -120,7 +120,7 @@ def _faults(diagnosis: Diagnosis) -> tuple[int, int]:
 def _corrected(proposal: Proposal, drive: Drive, diagnosis: Diagnosis) -> Proposal:
     """Apply the doctor's repairs of signs, exchanged axes and factors to the expressions.
 
-    They are first applied to an IMU whose columns are unit vectors, which shows their effect on each column.
+    The repairs are first applied to an IMU whose columns are unit vectors, which shows their effect on each column.
     """
     units = dict(zip(AXES, np.eye(len(AXES)), strict=True))
     probe = replace(drive, imu=Imu(np.arange(len(AXES), dtype=np.float64), **units))

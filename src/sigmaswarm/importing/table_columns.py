@@ -16,7 +16,7 @@ from sigmaswarm.wording import quoted
 
 @dataclass(frozen=True)
 class Conversion:
-    """Expression of a column of a drive, with the assumption that it makes, or the reason not to use it."""
+    """Expression that computes a column of a drive, and its assumption, or the reason not to use the expression."""
 
     expression: str
     note: str = ""  # an assumption

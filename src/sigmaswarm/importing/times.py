@@ -92,7 +92,8 @@ def time_of_rows(
 def _pasted(frame: pl.DataFrame, keys: Collection[str]) -> dict[int, list[str]]:
     """Find tables that were pasted next to each other: return the columns of each by its number of rows; otherwise {}.
 
-    Such a table fills the first rows of its columns, and has its own time column. ``keys`` are a column of each role.
+    Such a table fills the first rows of its columns, and has its own time column. ``keys`` contains a column of each
+    role.
     """
     counts = {name: frame[name].count() for name in frame.columns}
     tables = {counts[key]: [n for n, count in counts.items() if count == counts[key]] for key in keys}

@@ -203,7 +203,7 @@ def fit(
 
 @lru_cache(maxsize=4)
 def _compiled(loss: Loss, learning_rate: float) -> tuple[Any, Any, Any]:
-    """Return the optimizer, the compiled loss and the compiled epoch; cached by loss and learning rate."""
+    """Return the optimizer, the compiled loss and the compiled epoch. They are cached by loss and learning rate."""
     import jax
     import optax
 

@@ -266,7 +266,7 @@ class RadiusRecord(BaseModel):
 
 
 def factor_of(level: float) -> float:
-    """Return the ratio of the radius for a probability ``level`` to sigma per axis."""
+    """Return the radius, in sigmas per axis, that contains the error with the probability ``level``."""
     return math.sqrt(DOF * ((1.0 - level) ** (-2.0 / DOF) - 1.0))
 
 

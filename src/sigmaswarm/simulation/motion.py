@@ -175,7 +175,7 @@ class Terrain(Named):
     bank_std, bank_length, bank_limit : float
         Standard deviation, correlation length and bound of the slope across the road.
     crossfall : float
-        Mean slope down to the right, for drainage.
+        Mean downward slope to the right, which drains the road.
     superelevation : float
         Largest slope in bends, at the radius `banked_radius` (m). Wider and sharper bends have smaller slopes.
     """

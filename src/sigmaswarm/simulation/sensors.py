@@ -1,4 +1,4 @@
-"""Simulate an IMU, and an odometer that counts pulses of the rear wheels: grades and errors. `gps` simulates receivers.
+"""Simulate IMUs of several grades, and odometers that count pulses of the rear wheels. `gps` simulates receivers.
 
 Sources: [T] data sheet of the chip. [L] the CARLA Leaderboard's sensor set-up. [R] from memory, not verified.
 """

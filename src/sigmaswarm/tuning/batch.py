@@ -36,7 +36,7 @@ class BatchResult:
     costs : ndarray, shape (n_sets,)
         Values of the objective; ``inf`` for a set that failed on any drive.
     scores : tuple of tuple of Score
-        ``scores[i][j]``: set i on drive j.
+        ``scores[i][j]`` is the score of set i on drive j.
     failed : ndarray of bool, shape (n_sets,)
         True for a set with which, on any drive, a covariance became indefinite or a value was not finite.
     """

@@ -43,14 +43,14 @@ class Workbench:
         write_json(self._file, self.choices)
 
     def path(self, kind: str, name: str) -> Path:
-        """Return the folder of a drive, tuning, ... Raises `InputError` for an invalid name or a link."""
+        """Return the folder of a drive or of a result. Raises `InputError` for an invalid name or a link."""
         path = self.folder / kind / name
         if kind not in KINDS or not NAME.fullmatch(name) or path.is_symlink():
             raise InputError(f"{name!r} is not a valid name; use letters, digits, - and _")
         return path
 
     def names(self, kind: str, file: str = "") -> list[str]:
-        """List the names of drives, tunings, ..., the newest last.
+        """List the names of drives or of results of one kind, the newest last.
 
         If ``file`` is given, list only folders that contain it.
         """

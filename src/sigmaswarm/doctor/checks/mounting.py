@@ -238,7 +238,7 @@ def _means(time: Array, columns: Sequence[Array], step: float) -> tuple[Array, A
 
 
 def check_handled(evidence: Evidence) -> Iterator[Finding]:
-    """Find the parts at both ends of a log in which the IMU, such as a phone, is handled; yield a finding for each."""
+    """Yield a finding for each end of a log at which the IMU, such as a phone, is in someone's hand."""
     first, last = evidence.span
     begin, end = find_steady_span(evidence.drive)
     what = "{} t = {:.1f} s, the IMU moves relative to the vehicle, for example in someone's hand"
