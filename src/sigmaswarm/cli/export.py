@@ -82,7 +82,8 @@ def export(
         sigmaswarm export tuned --to robot_localization --out ekf --check drives/friday --against tuned-tilted12
     """
     to, out = target_named(options.to), options.out
-    # before the imports, which take seconds; the user's own files are checked when the names of the exported are known
+    # before the imports, which take seconds; the user's own files are checked when the names of the exported files are
+    # known
     require_result_folder(out, [], f"export to {to}", alone=False, overwrite=options.overwrite)
     from sigmaswarm.exports.check import check_export
     from sigmaswarm.exports.targets import export_texts, write_texts

@@ -101,7 +101,7 @@ def tune(
         velocity        use the receiver's speed and course
         lateral         assume that the car does not slide sideways
         slip            with lateral: model the sideways slip of the tires
-        standstill      assume zero velocity while the car stands
+        standstill      assume zero velocity while the car is stationary
         odometer        use the wheel speed
         heading         use the heading from two antennas or a compass
         gate            reject fixes that are far from the prediction

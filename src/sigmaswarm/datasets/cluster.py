@@ -140,8 +140,8 @@ def _scheduler(address: str) -> str:
     if "://" in address:
         if not re.fullmatch(r"(?!tls)\w+://.+:\d+", address):
             raise InputError(
-                f"--cluster {address}: is not an address like tcp://host:8786; write it in this form, or for a cluster "
-                "with certificates create a Client in Python and pass it as cluster="
+                f"--cluster {address}: is not an address like tcp://host:8786; write it in this form or, for a cluster "
+                "with certificates, create a Client in Python and pass it as cluster="
             )
         return address
     if not Path(address).is_file():

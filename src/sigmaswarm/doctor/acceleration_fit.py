@@ -76,7 +76,7 @@ def gyro_heading(time: Array, course: Course, rate: Array, delay: float) -> Arra
     turned, off = _off_course(time, course, rate + gyro_drift(time, course, rate, delay), delay)
     at, speed = course.time[course.moving], np.abs(course.velocity[course.moving])
     jump = np.append(0.0, np.cumsum(np.round(np.diff(off) / (2 * np.pi)))) * 2 * np.pi
-    off = off - jump  # the course may turn by whole circles while the car stands
+    off = off - jump  # the course may turn by whole circles while the car is stationary
     bin_of = ((at - at[0]) // BIN).astype(np.intp)
     bell = np.exp(-0.5 * (np.arange(-6, 7) * BIN / DRIFT_SPAN) ** 2)
     # The course of a faster car is more accurate.

@@ -17,7 +17,7 @@ MAX_ACCELERATION = 8.0  # m/s2, largest acceleration of a car; a larger one is a
 SPAN_LIMITS = (3.0, 6.0)  # s, shortest and longest time over which one velocity is computed
 SPEED_STD = 0.5  # m/s, intended standard deviation of the velocity
 MIN_SPEED = 3.0  # m/s; at lower speeds the course is noise
-STANDS = 0.1  # m/s; a vehicle with a lower usual speed stands, even if its receiver is quiet
+STANDS = 0.1  # m/s; a vehicle with a lower usual speed is stationary, even if its receiver is quiet
 USUAL_SHARE = 0.5  # fraction of a slow vehicle's usual speed above which accurate fixes determine a course
 
 

@@ -98,7 +98,7 @@ def _require_numbers(key: str, value: Any, path: Path) -> None:
     plain = all(type(v) in (int, float) and abs(v) <= MAX_VALUE for v in numbers)
     what = None
     if not numbers or not plain or length not in lengths:
-        what = f"can't be used; write for example {key} = {example}"
+        what = f"is not valid; write for example {key} = {example}"
     elif key in _ANGLES and max(map(abs, numbers)) > 360:
         what = f"is not an angle; specify {_ANGLES[key]}, -360 to 360"
     elif key not in (*_ANGLES, "gps_lever_arm_m") and not min(numbers) > 0:

@@ -1,4 +1,4 @@
-"""Odometer measurements of a filter: means of the readings of up to a tenth of a second.
+"""Odometer measurements of a filter; each is the mean of the readings in a tenth of a second or less.
 
 The errors of readings are correlated (scale, quantization, tires). At a rate of 83 Hz, a mean therefore contains as
 much information as the single readings, with a smaller quantization error. At low speed, pulses are rare, and the

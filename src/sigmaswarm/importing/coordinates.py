@@ -141,7 +141,7 @@ def degrees_as_meters(columns: Columns, role: Role) -> str:
     changes = [v.diff().abs().replace(0.0, None).drop_nulls() for v in values]
     steps = [median_of(v) for v in changes]
     ranges = [float(v.max() or 0) - float(v.min() or 0) for v in values]  # pyright: ignore[reportArgumentType]
-    # If the vehicle stands most of the time, the median steps are noise.
+    # If the vehicle is stationary most of the time, the median steps are noise.
     if all(far < 20 * step for far, step in zip(ranges, steps, strict=True)):
         steps = [float(v.max() or 0) for v in changes]  # pyright: ignore[reportArgumentType]
     far = min(median_of(v.abs()) for v in values) > 0.5

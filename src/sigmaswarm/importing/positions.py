@@ -204,7 +204,7 @@ def without_wrong_velocity(
         speed is not None
         and not 1 / MAX_SPEED_RATIO < (ratio := _ratio(time, values, speed, begin, end)) < MAX_SPEED_RATIO
     ):
-        wrong = f"the speed is {ratio:.3g} times the speed from the positions (median){_remedy(ratio, texts, role)}"
+        wrong = f"the speed is {ratio:.3g} times that computed from the positions (median){_remedy(ratio, texts, role)}"
     elif course is not None and len(begin) >= MIN_STRETCHES:
         dx, dy = (values[n][end] - values[n][begin] for n in ("x", "y"))
         apart = np.abs(wrap_angle(course[(begin + end) // 2] - np.arctan2(dy, dx)))

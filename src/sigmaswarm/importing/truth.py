@@ -248,7 +248,7 @@ def fixes_of_truth(truth: Truth, rate: float, noise: float) -> tuple[Array, Valu
     given = f"--gps-from-truth {rate:g},{noise:g}"
     if not (0 < rate <= 1000 and 0 <= noise < np.inf):
         raise InputError(
-            f"{given} can't be used; specify a rate of at most 1000 Hz and a standard deviation in m, for example 5,1"
+            f"{given} is not valid; specify a rate of at most 1000 Hz and a standard deviation in m, for example 5,1"
         )
     if not (truth.time[-1] - truth.time[0]) * rate <= MAX_FIXES:
         raise InputError(f"{given} would make more than {MAX_FIXES} fixes; check the truth's times")

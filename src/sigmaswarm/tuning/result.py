@@ -54,7 +54,7 @@ LARGE_GAP = 0.2  # relative increase of the errors on validation drives above wh
 class Validation:
     """Cost, without priors, on drives that the search did not use.
 
-    ``gap`` is its increase relative to the training cost.
+    ``gap`` is the increase of this cost relative to the training cost.
     """
 
     cost: float
@@ -104,7 +104,8 @@ class Tuning(Generic[P]):
     forecasts : tuple of DriftComparison
         Drifts over outages of 1, 5 and 30 s on the first training drives, compared with fixes alone and the baseline.
     choice : str
-        Model and measurements that `tune` chose, and the reason; empty if they were given. Not saved in the file.
+        Model and measurements that `tune` chose, and the reason; empty if they were given. The file does not contain
+        this attribute.
     """
 
     parameters: P

@@ -45,7 +45,7 @@ MAX_BREAK = 10.0  # s, longest time between files that are joined
 
 
 def recognizes(path: Path) -> bool:
-    """Return True for a table (by suffix or first lines), a zip or folder of tables, and a folder as in EuRoC."""
+    """Return True for a table (by suffix or first lines), a zip or folder of tables, or a folder like EuRoC's."""
     return bool(_files(path) or _packed(path)) or (path.is_file() and is_table(path))
 
 
@@ -62,7 +62,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def files_of_sensors(folder: Path) -> list[Path]:
-    """Return the data.csv of each sensor in a folder as in EuRoC."""
+    """Return the data.csv of each sensor in a folder with the layout of EuRoC."""
     found = [*folder.glob("*/data.csv"), *folder.glob("mav0/*/data.csv")]
     names = "imu|gps|gnss|rtk|cam|leica|vicon|baro|mag|odom|wheel|state_groundtruth_estimate"
     sensors = [file for file in found if re.fullmatch(rf"(?:{names})\d", file.parent.name)]
