@@ -137,7 +137,7 @@ def require_same_axes(
     maps = " ".join(f'"truth.{n}={_combined(size, *row)}"' for n, row in zip("xy", rows, strict=True))
     seem = f" (their unit seems to be {unit})" if stretched and known else ""
     raise InputError(
-        f"the truth's x and y, read as m east and north, do not fit the track of the fixes{seem}; write --map {maps}"
+        f"the truth's x and y, read as m east and north, do not match the track of the fixes{seem}; write --map {maps}"
     )
 
 

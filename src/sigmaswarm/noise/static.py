@@ -217,8 +217,8 @@ def on_trend(axis: str, trend: float) -> Iterator[str]:
     scale, unit = (DEG_PER_HOUR, "deg/h") if axis[0] == "g" else (MGAL, "mGal")
     if trend:
         yield (
-            f"{axis} drifts by {scale * trend * HOUR:.3g} {unit} per hour, more than its noise explains, as during "
-            "warm-up: start the log half an hour after switching the sensor on"
+            f"{axis} drifts by {scale * trend * HOUR:.3g} {unit} per hour, which its noise does not explain. "
+            "Sensors drift during warm-up: start the log half an hour after the sensor is switched on"
         )
 
 

@@ -32,7 +32,7 @@ MIN_SCATTER = 0.5  # m per axis; if fixes scatter less, the receiver smooths the
 UNKNOWN = "A log without truth does not show an error that all fixes have in common"
 AT_THE_TOP = "at the top of drive.toml"
 TUNE_AGAIN = "tune again with a new folder"
-IF_KNOWN = f"If you know it (m per axis), write it as gps_std_m {AT_THE_TOP}; then {TUNE_AGAIN}"
+IF_KNOWN = f"If you know the accuracy (m per axis), write it as gps_std_m {AT_THE_TOP}; then {TUNE_AGAIN}"
 NO_STD = f"The fixes do not show their accuracy either. {IF_KNOWN}"
 
 
