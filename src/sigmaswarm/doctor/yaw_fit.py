@@ -73,7 +73,7 @@ class YawFit:
 
 
 def fit_yaw(drive: Drive, course: Course) -> YawFit | None:
-    """Fit gz, or the one of gx and gy that explains the course clearly better. Return None if the car hardly moves."""
+    """Fit gz, or another column that explains the course clearly better. Return None if the car hardly moves."""
     rows = yaw_windows(course)
     if not len(rows):
         return None

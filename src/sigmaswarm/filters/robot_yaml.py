@@ -128,7 +128,7 @@ def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
 
 
 def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float | None:
-    """Return the squared Mahalanobis threshold of the first of ``names`` with one in the file; None without a limit."""
+    """Return the squared Mahalanobis threshold of the first of ``names`` that has a threshold in the file, or None."""
     keys = [key for name in names or () if (key := f"{name}_rejection_threshold") in block]
     if not keys:
         return None
