@@ -43,8 +43,8 @@ class ExportOptions:
     replay
         c99: also write this drive as replay.csv, the input of the program replay.c.
     check
-        c99: compare the C library with `sigmaswarm run` on these drives. For the model robot-localization, write the
-        filter's errors on these drives into README.md.
+        c99: compare the C library with `sigmaswarm run` on these drives. For robot-localization, write the filter's
+        errors into README.md.
     against
         With --check and the model robot-localization, another tuning: the errors of its filter are added to README.md.
     lanes
