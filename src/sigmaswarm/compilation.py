@@ -136,7 +136,7 @@ def _folder() -> tuple[Path | None, str]:
 
 
 def _is_private(folder: Path) -> bool:
-    """Return True if other users can neither access nor replace a folder, and on systems without user ids."""
+    """Return True if other users can neither access nor replace a folder, or if the system has no user ids."""
     if not hasattr(os, "getuid"):
         return True
     own, above = folder.stat(), folder.parent.stat()
@@ -159,7 +159,7 @@ class _Checked(CompileResultCacheImpl):
 
 
 class _Cache(FunctionCache):
-    """A cache that replaces damaged files by compiling again."""
+    """A cache that compiles a function again if its file is damaged."""
 
     _impl_class = _Checked
     recipe: FunctionRecipe | None = None

@@ -30,7 +30,7 @@ def integral(time: Array, values: Values) -> Values:
 
 
 def smoothed(time: Array, values: Values, at: Array, span: float) -> Values:
-    """Average over ``span`` s around times ``at`` with parabolic weights, by a line fitted to the integral."""
+    """Average over ``span`` s around times ``at``, with parabolic weights: fit a line to the integral."""
     points = at[:, None] + _NODES * span / 2
     return np.einsum("nk,k->n", np.interp(points, time, values), _PARABOLA)
 

@@ -48,7 +48,7 @@ def usual_after(interval: float, usual: float) -> float:
 def is_known(truth: Truth, time: Array) -> Mask:
     """Mark the times (n,), s, between the start and the end of the truth that are not in a gap of the truth.
 
-    A truth without standard deviations is used across gaps.
+    Truth without standard deviations is used across gaps.
     """
     inside = (time >= truth.time[0]) & (time <= truth.time[-1])
     if truth.std_x is None or len(truth) < 2:

@@ -169,7 +169,7 @@ def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
 
 
 def robust_std(off: NDArray[np.complexfloating[Any, Any]]) -> float:
-    """Return a robust standard deviation of real and imaginary parts about zero."""
+    """Return a robust standard deviation of the real and imaginary parts about zero."""
     return float(np.median(np.abs(np.concatenate([off.real.ravel(), off.imag.ravel()]))) / 0.6745)
 
 

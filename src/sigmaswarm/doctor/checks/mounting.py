@@ -181,7 +181,7 @@ def _angle_std(products: Values, rows: int) -> float:
 
 
 def _path_shows(evidence: Evidence, time: float, angle: float) -> bool:
-    """Return True if the IMU's path agrees better with the fixes if the forces after a time, s, are turned, rad."""
+    """Return True if a turn of the forces, rad, after a time, s, makes the IMU's path agree better with the fixes."""
     drive, course, fit = evidence.drive, evidence.course, evidence.acceleration
     if course is None or fit is None:
         return False

@@ -170,7 +170,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
 
 
 def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
-    """Return, per path, the ratio of the odometer's displacement to that of the fixes, and the latter in m."""
+    """Return for each path the ratio of the odometer's to the fixes' displacement, and the fixes' displacement, m."""
     imu, time = evidence.drive.imu, odometer.time
     heading = np.interp(time, imu.time, integral(imu.time, evidence.yaw_rate))
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)

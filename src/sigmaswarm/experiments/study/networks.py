@@ -84,8 +84,8 @@ Networks = Mapping[Task, TrainedNetwork]
 def training_drives(design: Design, trial: int, minutes: float) -> TrainingDrives:
     """Draw ``minutes`` of driving from a trial's training drives: whole drives, and the beginning of one more.
 
-    A larger number of minutes adds drives to the same drives. If the drives are too few for training, more drives are
-    drawn, and their total time exceeds ``minutes``.
+    For a larger number of minutes, drives are added to those of a smaller number. If the drives are too few for
+    training, more drives are drawn, and their total time exceeds ``minutes``.
     """
     remaining, whole, begun, longest, driven = 60.0 * minutes, list[Drive](), list[Drive](), 0.0, 0.0
     order = design.rng(trial, "lessons").permutation(design.split(trial)[0]).tolist()
