@@ -44,6 +44,11 @@ CONSTRUCTIONS = {
     ),
 }
 HEADING = re.compile(r"(what|how(?!-to)|why|where|when|whether|who)\b|.*[.?!:]$", re.IGNORECASE)
+# Strings that are not prose: units, types, markup, patterns, formats and C.
+NOT_PROSE = re.compile(
+    r"^#|^m meter|^const |^\w+ \| \w+|^\w+\[[^;]*\]$|/>|</|<svg|\w=\"[\w#]|\(\?|\\[bdswp(]|[;{]\n?$|^X %|^%"
+)
+VOCABULARIES = ("importing/names.py", "importing/units.py", "exports/filterpy.py")  # names, not sentences
 CODE = re.compile(r"`[^`]*`|--[a-z-]+|\$[^$]*\$|<[^>]*>")
 
 Text = tuple[str, int, str]  # file, line, paragraph
@@ -117,8 +122,10 @@ def described(docstring: str) -> str:
 def messages() -> Iterator[Text]:
     """Yield the strings in src of three or more words that are not docstrings; an inserted value becomes X."""
     for path in sorted((ROOT / "src").rglob("*.py")):
+        if "/".join(path.parts[-2:]) in VOCABULARIES:
+            continue
         for line, text in strings(ast.parse(path.read_text())):
-            if len(text.split()) > 2 and not text.startswith(("#", "m meter")):  # units are not prose
+            if len(text.split()) > 2 and not NOT_PROSE.search(text):
                 yield str(path.relative_to(ROOT)), line, text
 
 

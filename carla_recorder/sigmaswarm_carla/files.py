@@ -48,7 +48,7 @@ class Journal:
         if existing and options.brake_sweep and not saved.get("friction"):
             raise RecorderError(
                 f"{self._file}: the existing drives were recorded without --brake-sweep; choose another folder, "
-                "or leave out --brake-sweep"
+                "or omit --brake-sweep"
             )
         self._content = {**saved, "options": options.figures()}
 

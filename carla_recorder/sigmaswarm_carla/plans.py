@@ -105,7 +105,7 @@ def find_path(town: Any, need: Need, rng: random.Random) -> Path2D:
     longest_is = f"; the longest straight stretch is {longest:.0f} m" if need.straight else ""
     raise RecorderError(
         f"the map {town.name} has no {need.what}{longest_is}; load another map, for example --map Town06, or "
-        "leave this maneuver out"
+        "omit this maneuver"
     )
 
 

@@ -153,7 +153,7 @@ def record_one(session: Session, journal: Journal, progress: Progress, condition
             session.clear()
             if attempt == 3:
                 raise RecorderError(
-                    f"{error}; the recorder tried four routes; use another --map, or leave this maneuver out"
+                    f"{error}; the recorder tried four routes; use another --map, or omit this maneuver"
                 ) from None
             progress.say(f"warning: {error}; trying another route")
         except BaseException:
@@ -204,6 +204,6 @@ def _brake(session: Session, plan: Plan, tire_friction: float, rng: random.Rando
     session.clear()
     if not falling[1] > falling[0] > 0:
         raise RecorderError(
-            f"--brake-sweep: the car did not stop with tire_friction {tire_friction:g}; leave out --brake-sweep"
+            f"--brake-sweep: the car did not stop with tire_friction {tire_friction:g}; omit --brake-sweep"
         )
     return 0.6 * fast / ((falling[1] - falling[0]) * TICK) / GRAVITY

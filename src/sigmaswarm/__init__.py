@@ -169,7 +169,7 @@ __all__ = [
 
 @cache
 def _modules() -> dict[str, str]:
-    """Return the module of each name that is imported for type checkers; only names in ``__all__`` are public."""
+    """Return the module of each name that is imported for type checkers. Only names in ``__all__`` are public."""
     source = ast.parse(get_data(__name__, "__init__.py") or b"")
     (block,) = (node for node in source.body if isinstance(node, ast.If))
     imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]

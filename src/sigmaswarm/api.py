@@ -51,14 +51,14 @@ def import_log(
     say : callable, optional
         Called with each note; by default, notes become warnings.
     **settings
-        ``gps``, ``truth``, ``odometer``: logs of these data, if ``log`` does not contain them. ``format``, ``maps``
-        ({"ax": "acc_x*g"}), ``tables`` ({"imu": "/imu/data"}), ``time``, ``recipe`` (a file) and settings of a recipe,
-        such as ``mount``, ``gps_offset_s``, ``origin``, ``gps_lever_arm_m``.
+        ``gps``, ``truth`` and ``odometer`` are logs of these data, if ``log`` does not contain them. Other settings are
+        ``format``, ``maps`` ({"ax": "acc_x*g"}), ``tables`` ({"imu": "/imu/data"}), ``time``, ``recipe`` (a file) and
+        settings of a recipe, such as ``mount``, ``gps_offset_s``, ``origin``, ``gps_lever_arm_m``.
 
     Returns
     -------
     Drive
-        The drive in memory; `write_drive` writes its folder.
+        The drive in memory. `write_drive` writes its folder.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def run(
     as_recorded = tuned.record.as_recorded if as_recorded is None else as_recorded
     if smooth and bank:
         raise InputError(
-            "smooth and bank can't be combined, since a filter bank is not smoothed; leave one option out"
+            "smooth and bank can't be combined, since a filter bank is not smoothed; omit one option"
         )
     run_with = run_smoother if smooth else run_bank if bank else run_filter
     return run_with(drive, tuned.parameters, initial=initial, recover=recover, as_recorded=as_recorded)
@@ -171,10 +171,10 @@ def evaluate(
         A second filter of any model, or the path of an ekf.yaml of robot_localization.
     **options
         ``outage_length`` (s), ``outage_seed``, ``as_recorded``, ``smooth``, ``bank`` (also evaluate a filter bank),
-        ``fixes_alone`` (noise parameters of the filter that uses only the fixes), ``cluster``. ``seen``: landmarks
-        (positions and yaw rates) by which copies of the training drives are recognized. ``shown_std``: standard
-        deviation of the fix errors, computed from the truth of the training drives, m per axis. ``as_recorded``,
-        ``seen``, ``fixes_alone`` and ``shown_std`` are by default those of the tuning.
+        ``fixes_alone`` (noise parameters of the filter that uses only the fixes), ``cluster``. ``seen`` contains
+        landmarks (positions and yaw rates) by which copies of the training drives are recognized. ``shown_std`` is the
+        standard deviation of the fix errors, computed from the truth of the training drives, m per axis.
+        ``as_recorded``, ``seen``, ``fixes_alone`` and ``shown_std`` are by default those of the tuning.
 
     Returns
     -------
@@ -212,10 +212,10 @@ def export(
     folder : str or Path, optional
         Folder for the files; by default nothing is written.
     **options
-        ``replay`` (a Drive), ``as_recorded``, ``lanes``, ``seed``: see ``sigmaswarm export --help``. ``mounting``:
-        roll, pitch and yaw of the IMU, deg, for an export that rotates raw samples; ``imu_axes``: expressions with
-        which the import read the IMU's axes. ``as_recorded``, ``mounting`` and ``imu_axes`` are by default those of the
-        tuning.
+        For ``replay`` (a Drive), ``as_recorded``, ``lanes`` and ``seed`` see ``sigmaswarm export --help``. ``mounting``
+        contains roll, pitch and yaw of the IMU, deg, for an export that rotates raw samples. ``imu_axes`` contains
+        expressions with which the import read the IMU's axes. ``as_recorded``, ``mounting`` and ``imu_axes`` are by
+        default those of the tuning.
 
     Returns
     -------
@@ -288,7 +288,7 @@ def plot(what: Any, drive: str | None = None) -> "Figure":
     ----------
     what : Drive, Evaluation, Tuning or Comparison
     drive : str, optional
-        For an evaluation: name of the drive whose track is drawn. By default, the scores of all methods are drawn.
+        For an evaluation, name of the drive whose track is drawn. By default, the scores of all methods are drawn.
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """Compile functions with Numba, and cache the machine code between processes if this is safe.
 
-Numba caches pickles: a user who can write them can run code with the rights of the user who reads them. Therefore only
-the owner of the cache's folder may write to it. If the folder is not writable or a file is damaged, this module
+Numba caches pickles, so a user who can write them can run code with the rights of the user who reads them. Therefore
+only the owner of the cache's folder may write to it. If the folder is not writable or a file is damaged, this module
 compiles again, whereas Numba would fail.
 """
 
@@ -51,8 +51,8 @@ def call_once(make: Callable[P, T]) -> Callable[P, T]:
 class FunctionRecipe:
     """A function that is generated only if its machine code is not cached, since generation takes half a second.
 
-    ``like``: a placeholder with the name and parameters of the function. ``key`` distinguishes functions with the same
-    name.
+    ``like`` is a placeholder with the name and parameters of the function. ``key`` distinguishes functions with the
+    same name.
     """
 
     like: Callable[..., Any]
@@ -115,7 +115,7 @@ def _write(recipe: FunctionRecipe, compiled: Any) -> None:
 
 @cache
 def _folder() -> tuple[Path | None, str]:
-    """Make the cache folder; return the folder and "", or None and the reason why there is no folder."""
+    """Make the cache folder. Return the folder and "", or None and the reason why there is no folder."""
     if config.CACHE_DIR:
         folder = Path(config.CACHE_DIR).absolute() / "sigmaswarm"
     else:
@@ -136,7 +136,7 @@ def _folder() -> tuple[Path | None, str]:
 
 
 def _is_private(folder: Path) -> bool:
-    """Return True if other users can neither access nor replace a folder; also on systems without user ids."""
+    """Return True if other users can neither access nor replace a folder, or if the system has no user ids."""
     if not hasattr(os, "getuid"):
         return True
     own, above = folder.stat(), folder.parent.stat()
@@ -159,7 +159,7 @@ class _Checked(CompileResultCacheImpl):
 
 
 class _Cache(FunctionCache):
-    """A cache that replaces damaged files by compiling again."""
+    """A cache that compiles a function again if its file is damaged."""
 
     _impl_class = _Checked
     recipe: FunctionRecipe | None = None

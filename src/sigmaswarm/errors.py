@@ -1,4 +1,4 @@
-"""Errors and warnings; each message is one sentence with the place and the remedy."""
+"""Errors and warnings. Each message is one sentence with the place and the remedy."""
 
 import warnings
 
@@ -12,7 +12,7 @@ class InputError(SigmaswarmError, ValueError):
 
 
 class DriveError(InputError):
-    """A drive is unusable; the message names file, row, column, value and remedy."""
+    """A drive is unusable. The message names file, row, column, value and remedy."""
 
 
 class AlignmentError(DriveError):
@@ -20,15 +20,15 @@ class AlignmentError(DriveError):
 
 
 class TuningStopped(SigmaswarmError):
-    """The progress callback stopped a tuning run; a run with a folder can be resumed."""
+    """The progress callback stopped a tuning run. A run with a folder can be resumed."""
 
 
 class SigmaswarmWarning(UserWarning):
-    """Warning of a probable fault, in spite of which the computation continues."""
+    """Warning of a probable fault. The computation continues."""
 
 
 class DriveWarning(SigmaswarmWarning):
-    """Warning of an implausible drive; ``code`` is the doctor's code of the fault."""
+    """Warning of an implausible drive. ``code`` is the doctor's code of the fault."""
 
     def __init__(self, message: str, code: str = "") -> None:
         super().__init__(message)
@@ -40,6 +40,6 @@ def warn_deprecated(old: str, new: str) -> None:
 
 
 def not_installed(what: str, package: str, install: str = "") -> InputError:
-    """Return the error of a missing package; ``install`` is the argument of pip, by default the package."""
+    """Return the error for a missing package. ``install`` is the argument of pip, by default the package."""
     where = install or package.lower()
     return InputError(f"{what} needs {package}, which is not installed; run: pip install {where}")

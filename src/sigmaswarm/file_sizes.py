@@ -46,10 +46,10 @@ def require_regular(path: Path) -> None:
 
 
 def require_text(path: Path, shown_as: Path | None = None) -> tuple[bytes, int]:
-    """Reject compressed text and lines over `MAX_LINE_BYTES` bytes; return the first line and the number of lines.
+    """Refuse compressed text and lines over `MAX_LINE_BYTES` bytes. Return the first line and the number of lines.
 
-    ``shown_as``: name of the file in messages, if the file was unpacked to another place. The number of lines includes
-    empty lines, since polars reads empty lines as rows.
+    ``shown_as`` is the name of the file in messages, if the file was unpacked to another place. The number of lines
+    includes empty lines, since polars reads empty lines as rows.
     """
     require_regular(path)
     shown = shown_as or path
@@ -83,7 +83,7 @@ def read_bounded(path: Path, most: int) -> bytes:
 
 
 def read_toml_text(path: Path) -> str:
-    """Return the text of a TOML file without the byte-order mark; reject a file that would take long to parse."""
+    """Return the text of a TOML file without the byte-order mark. Refuse a file that would take long to parse."""
     content = read_bounded(path, MAX_TOML_BYTES)
     if match := _LONG_KEY.search(content):
         row = content.count(b"\n", 0, match.start()) + 1

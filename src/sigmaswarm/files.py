@@ -48,7 +48,7 @@ def write_json(path: Path, content: Any, indent: int = 2) -> None:
 
 
 def read_arrays(path: Path) -> "dict[str, NDArray[Any]]":
-    """Read all arrays of an npz file; a damaged file can raise any exception."""
+    """Read all arrays of an npz file. A damaged file can raise any exception."""
     import numpy as np  # heavy, and not needed to write text
 
     require_regular(path)
@@ -70,7 +70,7 @@ def nan_to_none(content: Any) -> Any:
 def free_path(path: Path | str, inside: str = "") -> Path:
     """Return the first path of PATH/``inside``, PATH-2/``inside``, PATH-3/``inside`` ... that does not exist.
 
-    For PATH-2 the next path is also PATH-3, not PATH-2-2, if PATH exists.
+    For PATH-2, the next path is also PATH-3, not PATH-2-2, if PATH exists.
     """
     path = Path(path)
     base = path.resolve() if path.name in ("", "..") else path
@@ -183,7 +183,7 @@ def earlier_result(folder: Path, kind: str, mark: str = "", *, alone: bool = Tru
 
 
 def add_to_result(folder: Path, name: str) -> None:
-    """Add a file to the list of a result's files, if there is a list, so that the next result replaces the file."""
+    """Add a file to a result's list of files (if it has one), so that the next result replaces the file."""
     if not (record := _result_in(folder)):
         return
     if (folder / name).exists() and name not in record["files"]:
@@ -204,12 +204,12 @@ def _result_in(folder: Path) -> dict[str, Any]:
 def staged_files(
     folder: Path, kind: str = "", mark: str = "", *, built: Sequence[str] = ()
 ) -> Generator[Path]:
-    """Yield a hidden folder for new files; when the block ends, all or none of them are moved into ``folder``.
+    """Yield a hidden folder for new files. When the block ends, all or none of them are moved into ``folder``.
 
     If this run is killed between two replacements, the next run that writes into the folder restores the old files. If
     ``kind`` is given, the files are a whole result, which replaces an earlier result (see `earlier_result`): files that
-    only the earlier result has are removed, and other files in the folder are not changed. ``built``: files that users
-    build from a result, such as programs; they are removed when the result is replaced.
+    only the earlier result has are removed, and other files in the folder are not changed. ``built`` contains files
+    that users build from a result, such as programs. They are removed when the result is replaced.
     """
     before = earlier_result(folder, kind, mark, alone=False) if kind else None
     make_folder(folder)
@@ -238,7 +238,7 @@ def staged_files(
 
 
 def _is_exported_code(file: Path) -> bool:
-    """Return True for code that sigmaswarm exported; exports of version 0.3.0 have no list of files."""
+    """Return True for code that sigmaswarm exported, since exports of version 0.3.0 have no list of files."""
     if file.suffix not in (".c", ".h", ".py", ".yaml"):
         return False
     with file.open("rb") as opened:
@@ -246,7 +246,7 @@ def _is_exported_code(file: Path) -> bool:
 
 
 def _exchange(hidden: Path, folder: Path, stale: Set[str]) -> None:
-    """Move new files to their places, and replaced and stale files aside; undo all moves if one fails."""
+    """Move new files to their places, and replaced and stale files aside. Undo all moves if one fails."""
     new, old = hidden / "new", hidden / "old"
     files = sorted(file.relative_to(new) for file in new.rglob("*") if file.is_file())
     for name in files:
@@ -305,7 +305,7 @@ class _Part(io.FileIO):
 
 @contextmanager
 def _staging(path: Path, named: Path | None = None) -> Generator[Path]:
-    """Yield a free, hidden path next to ``path``, with a locked lock file; remove both at the end.
+    """Yield a free, hidden path next to ``path``, with a locked lock file. Remove both at the end.
 
     An `OSError` about the hidden path, or about no path, is replaced by an `InputError` about ``named``.
     """
@@ -337,9 +337,9 @@ def _remove(hidden: Path) -> None:
 
 
 def _lock(file: Path, *, wait: bool = True) -> "BaseFileLock | None":
-    """Lock a file until the lock is released or the process ends; return None if the file system has no locks.
+    """Lock a file until the lock is released or the process ends. Return None if the file system has no locks.
 
-    If another run has the lock, wait; with ``wait`` = False, raise `TimeoutError`.
+    If another run has the lock, wait. With ``wait`` = False, raise `TimeoutError`.
     """
     from filelock import FileLock, Timeout  # not needed by commands that only read
 

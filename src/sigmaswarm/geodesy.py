@@ -60,7 +60,7 @@ def _turn(axis: int, angle: float) -> Array:
 
 
 def roll_pitch_yaw(rotation: Array, digits: int = 0) -> tuple[float, float, float]:
-    """Return the angles of `rotation_of` (deg), rounded; the roll is 0 if the pitch is 90 or -90 deg."""
+    """Return the angles of `rotation_of` (deg), rounded. The roll is 0 if the pitch is 90 or -90 deg."""
     level = math.hypot(rotation[0, 0], rotation[1, 0])
     roll, yaw = math.atan2(rotation[2, 1], rotation[2, 2]), math.atan2(rotation[1, 0], rotation[0, 0])
     if level < 1e-9:  # x is vertical: only yaw - roll, or yaw + roll, is determined

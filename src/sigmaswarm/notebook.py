@@ -23,14 +23,14 @@ COLORS = {"truth": "#000000", "fixes": "#009e73", "estimate": "#0072b2"}
 
 
 def number(value: float | None) -> str:
-    """Format with three significant digits, or as an integer if 1000 <= abs(value) < 1e7; a dash if None or inf."""
+    """Format with three significant digits, or as an integer if 1000 <= abs(value) < 1e7. None and inf give a dash."""
     if value is None or not math.isfinite(value):
         return "-"
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.3g}"
 
 
 def table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return an HTML table whose first column contains the row names; header cells have scopes for screen readers."""
+    """Return an HTML table whose first column contains the row names. Header cells have scopes for screen readers."""
 
     def cell(value: object) -> str:
         text = number(value) if isinstance(value, float) else str(value)
@@ -55,8 +55,8 @@ def html_list(title: str, sentences: Sequence[str]) -> str:
 def track(title: str, paths: Mapping[str, tuple[ArrayLike, ArrayLike]]) -> str:
     """Draw paths as on a map (north up, to scale), with a sentence that describes the picture.
 
-    ``paths``: arrays of positions east and north (m), shape (n,) each; NaN where a position is unknown. The path
-    ``fixes`` is drawn as dots.
+    ``paths`` contains arrays of positions east and north (m), shape (n,) each; NaN where a position is unknown. The
+    path ``fixes`` is drawn as dots.
     """
     drawn = {name: _thinned(*path) for name, path in paths.items()}
     drawn = {name: path for name, path in drawn.items() if len(path)}

@@ -51,7 +51,7 @@ def to_record(kind: type[R], content: dict[str, Any], path: Path, remedy: str = 
 
 
 def content_if_readable(path: Path) -> dict[str, Any]:
-    """Read a file like `read_content`; return an empty dictionary if the file is missing or damaged."""
+    """Read a file like `read_content`, or return an empty dictionary if the file is missing or damaged."""
     try:
         return read_content(path)
     except InputError:
@@ -61,7 +61,7 @@ def content_if_readable(path: Path) -> dict[str, Any]:
 def read_content(
     path: Path, remedy: str = DAMAGED, *, missing: str = MISSING, infinite: bool = False
 ) -> dict[str, Any]:
-    """Read a TOML, JSON or npz file as a dictionary; for the arguments see `load_record`."""
+    """Read a TOML, JSON or npz file as a dictionary. For the arguments see `load_record`."""
     try:
         if path.suffix == ".npz":
             return {**read_arrays(path)}

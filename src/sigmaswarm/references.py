@@ -163,7 +163,7 @@ def _tuned(
 ) -> FilterParameters:
     """Tune the default filter, without ``standstill``, on the fixes of the reference receiver.
 
-    With ``standstill``, a tuning on fixes with errors of a centimeter would choose a very small noise for the
+    With ``standstill``, tuning on fixes with errors of a centimeter would choose a very small noise for the
     standstill constraint. One wrongly detected standstill in an outage would move the track by meters, while the
     covariance stays small.
     """
@@ -218,7 +218,7 @@ def _taken(log: ReceiverLog, name: str, drive: Drive, options: _Options) -> Gps:
 def _std_factor(ready: PreparedDrive, parameters: FilterParameters, rng: np.random.Generator) -> float:
     """Return the factor, 1 or more, on the smoother's standard deviations.
 
-    With this factor, the 95% intervals contain 95% of the hidden fixes: see `COVERAGE`.
+    With this factor, the 95% intervals contain 95% of the hidden fixes (see `COVERAGE`).
     """
     gps, start, end = ready.drive.gps, ready.initial.time, float(ready.drive.imu.time[-1])
     off: list[Array] = []

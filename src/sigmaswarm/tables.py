@@ -44,7 +44,7 @@ class Column:
 
 @dataclass(frozen=True, repr=False)
 class Table:
-    """A table, which notebooks display; rows with indices in ``strong`` are emphasized."""
+    """A table, which notebooks display. Rows with indices in ``strong`` are emphasized."""
 
     caption: str
     columns: tuple[Column, ...]
@@ -97,8 +97,8 @@ class Table:
     def to_rich(self, *, grouped: bool = False) -> "RichTable":
         """Return the table for a terminal of 80 columns, with emphasized rows in bold.
 
-        ``grouped``: neighboring rows with the same first cell form a group, with this cell as its heading; for a
-        single group, the caption ends with this cell.
+        With ``grouped``, neighboring rows with the same first cell form a group whose heading is this cell. If there is
+        only one group, the caption ends with this cell.
         """
         from rich import box
         from rich.table import Table as RichTable
@@ -131,7 +131,7 @@ class Table:
         return drawn
 
     def _printed(self) -> list[list[str]]:
-        """Return heading and rows; the text of a joined column is added to the previous column."""
+        """Return the heading and the rows. The text of a joined column is added to the previous column."""
         lines: list[list[str]] = [[]]
         for column in self.columns:
             if column.joined:
@@ -165,7 +165,7 @@ def cell_numbers(cell: Cell) -> list[float] | None:
 
 
 def _short(digits: int, value: float) -> str:
-    """Format a value with ``digits`` significant digits; write integers in full."""
+    """Format a value with ``digits`` significant digits. Integers are written in full."""
     whole = value == int(value) or abs(value) >= 10**digits
     return f"{value:.0f}" if whole and abs(value) < 1e9 else f"{value:.{digits}g}"
 

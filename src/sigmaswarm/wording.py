@@ -14,12 +14,12 @@ REASON = ". Reason: "  # follows the remedy in these remarks
 
 
 def to_do(remedy: str, why: str) -> str:
-    """Return a remark. ``why``: a sentence on the fault, perhaps one on the consequence, then evidence."""
+    """Return a remark. ``why`` is a sentence on the fault, perhaps one on the consequence, then evidence."""
     return f"{TO_DO}{remedy}{REASON}{why}"
 
 
 def sort_remarks(remarks: Iterable[str]) -> list[str]:
-    """Sort remarks: those that require action come first."""
+    """Sort remarks so that those that require action come first."""
     return sorted(remarks, key=lambda remark: not remark.startswith(TO_DO))
 
 
@@ -37,14 +37,14 @@ def count_of(n: int, noun: str) -> str:
 
 
 def describe_change(percent: float, less: str, more: str) -> str:
-    """Compare two numbers: "12% lower than" or "equal within 0.5% to"; ``percent`` is positive for ``less``."""
+    """Compare two numbers: "12% lower than" or "equal within 0.5% to". ``percent`` is positive for ``less``."""
     if abs(percent) < 0.5:
         return "equal within 0.5% to"
     return f"{abs(percent):.0f}% {less if percent > 0 else more} than"
 
 
 def describe_pair(value: float, other: float, unit: str) -> str:
-    """Write two numbers with so many digits that they differ, at most 6."""
+    """Write two numbers with as many digits as they need to differ, at most 6."""
     for digits in range(3, 7):
         texts = f"{value:.{digits}g}", f"{other:.{digits}g}"
         if texts[0] != texts[1]:
@@ -76,7 +76,7 @@ def quoted(text: object) -> str:
 
 
 def printable_value(value: object) -> str:
-    """Format a value from a file for a message; Python does not convert integers of more than 4300 digits to text."""
+    """Format a value from a file for a message. Python does not convert integers of more than 4300 digits to text."""
     try:
         return printable(repr(value))
     except (ValueError, RecursionError):
@@ -86,7 +86,7 @@ def printable_value(value: object) -> str:
 class Mistake(NamedTuple):
     """The first error that pydantic found, for a message.
 
-    ``key`` is empty for an error of the whole record, and ``value`` is empty for a table. ``kind``: pydantic's error
+    ``key`` is empty for an error of the whole record, and ``value`` is empty for a table. ``kind`` is pydantic's error
     type.
     """
 

@@ -766,7 +766,7 @@ def test_a_drive_can_not_use_columns_that_it_lacks(sigmaswarm, here: Path, optio
     write_drive(make_drive(duration=20.0), here / "plain")
     ended = sigmaswarm("tune", "plain", "--out", "t", "--use", option)
     assert ended.code == 2
-    assert f"no {columns}, which --use {option} needs; leave {option} out" in ended.err
+    assert f"no {columns}, which --use {option} needs; omit {option}" in ended.err
     assert not (here / "t").exists()
 
 

@@ -70,7 +70,7 @@ def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
     assert consequence == ["           A filter turns left where the car turns right."]
     assert remedy == "           -> change the sign of gz (or doctor --fix)"
     assert "the integral of gz" not in ended.out
-    helps = "    (writes a copy with the repairs that help)"
+    helps = "    (writes a copy with the repairs that reduce errors)"
     assert f"\nnext: sigmaswarm doctor {sick} --fix mended{helps}\n" in ended.out
     verbose = " ".join(sigmaswarm("doctor", sick, "--verbose").out.split())
     assert (
@@ -87,11 +87,11 @@ def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
 def test_a_rejected_repair_is_not_proposed_again(sigmaswarm, sick: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("sigmaswarm.scoring.verified_repair._rejected", lambda *_: {"gyro-sign"})
     ended = sigmaswarm("doctor", sick, "--fix", "mended")
-    assert ended.code == 0 and "since with the repairs a filter predicts the fixes less" in ended.out
+    assert ended.code == 0 and "since with the repairs, a filter predicts the fixes less" in ended.out
     assert "\nnext: sigmaswarm split mended/urban-clear-00 --out parts\n" in ended.out
     ended = sigmaswarm("doctor", "mended/urban-clear-00", "--verbose")
     assert ended.code == 0 and "warning  [gyro-sign]" in ended.out
-    assert "-> no action is needed: the repair was tried, but then a filter predicts" in ended.out
+    assert "-> no action is needed: the repair was tried, but with it a filter predicts" in ended.out
     assert "repair it yourself: change the sign of gz" in " ".join(ended.out.split())
     remedies: list[tuple[str, Path | None]] = []
     with warnings.catch_warnings():

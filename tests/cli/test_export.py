@@ -297,7 +297,7 @@ def test_another_place_is_refused_for_a_drive_with_an_origin(
     if "origin" not in about.read_text():
         about.write_text("origin = [49.0, 8.4, 0.0]\n" + about.read_text())
     ended = sigmaswarm("run", tuned, "drive", "--out", "e.gpx", "--origin", "1,2")
-    assert ended.code == 2 and "leave --origin out" in ended.err
+    assert ended.code == 2 and "omit --origin" in ended.err
     assert sigmaswarm("run", tuned, "drive", "--out", "e.gpx").code == 0
 
 

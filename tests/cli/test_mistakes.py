@@ -202,7 +202,7 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     "paper-and-scale": (
         nothing,
         "tune good --out t --paper --scale log10",
-        ["scale", "'log10'", "paper's setting", "linear", "leave out"],
+        ["scale", "'log10'", "paper's setting", "linear", "omit"],
     ),
     "paper-and-racing": (nothing, "tune good --out t --paper --racing", ["racing", "paper's setting"]),
     "compare-unknown-optimizer": (

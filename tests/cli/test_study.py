@@ -68,8 +68,8 @@ def test_mistakes_about_rivals_take_one_line(sigmaswarm: Command, here: Path):
         (("--learn-minutes", "5"), "set rivals"),
         (("--elsewhere", "x"), "set rivals"),
         (("--rivals", "--learn-minutes", "1"), "learn_minutes"),
-        (("--rivals", "--per-condition"), "leave per_condition out"),
-        (("--rivals", "--cluster", "local:1"), "leave the cluster out"),
+        (("--rivals", "--per-condition"), "omit per_condition"),
+        (("--rivals", "--cluster", "local:1"), "omit the cluster"),
         (("--rivals", "--runs", "2", "--elsewhere", "none"), "none"),
     ):
         ended = sigmaswarm("study", "--out", "out", "--config", "study.toml", *arguments)

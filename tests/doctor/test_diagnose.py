@@ -297,7 +297,7 @@ def test_a_wrong_scale_of_the_gyro_is_reported_with_its_factor_and_repaired(scal
     assert serious(found) == ["gyro-scale"] * far + ["gyro-sign"] * (scale < 0)
     factor = float(one.remedy.rpartition(" ")[2])
     assert factor == pytest.approx(1 / abs(scale), rel=0.05)
-    assert f"the car turns {factor:.3g} times as far as the gyro measures" in one.what
+    assert f"the turns of the car are {factor:.3g} times those that the gyro measures" in one.what
     fixed = sigmaswarm.repair(scaled, found)
     assert "withheld" not in fixed.metadata
     np.testing.assert_allclose(fixed.imu.gz, drive.imu.gz, rtol=0.05)

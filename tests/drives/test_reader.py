@@ -201,7 +201,12 @@ BAD: dict[str, tuple[Edit, list[str]]] = {
     "few-samples": (keep_rows("imu.csv", 99), ["imu.csv", "99 samples", "too few", "at least 100"]),
     "no-positions": (
         line("gps.csv", 1, "t,east,north"),
-        ["gps.csv", "row 1", "neither columns x, y nor lat, lon", "t, east, north", "name the positions"],
+        [
+            "gps.csv",
+            "row 1",
+            "has columns t, east, north, but neither x, y nor lat, lon",
+            "name the positions",
+        ],
     ),
     "toml-invalid": (
         text("drive.toml", "name = drive"),
@@ -249,7 +254,7 @@ def test_a_stated_deviation_is_positive(folder: Path, value: str):
     read_drive(folder)
     cell("gps.csv", 8, "std_x", value)(folder)
     with pytest.raises(
-        DriveError, match=rf"gps.csv, row 8, column std_x: '{value}' is outside .*; leave the column"
+        DriveError, match=rf"gps.csv, row 8, column std_x: '{value}' is outside .*; omit the column"
     ):
         read_drive(folder)
 
@@ -267,7 +272,7 @@ def test_the_truth_s_deviations_are_positive_and_whole(folder: Path):
     assert read_drive(folder).truth.std_y[3] == 0.5
     cell("truth.csv", 8, "std_y", "0")(folder)
     with pytest.raises(
-        DriveError, match=r"truth.csv, row 8, column std_y: '0' is outside .*; leave the column"
+        DriveError, match=r"truth.csv, row 8, column std_y: '0' is outside .*; omit the column"
     ):
         read_drive(folder)
 

@@ -232,7 +232,7 @@ def test_tuning_searches_its_noise_and_rejects_a_drive_without_headings():
     assert found.parameters.heading_noise is not None
     assert baseline(driven(), found.parameters).heading_noise == pytest.approx(np.radians(0.5) ** 2)
     with pytest.raises(
-        InputError, match=r"its gps.csv has no heading, which --use heading needs; leave heading out"
+        InputError, match=r"its gps.csv has no heading, which --use heading needs; omit heading"
     ):
         tune([equipped()], use=use, **options)
 

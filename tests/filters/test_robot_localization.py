@@ -318,11 +318,11 @@ def test_constants_and_start_are_in_their_rows():
     [
         (
             {"velocity_noise": 0.1},
-            "robot-localization does not have the option velocity_noise; leave this option out",
+            "robot-localization does not have the option velocity_noise; omit this option",
         ),
         (
             {"robust_dof": 4.0, "gate": None},
-            "robot-localization does not have the option robust_dof; leave this option out",
+            "robot-localization does not have the option robust_dof; omit this option",
         ),
         ({"latency": 0.1}, "if fixes are late, set smooth_lagged_data in ekf.yaml"),
     ],

@@ -404,7 +404,7 @@ def test_a_speed_without_unit_is_compared_with_noisy_fixes_at_a_high_rate(tmp_pa
     write(tmp_path / "log" / "gps.csv", {"t": time, "lat": lat, "lon": lon, "speed": speed * scale})
     got = imported(tmp_path / "log")
     assert got.drive.gps.speed is None
-    assert any("speed is" in note and "times the speed from the positions" in note for note in got.notes)
+    assert any("speed is" in note and "times that computed from the positions" in note for note in got.notes)
 
 
 @pytest.mark.parametrize("invalid", [slice(0, 80), slice(None, None, 20), slice(None)])
@@ -915,7 +915,7 @@ def test_codes_of_an_imu_in_rows_of_equal_length_are_kinds(tmp_path: Path):
     with pytest.raises(InputError, match="rows of several kinds") as caught:
         imported(tmp_path / "log.csv")
     run(str(caught.value).partition("run: ")[2].partition(", and import")[0], tmp_path)
-    with pytest.raises(InputError, match="write headers") as caught:
+    with pytest.raises(InputError, match="add the headers") as caught:
         imported(tmp_path / "kinds")
     run(str(caught.value).partition("suggest: ")[2].partition(", and import")[0], tmp_path)
     require_same(as_proposed(tmp_path / "kinds" / "named"))

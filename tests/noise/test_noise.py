@@ -265,7 +265,7 @@ def test_a_log_without_noise_is_refused(case):
 
 def test_settings_of_an_import_are_for_logs_of_other_formats(tmp_path):
     write_drive(make_drive(duration=20.0), tmp_path / "drive")
-    with pytest.raises(InputError, match="leave the import settings out"):
+    with pytest.raises(InputError, match="omit the import settings"):
         imu_noise(tmp_path / "drive", time="stamp")
     with pytest.raises(InputError, match="the import has no setting 'tim'"):
         imu_noise(tmp_path, tim="stamp")

@@ -63,7 +63,7 @@ def test_a_log_that_does_not_show_the_error_gives_no_value():
     """The filter's sigma exceeds the expected innovations, so their difference is not an error."""
     said = describe_position(recorded(0.2, 0.4).model_copy(update={"own_sigma": 1.6}))
     assert said.startswith(
-        "unknown, since there is no truth. The filter's covariance gives 1.6 m RMS, but it is not reliable"
+        "unknown, since there is no truth. The filter's covariance corresponds to 1.6 m RMS, but it is not reliable"
     )
 
 

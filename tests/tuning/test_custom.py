@@ -279,7 +279,7 @@ def test_invalid_tunings_are_rejected(tmp_path: Path):
         ),
         (
             lambda: tune(LOGS, out=out, outage_seed=1, **SMALL),
-            "outage_seed = 1 is only possible with built-in models; leave",
+            "outage_seed = 1 is only possible with built-in models; omit",
         ),
         (
             lambda: tune(LOGS, out=out, start="t.toml", **SMALL),
@@ -287,7 +287,7 @@ def test_invalid_tunings_are_rejected(tmp_path: Path):
         ),
         (
             lambda: tune(LOGS, out=out, paper=True, **SMALL),
-            "paper = True is only possible with built-in models; leave paper",
+            "paper = True is only possible with built-in models; omit paper",
         ),
         (
             lambda: tune(LOGS, out=out, n_trials=2, **SMALL),

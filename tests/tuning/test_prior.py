@@ -36,7 +36,7 @@ def without_statement(drive: Drive) -> Drive:
 
 
 def smoothed(drive: Drive) -> Drive:
-    """Return fixes as of a smoothing receiver: relative errors of 2 cm between fixes, slow errors of 1.5 m."""
+    """Return fixes of a smoothing receiver: 2 cm of noise between fixes, slowly varying errors of 1.5 m."""
     truth, gps, rng = drive.truth, drive.gps, np.random.default_rng(7)
     assert truth is not None
     x, y = (np.interp(gps.time, truth.time, v) for v in (truth.x, truth.y))

@@ -71,7 +71,7 @@ def test_using_the_scatter_of_accurate_fixes_reduces_the_drift_on_another_part()
     assert "m per axis: with this value the baseline drifts" in said and not said.startswith(TO_DO)
     assert drift_of(test, shown) < 0.8 * drift_of(test, assumed)
     radius = [evaluate(test, t).record.radius[test.name]["tracking"].radius_95_m for t in (shown, assumed)]
-    assert radius[0] > 0.8 * radius[1]  # slow errors of the fixes can still be as large as assumed
+    assert radius[0] > 0.8 * radius[1]  # slowly varying errors of the fixes can still be as large as assumed
 
 
 def test_a_scatter_that_does_not_reduce_the_baseline_s_drift_is_not_used():
@@ -82,7 +82,7 @@ def test_a_scatter_that_does_not_reduce_the_baseline_s_drift_is_not_used():
 
 
 def test_fix_error_keeps_the_assumed_standard_deviation():
-    """The option models slow errors of the assumed size, which the scatter does not show."""
+    """The option models slowly varying errors of the assumed size, which the scatter does not show."""
     tuning = tune(with_errors(0.1, 0.0), model="planar8", kind="ekf", use=["lateral", "fix-error"], **FEW)
     assert tuning.record.shown_std is None
     assert tuning.parameters.fix_std == UNSTATED_GPS_STD
@@ -192,4 +192,4 @@ def test_splitting_a_log_that_starts_in_reverse_as_the_doctor_recommends_prevent
 )
 def test_without_given_options_no_advice_recommends_leaving_one_out(log: Callable[[], Drive]):
     found = tune(log(), trials=1, particles=4, generations=2)
-    assert not [r for r in found.remarks if "leave" in r]
+    assert not [r for r in found.remarks if "omit " in r]

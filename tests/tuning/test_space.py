@@ -146,7 +146,7 @@ def test_the_scale_of_the_stated_accuracy_belongs_to_the_noises():
 def test_incompatible_options_are_rejected(kind, use, said: str):
     with pytest.raises(InputError, match=said) as refusal:
         search_space("planar8", "log10", kind=kind, use=use)
-    assert "\n" not in str(refusal.value) and "leave" in str(refusal.value)
+    assert "\n" not in str(refusal.value) and "omit" in str(refusal.value)
 
 
 def test_the_parameters_have_the_nominal_interval():

@@ -79,10 +79,10 @@ def require_result_folder(
     overwrite: bool = True,
     option: str = "--overwrite",
 ) -> None:
-    """Raise `InputError` if ``out`` is in a drive, contains a source or files other than a result of this kind.
+    """Raise `InputError` if ``out`` is in a drive, or contains a source, or files other than a result of this kind.
 
-    Without ``overwrite``, also raise the error if ``out`` contains a result of this kind; ``option``: the option that
-    permits this. ``mark`` and ``alone``: see `earlier_result`.
+    Without ``overwrite``, also raise the error if ``out`` contains a result of this kind. ``option`` is the option that
+    permits this. For ``mark`` and ``alone`` see `earlier_result`.
     """
     from sigmaswarm.drives.writer import drive_around
     from sigmaswarm.errors import InputError

@@ -115,7 +115,7 @@ def _repair(
         output.show(f"wrote {folder}, a repaired copy ({', '.join(repaired)})")
         print_diagnosis(output, remaining, folder, printed=diagnosis)
     else:
-        worse = "with the repairs a filter predicts the fixes less accurately"
+        worse = "with the repairs, a filter predicts the fixes less accurately"
         why = worse if codes else "there is no fault that the doctor can repair"
         output.show(f"wrote {folder}, an unchanged copy, since {why}")
     return remaining, {"path": str(folder), "mended": repaired, **remaining.to_dict()}

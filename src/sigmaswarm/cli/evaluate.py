@@ -147,10 +147,10 @@ def evaluate(
 def print_evaluation(
     output: Output, evaluation: "Evaluation", more: Iterable[str] = (), unconfirmed: Iterable[str] = ()
 ) -> None:
-    """Print the mean scores and the first sentences; details are the other tables and sentences.
+    """Print the mean scores and the first sentences. The other tables and sentences are details (``--verbose``).
 
-    ``more``: additional sentences, for example the warnings of the tuning. ``unconfirmed``: drifts that are larger than
-    the baseline's on the training drives, and that the evaluation does not contain.
+    ``more`` contains additional sentences, for example the warnings of the tuning. ``unconfirmed`` contains drifts that
+    exceeded the baseline's on the training drives, and that the evaluation did not measure.
     """
     from sigmaswarm.scoring.methods import LEGEND
     from sigmaswarm.scoring.remarks import describe_drives
@@ -202,7 +202,7 @@ def _next_steps(out: Path | None, remedies: Sequence[Remedy], export: Iterable[s
 
 
 def _better_filter(result: "Evaluation", options: EvaluateOptions) -> tuple[str, ...]:
-    """Return the step that replaces the export if another method is more accurate, otherwise ()."""
+    """Return the next step if it is not the export, since another method is more accurate; otherwise ()."""
     from sigmaswarm.scoring.methods import AGAINST
     from sigmaswarm.scoring.remarks import worse_than_raw
 
@@ -266,7 +266,7 @@ def _evaluated(
 
 
 def _warn_of_drives(evaluation: "Evaluation", tuning: "TuningRecord") -> None:
-    """Warn about drives that the tuning used, and drives with other sensors than the training drives."""
+    """Warn about drives that the tuning used, and drives with sensors other than those of the training drives."""
     from sigmaswarm.scoring.remarks import describe_training_drives, other_sensors
 
     for result in evaluation.drives.values():

@@ -43,10 +43,10 @@ class ExportOptions:
     replay
         c99: also write this drive as replay.csv, the input of the program replay.c.
     check
-        c99: compare the C library with `sigmaswarm run` on these drives. Model robot-localization: write the filter's
+        c99: compare the C library with `sigmaswarm run` on these drives. For robot-localization, write the filter's
         errors into README.md.
     against
-        With --check and the model robot-localization: another tuning; the errors of its filter are added to README.md.
+        With --check and the model robot-localization, another tuning: the errors of its filter are added to README.md.
     lanes
         c99: number of filters in the exported bank, 1 to 16. This bank does not search for better parameters.
     seed
@@ -82,7 +82,8 @@ def export(
         sigmaswarm export tuned --to robot_localization --out ekf --check drives/friday --against tuned-tilted12
     """
     to, out = target_named(options.to), options.out
-    # before the imports, which take seconds; the user's own files are checked when the names of the exported are known
+    # before the imports, which take seconds; the user's own files are checked when the names of the exported files are
+    # known
     require_result_folder(out, [], f"export to {to}", alone=False, overwrite=options.overwrite)
     from sigmaswarm.exports.check import check_export
     from sigmaswarm.exports.targets import export_texts, write_texts
@@ -123,15 +124,15 @@ def export(
 def _check_options(options: ExportOptions, *, ros: bool) -> None:
     """Raise `InputError` for options that the target does not have.
 
-    ``ros``: True if a filter with the model robot-localization is exported as YAML.
+    ``ros`` is True if a filter with the model robot-localization is exported as YAML.
     """
     if options.check and options.to != "c99" and not ros:
         raise sigmaswarm.InputError(
-            "--check needs --to c99 or a tuning of the model robot-localization; leave --check out"
+            "--check needs --to c99 or a tuning of the model robot-localization; omit --check"
         )
     if options.against and not (options.check and ros):
         raise sigmaswarm.InputError(
-            "--against needs --check and a tuning of the model robot-localization; leave --against out"
+            "--against needs --check and a tuning of the model robot-localization; omit --against"
         )
 
 

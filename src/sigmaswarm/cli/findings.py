@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from sigmaswarm.drives.reader import Location
 
 Remedy = tuple[str, Path | None]
-"""Command that repairs or shows the faults in a drive; folder of the repaired copy, or None if there is no copy."""
+"""Command that repairs or shows the faults in a drive, and folder of the repaired copy (None if there is no copy)."""
 
 
 def print_diagnosis(
@@ -29,8 +29,8 @@ def print_diagnosis(
 ) -> None:
     """Print the findings about a drive; notes are printed only with ``--verbose``.
 
-    ``folder``: folder of the drive, for commands in remedies. ``printed``: diagnosis of the original of a copy, whose
-    findings are not printed again.
+    ``folder`` is the folder of the drive, for commands in remedies. For a copy, ``printed`` is the diagnosis of the
+    original, whose findings are not printed again.
     """
     known = {(f.code, f.what) for f in printed.findings} if printed else set[tuple[str, str]]()
     faults = [f for f in diagnosis.findings if f.severity != "note"]
@@ -49,7 +49,7 @@ def print_diagnosis(
 
 
 def _problem(finding: "Finding", folder: "Location | None", *, part: bool) -> Remark:
-    """Convert a finding to a remark; ``part``: True for a part of a split drive, which is not repaired alone."""
+    """Convert a finding to a remark. ``part`` is True for a part of a split drive, which is not repaired alone."""
     remedy = finding.remedy
     if folder is not None and finding.command:
         remedy = remedy.replace(finding.command, _with_names(finding.command, folder))
@@ -71,8 +71,8 @@ def warn_of_serious(
 ) -> list[Remedy]:
     """Warn about faults, in one warning per drive; return the remedies for serious faults.
 
-    A warning lists the serious faults or, if there are none, the doctor's warnings that need an action. ``printed``:
-    codes of faults that were printed before.
+    A warning lists the serious faults or, if there are none, the doctor's warnings that need an action. ``printed``
+    contains the codes of faults that were printed before.
     """
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.errors import SigmaswarmWarning
@@ -206,7 +206,7 @@ def _doctor(folder: "Location") -> str:
 
 
 def repair_whole(diagnosis: "Diagnosis", part: "Location") -> "tuple[list[str], Location]":
-    """Return the steps that repair the whole drive of a part, and the folder of that drive (if unknown, of the part).
+    """Return the steps that repair the whole drive of a part, and the folder of this drive (of the part, if unknown).
 
     There are no steps if the drive needs no repair.
     """
@@ -233,7 +233,7 @@ def too_short_for_outages(drive: "Drive") -> str:
 
 
 def velocity_options(diagnosis: "Diagnosis") -> str:
-    """Return the options of `tune` that add the receiver's velocity, if it agrees with the positions; else ""."""
+    """Return the options of `tune` that add the receiver's velocity, if it agrees with the positions; otherwise ""."""
     use = " ".join(finding.what for finding in diagnosis.findings if finding.code == "use")
     options = re.search(r"write (--use .*)$", use)
     return options[1] if options and "velocity" in options[1].split() else ""
@@ -270,7 +270,7 @@ def next_steps(diagnosis: "Diagnosis", out: Path, drive: "Drive") -> Iterator[st
     elif part != "test" and (short := too_short_for_outages(drive)):
         yield f"next: use a longer drive; {short}"
         return
-    why = "    (writes a copy with the repairs that help)" * (" --fix " in repair)
+    why = "    (writes a copy with the repairs that reduce errors)" * (" --fix " in repair)
     yield from [f"next: {repair}{why}"] if repair else []
     then, place = "then" if repair else "next", shlex.quote(str(ready))
     if part == "test":

@@ -56,7 +56,7 @@ class ImportOptions:
     odometer
         Log of the wheel speed, if SOURCE does not contain it.
     map
-        Columns of the drive as column=expression: "ax=-acc_y*9.80665", "gps.t=stamp"; "az=" leaves a column out.
+        Columns of the drive as column=expression: "ax=-acc_y*9.80665", "gps.t=stamp"; "az=" omits a column.
     time
         Expression for the times, s, in the tables of SOURCE, such as "stamp*1e-9" or "utc(date)".
     recipe
@@ -376,7 +376,7 @@ def _command(inspection: "Inspection", options: ImportOptions) -> str:
 
 
 def _columns(preview: "TablePreview") -> Iterator[str]:
-    """Yield a line for each column with a value other than 0: lowest, median and highest value, or an example."""
+    """Yield a line for each column that is not always 0: lowest, median and highest value, or an example."""
     varying = [r for r in preview.ranges if r.low or r.high or r.low is None]
     width = max((len(printable(r.column)) for r in varying), default=0)
     for r in varying:

@@ -61,8 +61,9 @@ def options_of(
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Add fields as options to a command, which receives the options of the user as ``**options``.
 
-    ``shown``: fields in the short help, by default all. ``omitted``: fields that are not options. ``by_data``: fields
-    with a default that depends on the data. ``renamed``: the current name of each deprecated name.
+    ``shown`` contains the fields in the short help, by default all. ``omitted`` contains fields that are not options.
+    ``by_data`` contains fields with a default that depends on the data. ``renamed`` contains the current name of each
+    deprecated name.
     """
     old = {new: name for name, new in (renamed or {}).items()}
     added = {
@@ -99,8 +100,8 @@ def _annotation(name: str, field: FieldInfo, old: str | None, shown: bool, const
 
     For a union, the command line accepts only the first type that is not None.
 
-    ``old``: deprecated name. ``shown``: True for an option in the short help. ``constant``: False for a default that
-    depends on the data.
+    ``old`` is the deprecated name. ``shown`` is True for an option in the short help. ``constant`` is False for a
+    default that depends on the data.
     """
     kind, option = field.annotation, f"--{name.replace('_', '-')}"
     if get_origin(kind) in (Union, UnionType):

@@ -15,7 +15,7 @@ _STYLES = {"serious": "bold red", "to do": "bold red", "warning": "yellow", "not
 class Remark(NamedTuple):
     """A fact, its consequence, the remedy, and the evidence, which is printed only with ``--verbose``.
 
-    ``label``: a key of `_STYLES`, or "" for a result.
+    ``label`` is a key of `_STYLES`, or "" for a result.
     """
 
     label: str
@@ -26,7 +26,10 @@ class Remark(NamedTuple):
 
     @classmethod
     def of(cls, text: str, label: str = "") -> "Remark":
-        """Split a text into the fact, its consequence and the evidence; a text of `to_do` begins with the remedy."""
+        """Split a text into the fact, its consequence and the evidence.
+
+        A text that `to_do` made begins with the remedy.
+        """
         remedy, _, why = text.partition(REASON) if text.startswith(TO_DO) else ("", "", text)
         label = "to do" if remedy else label
         # without a label the text is whole sentences, which may begin with the name of a drive
@@ -37,7 +40,7 @@ class Remark(NamedTuple):
 class Output:
     """Print the output of a command; only this class decides what is printed without ``--verbose``.
 
-    ``silent``: print nothing, for the option ``--json``.
+    If ``silent`` is True, nothing is printed; this is for the option ``--json``.
     """
 
     def __init__(self, *, verbose: bool, silent: bool = False) -> None:
@@ -75,7 +78,7 @@ class Output:
     def next(self, *lines: object, place: object = "") -> None:
         """Name the hidden details, and print the next commands.
 
-        ``place``: a file with the details, or a command that prints them; by default the same command with
+        ``place`` is a file with the details, or a command that prints them. By default, it is the same command with
         ``--verbose``.
         """
         hidden = [
@@ -88,7 +91,7 @@ class Output:
 
 
 def _drawn(line: object, verbose: bool) -> object:
-    """Format a remark; the remedy is one line, so that a command in it can be copied."""
+    """Format a remark. The remedy is one line, so that a command in it can be copied."""
     from rich.text import Text
 
     if not isinstance(line, Remark):

@@ -64,8 +64,8 @@ def name_training_files(
 ) -> list[str]:
     """Replace drive.toml in remarks by the path of the file of the first training drive.
 
-    ``names``: names of the training drives, which are sought next to the evaluated drives. If none is found, add the
-    name of the first training drive.
+    ``names`` are the names of the training drives, which are sought in the folders of the evaluated drives. If none is
+    found, the name of the first training drive is added.
     """
     from sigmaswarm.drives.split import description_of
 

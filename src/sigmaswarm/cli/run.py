@@ -117,7 +117,7 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
     place = _place(options.origin) if options.origin else None
     tuned, read = TunedFilter.read(tuning), read_silently(drive)
     if place and read.origin:
-        raise InputError(f"{drive}: already has an origin; leave --origin out")
+        raise InputError(f"{drive}: already has an origin; omit --origin")
     target: dict[str, Any] = {"origin": place or read.origin, "time_origin": time_origin_of(read)}
     true = true_trajectory(read) if truth else None
     banks, replace = _bank_files(out) if options.bank else (), options.overwrite
@@ -157,7 +157,7 @@ def _check_options(tuning: Path, drive: Path, options: RunOptions) -> None:
             raise InputError(f"{file}: is a file of the drive that this command reads; choose another file")
     if options.smooth and options.bank:
         raise InputError(
-            "--smooth and --bank can't be combined, since a filter bank can't be smoothed; leave one option out"
+            "--smooth and --bank can't be combined, since a filter bank can't be smoothed; omit one option"
         )
     command = f"sigmaswarm run TUNING {quote(str(tuning))} --out {quote(str(options.out))}"
     require_tuning(tuning, f"pass the tuning first, as in {command}")

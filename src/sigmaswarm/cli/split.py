@@ -52,7 +52,7 @@ def split(
         raise sigmaswarm.InputError("specify --at or --train-fraction, not both")
     if at is not None and len(at) > 2:
         raise sigmaswarm.InputError(
-            f"--at has {len(at)} times; specify one time, or two times to leave out the part between them"
+            f"--at has {len(at)} times; specify one time, or two times to omit the part between them"
         )
     from sigmaswarm.drives.split import is_repaired_alone
 
@@ -101,7 +101,7 @@ def _longest_part(whole: "sigmaswarm.Drive", at: list[float]) -> "sigmaswarm.Dri
 
 
 def _options(train_fraction: float | None, at: list[float] | None) -> list[str]:
-    """Return the options that split the repaired drive in the same way."""
+    """Return the options with which the repaired drive is split in the same way."""
     if at:
         return ["--at", *(f"{time:.12g}" for time in at)]
     return [] if train_fraction is None else ["--train-fraction", f"{train_fraction:g}"]

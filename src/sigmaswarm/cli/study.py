@@ -63,8 +63,8 @@ def study(*, out: Path, options: Annotated[StudyOptions, FIELDS] = StudyOptions(
 
     In each trial, --rivals also tunes a fuzzy UKF, tunes a UKF by Bayesian optimization (at most 100 evaluations), and
     trains outage-lstm and noise-gru for planar8. The option adds the drifts over outages of 15, 30 and 60 s, scores on
-    drives with other sensors and with another car, and learning curves. It needs
-    `pip install 'sigmaswarm[learned,bo]'`.
+    drives with other sensors and with another car, and learning curves. It needs `pip install
+    'sigmaswarm[learned,bo]'`.
 
     For example:
 

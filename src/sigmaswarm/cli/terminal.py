@@ -20,7 +20,7 @@ MIN_COLUMNS = 20  # characters, smallest width of a terminal in which tables are
 
 
 def prepare() -> None:
-    """Let the streams escape characters that they cannot encode; ignore a value of COLUMNS below `MIN_COLUMNS`."""
+    """Let the streams escape characters that they cannot encode. Ignore a value of COLUMNS below `MIN_COLUMNS`."""
     for stream in (sys.stdout, sys.stderr):
         if reconfigure := getattr(stream, "reconfigure", None):  # a closed stream is None
             reconfigure(errors="backslashreplace")
@@ -67,7 +67,7 @@ def print_lines(*lines: object, file: IO[str] | None = None) -> None:
 
 
 def one_line(text: object) -> str:
-    """Return a message as one line with escaped control characters; shorten it if it exceeds `MAX_LINE_LENGTH`."""
+    """Return a message as one line with escaped control characters, shortened to `MAX_LINE_LENGTH`."""
     line = escape_controls(" ".join(str(text).split()))
     half = MAX_LINE_LENGTH // 2
     return line if len(line) <= MAX_LINE_LENGTH else f"{line[:half]} ... {line[-half:]}"
@@ -94,7 +94,7 @@ def tuning_progress(title: str) -> "Generator[Callable[[TuningProgress], None]]"
 def progress_bar(
     title: str, counted: str = "", waiting: str = "", **fields: Any
 ) -> Generator[Callable[..., None]]:
-    """Show a bar and the remaining time on stderr; yield a function that updates the bar with done, total and fields.
+    """Show a bar and the remaining time on stderr. Yield a function that updates the bar with done, total and fields.
 
     The bar appears at the first update, so that an earlier error prints only one line. Before the first update, a
     terminal shows ``waiting``. If ``counted`` is empty, the bar shows a percentage.

@@ -101,7 +101,7 @@ def tune(
         velocity        use the receiver's speed and course
         lateral         assume that the car does not slide sideways
         slip            with lateral: model the sideways slip of the tires
-        standstill      assume zero velocity while the car stands
+        standstill      assume zero velocity while the car is stationary
         odometer        use the wheel speed
         heading         use the heading from two antennas or a compass
         gate            reject fixes that are far from the prediction
@@ -151,7 +151,7 @@ def tune(
         steps = [f"next: {check}    (then tune with more --trials, or on other drives)"]
     else:
         first = any(remark.startswith(TO_DO) for remark in tuning.remarks)
-        steps = ['first: follow "to do" above, or go on with this filter:'] * first + following
+        steps = ['first: follow "to do" above, or continue with this filter:'] * first + following
     output.next(*steps, place=out / DETAILS_FILE)
 
 
@@ -214,7 +214,7 @@ def _print_tuning(output: Output, tuning: "Tuning[Any]", track: "FirstTrack", gi
 def _larger_drifts(record: "TuningRecord", proposed: tuple[str, float] | None = None) -> Iterator[Remark]:
     """Yield a warning for each method that drifts less than the tuned filter.
 
-    ``proposed``: name and duration (s) of the drive in the proposed evaluation.
+    ``proposed`` contains name and duration (s) of the drive in the proposed evaluation.
     """
     from sigmaswarm.scoring.targets import OUTAGE_FIRST_AFTER
 
@@ -235,7 +235,7 @@ def _larger_drifts(record: "TuningRecord", proposed: tuple[str, float] | None = 
 
 
 def _other_part(folders: Sequence[Path], record: "TuningRecord") -> tuple[str, float] | None:
-    """Return name and duration (s) of the other part of the drive if the filter was tuned on one part of it."""
+    """If the filter was tuned on one part of a drive, return name and duration (s) of the other part."""
     from sigmaswarm.drives.description import cut_of
     from sigmaswarm.drives.split import description_of, name_of_other
 
@@ -263,9 +263,9 @@ def _velocity_agrees(drive: "Drive") -> bool:
 def _with_velocity(
     given: Places, config: TuneConfig, read: "Dataset", stated: Mapping[str, Any]
 ) -> list[str]:
-    """Suggest a second tuning with the receiver's velocity, if the first lacks it, and model and logs permit its use.
+    """Suggest a second tuning with the receiver's velocity if the first does not use it, but model and logs permit it.
 
-    ``stated``: the options that the user gave for the first tuning; the second tuning has the same options.
+    ``stated`` contains the options that the user gave for the first tuning. The second tuning has the same options.
     """
     from sigmaswarm.filters.models import MODELS  # imports NumPy, which would slow down the help
 
@@ -313,9 +313,9 @@ def _evaluate(out: Path, drive: Path | None = None) -> str:
 
 
 def _next(out: Path, given: str, name: str, *, part: bool) -> tuple[str, list[str]]:
-    """Return the command that evaluates a filter tuned on one drive; for a whole drive, also lines on how to split it.
+    """Return the command that evaluates a filter tuned on one drive, and, for a whole drive, lines on how to split it.
 
-    ``given``: path of the drive; ``name``: its name; ``part``: True for a part of a split drive.
+    ``given`` is the path of the drive and ``name`` is its name. ``part`` is True for a part of a split drive.
     """
     from sigmaswarm.drives.reader import drive_folders
     from sigmaswarm.drives.split import name_of_other

@@ -140,8 +140,8 @@ def _scheduler(address: str) -> str:
     if "://" in address:
         if not re.fullmatch(r"(?!tls)\w+://.+:\d+", address):
             raise InputError(
-                f"--cluster {address}: is not an address like tcp://host:8786; write it in this form, or for a cluster "
-                "with certificates create a Client in Python and pass it as cluster="
+                f"--cluster {address}: is not an address like tcp://host:8786; write it in this form or, for a cluster "
+                "with certificates, create a Client in Python and pass it as cluster="
             )
         return address
     if not Path(address).is_file():
@@ -218,7 +218,7 @@ class CachedDrive:
 
 
 class DriveCache:
-    """The drives of a worker; if their size exceeds ``memory`` (bytes), the least recently used drives are dropped."""
+    """The drives of a worker. If their size exceeds ``memory`` (bytes), the least recently used drives are dropped."""
 
     def __init__(self, worker: str, threads: int, memory: float) -> None:
         self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
@@ -227,7 +227,7 @@ class DriveCache:
         self._lock = threading.Lock()
 
     def get(self, sources: Mapping[str, Source | None]) -> list[CachedDrive] | None:
-        """Return the drives with the keys of ``sources``; return None if a drive is not cached and has no source.
+        """Return the drives with the keys of ``sources``, or None if a drive is not cached and has no source.
 
         Raises
         ------
@@ -267,12 +267,12 @@ def in_gb(size: float) -> str:
 
 
 _caches: dict[str, DriveCache] = {}
-"""Caches by the address of the worker; in a cluster whose workers are threads, a process has several workers."""
+"""Caches by the address of the worker. In a cluster whose workers are threads, a process has several workers."""
 _caches_lock = threading.Lock()
 
 
 def run_task(call: bytes, sources: bytes, address: str) -> Any:
-    """Call a function with drives of this worker; return None if it needs sources that were not sent."""
+    """Call a function with drives of this worker. Return None if it needs sources that were not sent."""
     from distributed import get_worker
     from distributed.system import MEMORY_LIMIT
 
@@ -297,7 +297,7 @@ def run_task(call: bytes, sources: bytes, address: str) -> Any:
 def apply_to_each(
     drives: Sequence[CachedDrive], pool: Executor | None, function: Callable[[CachedDrive], Any]
 ) -> list[Any]:
-    """Apply a function to each drive; an `InputError` becomes a `Failure`."""
+    """Apply a function to each drive. An `InputError` becomes a `Failure`."""
 
     def attempt(drive: CachedDrive) -> Any:
         try:

@@ -32,7 +32,7 @@ class Dataset(Protocol):
 
 
 Drives = Sequence[Drive | Location] | Drive | Location | Dataset
-"""Types of the argument ``drives`` of functions; paths and URLs are accepted only with a cluster."""
+"""Types of the argument ``drives`` of functions. Paths and URLs are accepted only with a cluster."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +58,12 @@ def make_datasets(
     executor: Executor | None = None,
     takes: str = "Drives are needed",
 ) -> list[Dataset]:
-    """Make a dataset from each group of drives; the workers of a cluster read the drives in parallel.
+    """Make a dataset from each group of drives. The workers of a cluster read the drives in parallel.
 
     Parameters
     ----------
     *groups
-        Each group is a Drive, a sequence of Drives, or a dataset; with a cluster also paths and URLs.
+        Each group is a Drive, a sequence of Drives, or a dataset. With a cluster, paths and URLs are also possible.
     takes : str
         The input that the calling function accepts, for messages.
 
@@ -74,7 +74,7 @@ def make_datasets(
     """
     if cluster is not None and executor is not None:
         raise InputError(
-            "executor and cluster can't be combined, since a cluster distributes the work itself; leave one option out"
+            "executor and cluster can't be combined, since a cluster distributes the work itself; omit one option"
         )
     given = [_listed(group, cluster, takes) for group in groups]
     lists = [group for group in given if isinstance(group, list)]

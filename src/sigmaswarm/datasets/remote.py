@@ -42,7 +42,7 @@ MAX_NAMED_DRIVES = 10  # largest number of drives named in a message
 
 
 class Assignment:
-    """Assignment of drives to the workers of a cluster; shared by all subsets of a dataset."""
+    """Assignment of drives to the workers of a cluster, which all subsets of a dataset share."""
 
     def __init__(self, cluster: Cluster, sources: Sequence[Source]) -> None:
         self.cluster, self.sources = cluster, sources
@@ -86,7 +86,7 @@ class Assignment:
     def _usable_workers(self) -> dict[str, int]:
         """Return the workers whose software versions are those of the client.
 
-        Raise an error for a worker with other versions if no worker has been used yet; later, warn and leave this
+        Raise an error for a worker with other versions if no worker has been used yet. Later, warn and leave this
         worker out.
         """
         present = self.cluster.workers()
@@ -99,7 +99,7 @@ class Assignment:
         return {address: threads for address, threads in present.items() if address not in self._refused}
 
     def submit(self, worker: str, call: bytes, drives: Sequence[int], *, with_sources: bool = False) -> Any:
-        """Submit a task to a worker; sources are sent only if the worker has requested them."""
+        """Submit a task to a worker. Sources are sent only if the worker has requested them."""
         from dask import config
         from distributed.protocol.pickle import dumps
 
@@ -110,7 +110,7 @@ class Assignment:
             return self.cluster.client.submit(run_task, call, sources, worker, **where)
 
     def result(self, worker: str, call: bytes, drives: Sequence[int], task: Any) -> Any:
-        """Wait for the result of a task and return it; return None if the worker is lost."""
+        """Wait for the result of a task and return it. Return None if the worker is lost."""
         while True:
             try:
                 answer = task.result(timeout=POLL_INTERVAL)
@@ -164,7 +164,7 @@ class RemoteDataset:
         return RemoteDataset(self.assignment, tuple(self.indices[i] for i in indices))
 
     def call(self, function: Callable[..., T], *arguments: Any) -> list[tuple[list[int], T]]:
-        """Call a function once on each worker; return, for each call, the indices of the drives and the result.
+        """Call a function once on each worker. Return, for each call, the indices of the drives and the result.
 
         The function takes a list of `CachedDrive`, an Executor or None, and the arguments, and must not return None.
         """
@@ -194,12 +194,12 @@ class RemoteDataset:
         Raises
         ------
         InputError
-            If the function raises this error; several errors become one `DriveError` that names the drives.
+            If the function raises this error. Several errors become one `DriveError` that names the drives.
         """
         return results_in_order(self.call(apply_to_each, partial(_with_drive, function)))
 
     def imap(self, function: Callable[[Drive], T]) -> Iterator[T]:
-        """Apply a function with one task per drive; later tasks already run while the caller uses a result."""
+        """Apply a function with one task per drive. Later tasks already run while the caller uses a result."""
 
         def one(index: int) -> T:
             return self.subset([index]).map(function)[0]
@@ -217,12 +217,12 @@ def _with_drive(function: Callable[[Drive], T], cached: CachedDrive) -> T:
 def remote_datasets(
     cluster: Cluster, groups: Sequence[Iterable[Any]], *, progress: ReadProgress | None = None
 ) -> tuple[list[RemoteDataset], list[SigmaswarmWarning]]:
-    """Let the workers read groups of drives, paths, URLs or `Source`; return a dataset for each group, and warnings.
+    """Let the workers read groups of drives, paths, URLs or `Source`. Return a dataset for each group, and warnings.
 
     Raises
     ------
     DriveError
-        If drives can't be read; the message names all of them.
+        If drives can't be read. The message names all of them.
     ClusterError
         If a worker's software versions differ from those of the client, or the drives of a worker exceed its memory.
     """
@@ -271,7 +271,7 @@ def _with_no_warnings(drive: Drive) -> tuple[Drive, list[SigmaswarmWarning]]:
 
 
 def results_in_order(answers: Iterable[tuple[list[int], Sequence[Any]]]) -> list[Any]:
-    """Return the results of `apply_to_each` in the order of the drives; raise one error for all failures."""
+    """Return the results of `apply_to_each` in the order of the drives. Raise one error for all failures."""
     by_drive: dict[int, Any] = {}
     for indices, results in answers:
         by_drive |= zip(indices, results, strict=True)

@@ -4,8 +4,8 @@ In windows of several seconds, the IMU determines the path, integrated from an u
 
     p(t) = p0 + v0 t + double integral of e^(i theta) (M u + b),   u = (ax, ay) as recorded
 
-Vectors (2,) are also read as complex numbers, x + i y. The fixes show this path with a delay of ``delay`` s. Course and
-gyro give the heading theta. M (2, 2) and ``delay`` are common to all windows; p0, v0 and b (tilt, slope, bias) differ
+Vectors (2,) are also complex numbers, x + i y. The fixes show this path with a delay of ``delay`` s. Course and gyro
+determine the heading theta. M (2, 2) and ``delay`` are common to all windows; p0, v0 and b (tilt, slope, bias) differ
 between windows. The mean of b is also fitted. For a log without faults, M is the identity.
 """
 
@@ -71,12 +71,12 @@ def _off_course(time: Array, course: Course, rate: Array, delay: float) -> tuple
 def gyro_heading(time: Array, course: Course, rate: Array, delay: float) -> Array:
     """Return the heading (n,), rad, at the IMU's times: the gyro's integral, aligned with the course near each time.
 
-    ``rate`` (n,): yaw rate, rad/s, with correct sign and unit; ``delay``: delay of the fixes, s.
+    ``rate`` (n,) is the yaw rate, rad/s, with correct sign and unit. ``delay`` is the delay of the fixes, s.
     """
     turned, off = _off_course(time, course, rate + gyro_drift(time, course, rate, delay), delay)
     at, speed = course.time[course.moving], np.abs(course.velocity[course.moving])
     jump = np.append(0.0, np.cumsum(np.round(np.diff(off) / (2 * np.pi)))) * 2 * np.pi
-    off = off - jump  # the course may turn by whole circles while the car stands
+    off = off - jump  # the course may turn by whole circles while the car is stationary
     bin_of = ((at - at[0]) // BIN).astype(np.intp)
     bell = np.exp(-0.5 * (np.arange(-6, 7) * BIN / DRIFT_SPAN) ** 2)
     # The course of a faster car is more accurate.
@@ -86,7 +86,7 @@ def gyro_heading(time: Array, course: Course, rate: Array, delay: float) -> Arra
 
 
 def gyro_drift(time: Array, course: Course, rate: Array, delay: float) -> float:
-    """Return minus the gyro's bias, rad/s, estimated from the drift between the course and the integrated yaw rate."""
+    """Return the negative gyro bias, rad/s, estimated from the drift between the course and the integrated yaw rate."""
     _, off = _off_course(time, course, rate, delay)
     step = max(round(DRIFT_SPAN / course.interval), 1)
     if len(off) <= step:
@@ -98,10 +98,10 @@ def gyro_drift(time: Array, course: Course, rate: Array, delay: float) -> float:
 def fit_acceleration(
     drive: Drive, course: Course, rate: Array, tried: Array = DELAYS, known: tuple[float, float] | None = None
 ) -> AccelerationFit | None:
-    """Fit the IMU's path to the fixes; return None if no window is usable.
+    """Fit the IMU's path to the fixes. Return None if no window is usable.
 
-    ``rate`` (n,): yaw rate, rad/s; ``tried``: initial values of the delay, s; ``known``: the delay and its standard
-    deviation, s, from other data; turns at constant speed hardly distinguish the delay from M.
+    ``rate`` (n,) is the yaw rate, rad/s. ``tried`` contains initial values of the delay, s. ``known`` is the delay with
+    its standard deviation, s, from other data, since turns at constant speed hardly distinguish the delay from M.
     """
     rows = usable_windows(drive.imu.time, course, WINDOW)
     if not len(rows):
@@ -241,7 +241,7 @@ def expected_matrix(axes: Array, unit: float, angles: Array) -> tuple[Array, Arr
 def planar_mounting(fit: AccelerationFit) -> PlanarMounting:
     """Return the assignment of columns, signs and unit to the car's axes with the least chi-square.
 
-    Assignments that differ from the recorded assignment have a penalty, and must lower chi-square by `MIN_LEAD`.
+    Any assignment other than the recorded one has a penalty, and must lower chi-square by `MIN_LEAD`.
     """
     covariance, as_recorded = fit.covariance[:4, :4], np.eye(2)
     spread = np.sqrt(np.diag(covariance)).reshape(2, 2)

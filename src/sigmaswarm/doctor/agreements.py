@@ -69,7 +69,7 @@ def agreements(drive: Drive) -> tuple[Agreement, ...]:
     Returns
     -------
     tuple of Agreement
-        If the fixes have no course, agreements that need a moving vehicle are missing.
+        If the fixes have no course, agreements that require a moving vehicle are missing.
     """
     times = {"IMU": drive.imu.time, "fixes": drive.gps.time}
     steps = {name: (time[1:], np.diff(time)) for name, time in times.items()}
@@ -122,7 +122,7 @@ def _of_motion(drive: Drive) -> Iterator[Agreement]:
 def _turning(drive: Drive, course: Course, moving: Mask) -> Agreement:
     """Compare the integral of gz, without its bias, with the course.
 
-    Each part of the course between stops is shifted to the mean of the integral.
+    Each part of the course between stops is shifted so that its mean equals that of the integral.
     """
     imu, at = drive.imu, course.time[moving]
     track = np.unwrap(np.angle(course.velocity[moving]))

@@ -1,10 +1,10 @@
 """Estimate offset and drift between the clocks of IMU and fixes.
 
 The offset is the delay of the fixes that the fits show, up to 2.5 s. With an IMU of six axes, `leveled_delay` is more
-accurate: the gyro measures the changes of tilt, while `acceleration_fit` explains them by a constant per window, so its
-windows are short. Windows that are twice as long contain larger changes of speed, which determine the delay.
-`search_offset` finds offsets of up to 40 s, at which the turns of the gyro match those of the course. `clock_drift`
-fits the delay of the course in turns along a drive.
+accurate, since the gyro measures the changes of tilt. `acceleration_fit` explains these changes by a constant per
+window, so its windows must be short. Windows of twice this length contain larger changes of speed, which determine the
+delay. `search_offset` finds offsets of up to 40 s, at which the turns of the gyro match those of the course.
+`clock_drift` fits the delay of the course in turns along a drive.
 """
 
 import math
@@ -100,7 +100,7 @@ class ClockOffset:
         return (low, high) if max(-low, high) < self.max_offset else None
 
     def refined(self, delay: float, std: float) -> "ClockOffset":
-        """Return another estimate from the same data if it is more accurate and agrees with this one, else this one."""
+        """Return another estimate from the same data if it is more accurate and agrees with this one; else this one."""
         agrees = abs(delay - self.delay) < MAX_CONTRADICTION * math.hypot(std, self.std)
         return ClockOffset(delay, std, self.max_offset) if std < self.std and agrees else self
 
@@ -108,7 +108,7 @@ class ClockOffset:
 def clock_of(
     yaw_fit: YawFit | None, yaw: Yaw, acceleration: AccelerationFit | None, mount: PlanarMounting | None
 ) -> ClockOffset:
-    """Combine the delays that accelerometers and gyro show; their difference increases the standard deviation."""
+    """Combine the delays that accelerometers and gyro show. Their difference increases the standard deviation."""
     found: list[tuple[float, float]] = []
     max_offset = float(DELAYS[-1])
     if acceleration and mount and any(mount.known) and acceleration.varied > MIN_VARIED:
@@ -130,7 +130,7 @@ def clock_of(
 
 
 def leveled_delay(drive: Drive, course: Course, delay: float) -> tuple[float, float] | None:
-    """Return the delay of the fixes and its standard deviation, s; None if the drive does not determine them.
+    """Return the delay of the fixes and its standard deviation, s, or None if the drive does not determine them.
 
     The acceleration, east + i north, is
 
@@ -140,7 +140,7 @@ def leveled_delay(drive: Drive, course: Course, delay: float) -> tuple[float, fl
     windows. Each window has its own parabola, for its initial position, speed and tilt. The IMU must have the vehicle's
     axes.
 
-    ``delay``: initial value, s.
+    ``delay`` is the initial value, s.
     """
     imu, rows = drive.imu, usable_windows(drive.imu.time, course, LEVELED_WINDOW)
     if imu.gx is None or imu.gy is None or len(rows) < MIN_LEVELED_WINDOWS:
@@ -177,7 +177,7 @@ def leveled_delay(drive: Drive, course: Course, delay: float) -> tuple[float, fl
 def search_offset(drive: Drive, course: Course, *, scaled: bool = False) -> float | None:
     """Find the delay of the fixes, s; None if no delay is significant.
 
-    ``scaled``: also accept any factor of the yaw rate, and a yaw rate in column gx or gy.
+    If ``scaled``, also accept any factor of the yaw rate, and a yaw rate in column gx or gy.
     """
     imu, at = drive.imu, course.time
     first, last = _pairs(course)
@@ -236,12 +236,12 @@ class ClockDrift:
 
 
 def clock_drift(drive: Drive, course: Course, fit: YawFit, yaw: Yaw, fix_noise: float) -> ClockDrift | None:
-    """Fit a delay a + b t of the fixes, at which the gyro follows the course in all turns; None if b is insignificant.
+    """Fit a delay a + b t of the fixes with which the gyro follows the course in all turns; None if b is insignificant.
 
     With the residual r of the course in windows and the yaw rate w at the delayed time, -r = w (da + t db + c / v). The
-    course of a point at a distance c ahead of the rear axle leads the heading by w c / v, which is a delay of c / v: if
-    the speed v in turns rises or falls over a drive, this delay would otherwise appear as a drift. ``fix_noise``: noise
-    from fix to fix, m.
+    course of a point at a distance c ahead of the rear axle leads the heading by w c / v, as if the delay were c / v.
+    Without the term c / v, a speed v in turns that rises or falls over a drive would appear as a drift. ``fix_noise``
+    is the noise from fix to fix, m.
     """
     imu, rows = drive.imu, yaw_windows(course)
     if not yaw.known or fit.course_change < MIN_GAIN_TURN or len(rows) < 4:

@@ -98,9 +98,9 @@ def _diagnosed(drive: Drive) -> Diagnosis:
 
 
 def _contradicted(finding: Finding) -> Finding:
-    """Convert a finding whose repair made predictions worse to at most a warning, without a repair."""
+    """Convert a finding whose repair made predictions worse to a finding without repair, at most a warning."""
     remedy = (
-        f"{NO_ACTION}: the repair was tried, but then a filter predicts the fixes less accurately. If you know "
+        f"{NO_ACTION}: the repair was tried, but with it a filter predicts the fixes less accurately. If you know "
         f"that this fault exists, repair it yourself: {finding.remedy}"
     )
     severity = "warning" if finding.severity == "serious" else finding.severity
@@ -108,11 +108,11 @@ def _contradicted(finding: Finding) -> Finding:
 
 
 def _of_one_sensor(finding: Finding) -> Finding:
-    """Withhold the repair of a finding, since all repairs would give accelerometers and gyro different axes."""
+    """Withhold the repair of a finding if all repairs together would give accelerometers and gyro different axes."""
     first, stop, more = finding.remedy.partition(". ")
     remedy = (
         f"if you know that this fault exists, {first}, and check again; or split the drive if it begins in reverse. "
-        "With the repairs of all findings, accelerometers and gyro would have different axes, so one finding may be "
+        "All repairs together would give accelerometers and gyro different axes, so one finding may be "
         f"a consequence of another fault{stop}{more}"
     )
     return replace(finding, remedy=remedy, repair=None)

@@ -85,7 +85,7 @@ class Evidence:
 
     @property
     def mounted(self) -> bool:
-        """True if a known rotation of the IMU must be corrected."""
+        """True if a known rotation of the IMU needs a correction."""
         return self.mounting is not None and self.mounting.needed
 
     @property
@@ -100,7 +100,7 @@ class Evidence:
 
     @property
     def delay(self) -> float:
-        """Delay of the fixes in `course`, s: without `moved`, which is part of `clock`."""
+        """Delay of the fixes in `course`, s, without `moved`, which is part of `clock`."""
         return self.clock.delay - self.moved
 
     @property
@@ -130,7 +130,7 @@ class Evidence:
 
     @cached_property
     def truth_fit(self) -> TruthFit | None:
-        """The fit of the fixes to the truth; None without truth, or if the fixes are mirrored."""
+        """Fit of the fixes to the truth; None without truth, or if the fixes are mirrored."""
         return None if self.course is None or self.mirrored else fit_truth(self.drive, self.course)
 
     @property
@@ -159,7 +159,7 @@ def gather(drive: Drive) -> Evidence:
 def _clock_of_truth(evidence: Evidence) -> ClockOffset | None:
     """Estimate the delay of the fixes from the truth, on the clock of the fixes; None if impossible or not needed.
 
-    The truth determines the delay better, since its errors are far smaller than those of the fixes.
+    The truth determines the delay more accurately, since its errors are far smaller than those of the fixes.
     """
     clock = evidence.clock
     if evidence.moved or not MIN_OFFSET < clock.least < math.inf or (fit := evidence.truth_fit) is None:
@@ -208,7 +208,7 @@ def _read(drive: Drive) -> Evidence:
 
 
 def _mirrored(found: Evidence, drive: Drive) -> Evidence | None:
-    """Compute the evidence with a mirror image of the fixes; return None if no mirror image explains the IMU.
+    """Compute the evidence with a mirror image of the fixes. Return None if no mirror image explains the IMU.
 
     No rotation of the IMU reverses gz and ay while z points up and ax agrees with the motion. An IMU on its side or
     upside down is excluded, since reversed accelerometers would then have the same effect.

@@ -20,7 +20,7 @@ CONSEQUENCES = {
     "accelerometer-axes": _WRONG_AXES,
     "accelerometer-scale": "the filter's speed and position drift when the car accelerates or turns",
     "accelerometer-sign": "a filter's speed and position drift in the wrong direction between fixes",
-    "accelerometer-unit": "a filter sees a tenth of the acceleration, so its position drifts between fixes",
+    "accelerometer-unit": "a filter receives a tenth of the acceleration, so its position drifts between fixes",
     "accelerometer-up": "tune chooses a filter without roll and pitch, which is less accurate on hills",
     "clock-drift": "the offset between the clocks grows along the drive, so the error of the filter also grows",
     "clock-jump": "after the jump a filter predicts motion for time that did not pass",
@@ -30,16 +30,16 @@ CONSEQUENCES = {
     "gps-noise": "without truth, tune takes the accuracy of the fixes from the stated value",
     "gps-outliers": "these fixes pull a filter away from the path",
     "gps-outside": "these fixes improve neither the tuning nor an evaluation",
-    "gps-repeats": "such a fix does not contain the position at its time",
+    "gps-repeats": "the position of such a fix is older than its time stamp",
     "gravity": "a filter mistakes the offsets for acceleration, so its position drifts between fixes",
-    "gravity-axis": "a filter mistakes gravity for acceleration and loses the position within seconds",
+    "gravity-axis": "a filter mistakes gravity for acceleration, so its position is wrong within seconds",
     "gravity-size": "a filter with roll and pitch is less accurate",
     "gyro-axis": "a filter does not follow the turns of the car",
     "gyro-bias": "the heading drifts until the filter has estimated the bias",
     "gyro-scale": "a filter's heading is wrong after each turn",
     "gyro-sign": "a filter turns left where the car turns right",
     "gyro-tilt": "a filter with roll and pitch has wrong angles, so it mistakes gravity for acceleration",
-    "gyro-unit": "a filter turns 57 times as far as the car",
+    "gyro-unit": "a filter's turns are 57 times those of the car",
     "heading-convention": _WRONG_HEADING,
     "heading-delay": "in turns, a filter with --use heading follows a wrong heading",
     "heading-offset": _WRONG_HEADING,
@@ -87,7 +87,7 @@ class Finding:
         A short, stable name for programs, such as "gyro-sign" or "clock-offset"; docs/doctor.md lists them.
     severity : {"note", "warning", "serious"}
     what : str
-        The fault in words, with values. The first sentence is the fault; further sentences are evidence.
+        The fault in words, with values. The first sentence states the fault; further sentences give the evidence.
     where : str
         File and columns.
     span : (float, float)
@@ -95,15 +95,15 @@ class Finding:
     confidence : float
         Confidence in the fault, 0 to 1.
     remedy : str
-        The first sentence is the remedy; further sentences are alternatives and details.
+        The first sentence states the remedy; further sentences give alternatives and details.
     repair : Repair or None
         The repair that ``repair`` applies, if any.
     cut : float or None
-        Time at which to cut the log, s; the part after this time does not have the fault.
+        Time at which to split the log, s. The part after this time does not have the fault.
     command : str
         Command in ``remedy`` with the placeholders DRIVE and parts, or "".
     needs_action : bool
-        False if the remedy is that no action is needed.
+        False if ``remedy`` states that no action is needed.
     """
 
     code: str

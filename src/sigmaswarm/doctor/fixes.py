@@ -17,7 +17,7 @@ MAX_ACCELERATION = 8.0  # m/s2, largest acceleration of a car; a larger one is a
 SPAN_LIMITS = (3.0, 6.0)  # s, shortest and longest time over which one velocity is computed
 SPEED_STD = 0.5  # m/s, intended standard deviation of the velocity
 MIN_SPEED = 3.0  # m/s; at lower speeds the course is noise
-STANDS = 0.1  # m/s; a vehicle with a lower usual speed stands, even if its receiver is quiet
+STANDS = 0.1  # m/s; a vehicle with a lower usual speed is stationary, even if its receiver is quiet
 USUAL_SHARE = 0.5  # fraction of a slow vehicle's usual speed above which accurate fixes determine a course
 
 
@@ -39,7 +39,7 @@ class Course:
 
 
 def with_exchanged_axes(drive: Drive) -> Drive | None:
-    """Exchange x and y of the fixes, or latitude and longitude; None if the longitudes cannot be latitudes."""
+    """Exchange x and y of the fixes, or latitude and longitude. Return None if the longitudes cannot be latitudes."""
     gps, x, y = drive.gps, drive.gps.y, drive.gps.x
     if drive.frame == "wgs84" and drive.origin:
         lat, lon, alt = drive.origin
@@ -51,7 +51,7 @@ def with_exchanged_axes(drive: Drive) -> Drive | None:
 
 
 def with_reversed_east(drive: Drive) -> Drive | None:
-    """Reverse x, as a wrong sign of the longitudes does; None for fixes recorded in meters."""
+    """Reverse x, as a wrong sign of the longitudes does. Return None for fixes recorded in meters."""
     return replace(drive, gps=replace(drive.gps, x=-drive.gps.x)) if drive.frame == "wgs84" else None
 
 

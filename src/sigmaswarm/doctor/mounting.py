@@ -169,7 +169,7 @@ def about_z(angle: float) -> Array:
 
 
 def mounting_of(drive: Drive, course: Course) -> Mounting | None:
-    """Estimate the mounting; return None if the drive does not have six axes, gravity and a course."""
+    """Estimate the mounting. Return None if the drive does not have six axes, gravity and a course."""
     found = _in_si_units(drive, course)
     if found is None:
         return None
@@ -200,9 +200,9 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
 
 
 def _leaning(imu: Imu) -> Array:
-    """Return how much the body leans outward in turns, and backward when it gains speed: two numbers from -1 to 1.
+    """Return how much the body leans outward in turns and backward when it gains speed, as two numbers from -1 to 1.
 
-    Both numbers are positive for a body on springs. If an axis of the IMU is reversed, one of them is negative. A
+    Both numbers are positive for a body on springs, but one of them is negative if an axis of the IMU is reversed. A
     number is 0 if the body does not lean, as on a robot without springs.
     """
     time = np.arange(imu.time[0] + 2.0, imu.time[-1] - 2.0, 0.2)
@@ -231,7 +231,7 @@ def level_rotation(imu: Imu) -> Array:
 
 
 def _in_si_units(drive: Drive, course: Course) -> tuple[Imu, YawFit] | None:
-    """Convert an IMU to m/s2 and rad/s if gravity and turns show other units; also return the fit of the yaw rate."""
+    """Convert an IMU to m/s2 and rad/s if gravity and turns show other units. Also return the fit of the yaw rate."""
     imu, rows = drive.imu, yaw_windows(course)
     if imu.az is None or imu.gx is None or imu.gy is None or not course.moving.any() or not len(rows):
         return None
@@ -249,7 +249,7 @@ def _in_si_units(drive: Drive, course: Course) -> tuple[Imu, YawFit] | None:
 def _converged(
     drive: Drive, course: Course, imu: Imu, yaw_fit: YawFit | None = None
 ) -> tuple[Array, _Round | None]:
-    """Level the axes and rotate them in rounds until they converge; return the total rotation and the last round."""
+    """Level the axes and rotate them in rounds until they converge. Return the total rotation and the last round."""
     rotation, seen = level_rotation(imu), None
     for _ in range(MAX_ROUNDS):
         seen = _round(replace(drive, imu=rotate_imu(imu, rotation)), course, seen, None if seen else yaw_fit)
@@ -263,7 +263,7 @@ def _converged(
 
 
 def _round(drive: Drive, course: Course, last: _Round | None, yaw_fit: YawFit | None) -> _Round | None:
-    """Run one round; only the first round searches for the delay of the fixes."""
+    """Run one round. Only the first round searches for the delay of the fixes."""
     tried = np.array([last.yaw_fit.delay]) if last else YAW_DELAYS
     yaw_fit = yaw_fit or fit_column(drive, course, "gz", yaw_windows(course), tried)
     rate = drive.imu.gz if yaw_fit.gain >= 0 else -drive.imu.gz
@@ -318,8 +318,8 @@ def _misfits(fit: AccelerationFit, side: float) -> Array:
 def _tilt(drive: Drive, fit: AccelerationFit, yaw: float) -> tuple[Array, Array, float]:
     """Return the tilt after a rotation by ``yaw``: slopes (2,) of the vertical, their standard deviations and spread.
 
-    The slopes are an inverse-variance weighted mean: of gravity, which is the part of the accelerations that the motion
-    does not explain, and of the axis of turning.
+    The slopes are the weighted mean (by inverse variance) of two estimates: from gravity, which is the part of the
+    accelerations that the motion does not explain, and from the axis of turning.
     """
     leak = -fit.bias / GRAVITY
     gravity = np.median(leak, axis=0)
@@ -343,7 +343,7 @@ def _slip(tilt: Array) -> float:
 
 
 def _axis_of_turning(drive: Drive) -> tuple[Array, Array]:
-    """Fit the integrals of gx and gy to that of gz; return the slopes (2,) and their standard deviations."""
+    """Fit the integrals of gx and gy to that of gz. Return the slopes (2,) and their standard deviations."""
     imu, unknown = drive.imu, (np.zeros(2), np.full(2, math.pi))
     time = np.arange(imu.time[0], imu.time[-1], 0.5)
     rows = windows_of(time, np.ones(len(time), dtype=np.bool_), GYRO_WINDOW)
@@ -371,7 +371,7 @@ def _axis_of_turning(drive: Drive) -> tuple[Array, Array]:
 
 
 def _lateral(drive: Drive, course: Course, fit: AccelerationFit, rate: Array, yaw: float) -> float:
-    """Fit the slope of the lateral specific force on speed x yaw rate; NaN if the car does not turn."""
+    """Fit the slope of the lateral specific force against speed x yaw rate; NaN if the car does not turn."""
     imu = drive.imu
     at = course.time[course.moving] - fit.delay
     rotated = about_z(yaw)[1]

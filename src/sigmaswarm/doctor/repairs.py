@@ -33,7 +33,7 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
     Returns
     -------
     Drive
-        A drive of the same name; ``repaired`` in its metadata lists the repaired findings, and ``imu_mounting_deg``
+        A drive of the same name. In its metadata, ``repaired`` lists the repaired findings, and ``imu_mounting_deg``
         includes the rotation of the axes.
     """
     found = [(f.code, f.repair) for f in diagnosis.findings if f.repair is not None]
@@ -64,7 +64,7 @@ def _applied(drive: Drive, repairs: Sequence[Repair]) -> Drive:
 def leave_different_axes(drive: Drive, repairs: Sequence[Repair]) -> bool:
     """Return True if repairs of both sensors give accelerometers and gyro different axes, up to tilts.
 
-    Both must be rotated equally. If the axes were left-handed, the rates have the opposite signs.
+    Both must be rotated equally. If the axes were left-handed, the rates have the opposite sign.
     """
     if len(drive.imu.axes) < 6:
         return False
@@ -77,7 +77,7 @@ def leave_different_axes(drive: Drive, repairs: Sequence[Repair]) -> bool:
 
 
 def _rotation(drive: Drive, repairs: Sequence[Repair]) -> Array | None:
-    """Return the total rotation (3, 3) of repairs of the IMU's axes; None if they are not a rotation."""
+    """Return the total rotation (3, 3) of repairs of the IMU's axes, or None if they are not a rotation."""
     force, rates = _directions(drive, repairs)
     same = np.allclose(force, rates, atol=1e-6) and np.allclose(force @ force.T, np.eye(3), atol=1e-6)
     return force if same and np.linalg.det(force) > 0 else None
@@ -86,7 +86,7 @@ def _rotation(drive: Drive, repairs: Sequence[Repair]) -> Array | None:
 def _directions(drive: Drive, repairs: Sequence[Repair]) -> tuple[Array, Array]:
     """Return the directions (3, 3) of the axes of accelerometers and gyro after repairs, in the recorded axes.
 
-    Factors (units, scales) are ignored. If the IMU lacks one of the six axes, only ax, ay and gz are used; they can be
+    Factors (units, scales) are ignored. If the IMU lacks one of the six axes, only ax, ay and gz are used, which can be
     rotated about z or exchanged.
     """
     imu = _of_unit_vectors(drive, repairs)
@@ -99,7 +99,7 @@ def _axes(drive: Drive, repairs: Sequence[Repair], rotation: Array | None) -> di
     """Return the expressions of the IMU's axes after repairs of units or signs, for the metadata; {} if unknown.
 
     If the repairs are a rotation, it is part of the metadata's mounting, and the expressions contain only factors and
-    signs before it. Otherwise the metadata has no mounting, and the expressions contain the earlier one.
+    signs before it. Otherwise the metadata has no mounting, and the expressions contain the earlier mounting.
     """
     stated, names = axes_of(drive.metadata), {*drive.imu.axes}
     if not names <= stated.keys():
@@ -133,7 +133,7 @@ def _scaled(text: str, factor: float) -> str:
 
 
 def _of_unit_vectors(drive: Drive, repairs: Sequence[Repair]) -> Imu:
-    """Apply repairs to an IMU of three samples; in sample k, each sensor's axis k is 1 and the others are 0."""
+    """Apply repairs to an IMU of three samples. In sample k, each sensor's axis k is 1 and the others are 0."""
     columns = {name: np.eye(3)["xyz".index(name[1])] for name in drive.imu.axes}
     return _applied(replace(drive, imu=Imu(np.zeros(3), **columns)), repairs).imu
 
@@ -232,7 +232,7 @@ def _state_noise(drive: Drive, std: float) -> Drive:
 def _velocity(drive: Drive, factor: float, convention: float) -> Drive:
     """Multiply the speed by a factor, and convert the course from a convention.
 
-    ``convention``: its number in `CONVENTIONS`, counted from 1; 0 leaves the course unchanged.
+    ``convention`` is its number in `CONVENTIONS`, counted from 1; 0 leaves the course unchanged.
     """
     speed, course = drive.gps.speed, drive.gps.course
     if speed is None or course is None:

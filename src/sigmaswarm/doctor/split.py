@@ -28,8 +28,8 @@ def split_time(
     train_fraction : float
         Fraction of the drive's duration in the first part, between 0 and 1.
     at : float or (float, float), optional
-        Time of the split, s on the drive's clock, for example at a pause of the logger. Two times leave out the part
-        between them; the parts are then ``<name>-before`` and ``<name>-after``.
+        Time of the split, s on the drive's clock, for example at a pause of the logger. If two times are given, the
+        part between them is omitted, and the other parts are ``<name>-before`` and ``<name>-after``.
 
     Warns
     -----
@@ -49,7 +49,7 @@ def split_time(
     times = np.ravel(np.asarray(at, np.float64))
     if len(times) not in (1, 2):
         raise InputError(
-            f"at has {len(times)} times; pass one time, or two times to leave out the part between them"
+            f"at has {len(times)} times; pass one time, or two times to omit the part between them"
         )
     end, start = float(times[0]), float(times[-1])
     if start < end:
@@ -75,7 +75,7 @@ def split_time(
 
 
 def _warn_of_parts(parts: Sequence[Drive], *, rest: bool) -> None:
-    """Warn about parts on which no filter can start; with ``rest``, warn only if this applies to both parts."""
+    """Warn about parts on which no filter can start. With ``rest``, warn only if no filter can start on either part."""
     starts = [find_start(part) for part in parts]
     failed = [isinstance(start, StartFailure) for start in starts]
     for part, start in zip(parts, starts, strict=True):

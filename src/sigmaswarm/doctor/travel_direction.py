@@ -1,6 +1,6 @@
 """Direction of travel in the IMU's axes: yaw and pitch of the mounting, without the noise of the fixes' positions.
 
-A car's velocity lies along its x axis e. In the axes that the IMU has at the start of a window,
+A car's velocity lies along its x axis e. In the axes of the IMU at the start of a window,
 
     velocity = C (speed e + rate x lever) = v0 + g t + integral of C force
 
@@ -29,7 +29,8 @@ MIN_STRAIGHTNESS = 0.5  # smallest assumed ratio of mean velocity to speed; shar
 def direction_of_travel(imu: Imu, course: Course, delay: float) -> tuple[Array, Array] | None:
     """Return the leftward and upward slopes (2,) of the direction of travel, and their standard deviations.
 
-    The IMU's axes must nearly agree with the vehicle's; ``delay``: delay of the fixes, s. None if no window is usable.
+    The IMU's axes must nearly agree with the vehicle's. ``delay`` is the delay of the fixes, s. Return None if no
+    window is usable.
     """
     rows = usable_windows(imu.time, course, WINDOW)
     if not len(rows) or imu.gx is None or imu.gy is None or imu.az is None:

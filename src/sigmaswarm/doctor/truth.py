@@ -45,9 +45,9 @@ MAX_TRUTH_SHARE = 0.5  # largest standard deviation of the truth, relative to th
 def truth_delay(time: Array, fixes: Complex, truth_time: Array, truth: Complex) -> float | None:
     """Find the delay of the truth's clock, s, from the truth (m,) and the fixes (n,), east + i north, m.
 
-    Return None if no delay makes the velocities agree, or if several delays do. The relative difference of the
-    velocities v and w at a delay is the sum of |v - w|^2 divided by the sum of |v|^2 + |w|^2, over the times at which
-    both are known.
+    Return None if no delay makes the velocities agree, or if several delays do. At a given delay, the relative
+    difference of the velocities v and w is the sum of |v - w|^2 divided by the sum of |v|^2 + |w|^2, over the times at
+    which both are known.
     """
     if min(len(time), len(truth_time)) < 3:
         return None
@@ -97,9 +97,9 @@ def _inside(index: NDArray[np.intp], known: Array) -> NDArray[np.bool_]:
 
 
 def _velocities(time: Array, position: Complex, usual: float) -> tuple[float, Complex, Array]:
-    """Return the first time, velocities (k,), m/s, at steps of `CLOCK_STEP` s, and 1 where it is known, else 0.
+    """Return the first time, the velocities (k,), m/s, at steps of `CLOCK_STEP` s, and 1 where they are known, else 0.
 
-    ``usual``: the longer of the usual intervals of fixes and truth, s.
+    ``usual`` is the longer of the usual intervals of fixes and truth, s.
     """
     base = max(CLOCK_BASE, CLOCK_BASE_INTERVALS * usual)
     grid = np.arange(np.ceil(time[0] / CLOCK_STEP), np.floor(time[-1] / CLOCK_STEP) + 1) * CLOCK_STEP
@@ -128,7 +128,7 @@ class TruthFit:
 
 
 def fit_truth(drive: Drive, course: Course) -> TruthFit | None:
-    """Fit the delay of the fixes to the truth's velocity; return None without enough truth.
+    """Fit the delay of the fixes to the truth's velocity. Return None without enough truth.
 
     In each window, a constant represents lasting errors of the fixes.
     """
@@ -172,7 +172,7 @@ def fit_truth(drive: Drive, course: Course) -> TruthFit | None:
 
 
 def truth_as_fixes(drive: Drive, fit: TruthFit) -> Drive:
-    """Replace the fixes by the truth, which has far smaller errors, on the clock of the fixes."""
+    """Replace the fixes by the truth, whose errors are far smaller, on the clock of the fixes."""
     truth = drive.truth
     assert truth is not None
     time, antenna = antenna_track(drive, truth)

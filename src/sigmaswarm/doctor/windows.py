@@ -30,7 +30,7 @@ def integral(time: Array, values: Values) -> Values:
 
 
 def smoothed(time: Array, values: Values, at: Array, span: float) -> Values:
-    """Average over ``span`` s around times ``at`` with parabolic weights: the slope of a line fit to the integral."""
+    """Average over ``span`` s around times ``at``, with parabolic weights: fit a line to the integral."""
     points = at[:, None] + _NODES * span / 2
     return np.einsum("nk,k->n", np.interp(points, time, values), _PARABOLA)
 
@@ -108,7 +108,7 @@ class Regression:
 def regress(
     y: Complex, columns: Sequence[Complex], own: Sequence[Complex], weight: Array, rounds: int
 ) -> Regression:
-    """Solve robust least squares over windows; ``y``, ``weight`` and each of ``columns`` and ``own`` are (w, n).
+    """Solve robust least squares over windows. ``y``, ``weight`` and each of ``columns`` and ``own`` are (w, n).
 
     Coefficients of ``columns`` are real and common to all windows; those of ``own`` are complex and differ by window.
     ``weight`` is the inverse of the known part of the standard deviation, up to a factor. Rounds after the first reduce
@@ -145,7 +145,7 @@ def _solve(
 
 
 def pinv(gram: Array) -> Array:
-    """Invert a symmetric matrix (k, k); the result is 0 in directions that the matrix does not determine.
+    """Invert a symmetric matrix (k, k). The result is 0 in directions that the matrix does not determine.
 
     `numpy.linalg.pinv` has the same result, but takes twice as long for matrices of this size.
     """
@@ -158,7 +158,7 @@ def pinv(gram: Array) -> Array:
 
 
 def with_prior(solution: Array, covariance: Array, k: int, mean: float, std: float) -> tuple[Array, Array]:
-    """Return the solution and its covariance after a Kalman update with a prior of unknown ``k``."""
+    """Return the solution and its covariance after a Kalman update with a prior for unknown ``k``."""
     gain = covariance[:, k] / (covariance[k, k] + std**2)
     return solution + gain * (mean - solution[k]), covariance - np.outer(gain, covariance[k])
 
@@ -166,8 +166,8 @@ def with_prior(solution: Array, covariance: Array, k: int, mean: float, std: flo
 def _covariance(a: Array, left: Array, own: int) -> Array:
     """Return the covariance of the solution, from the columns (w, k, n) and the residuals (w, n).
 
-    The result is the larger of the covariance for white residuals and the sandwich estimate of White (1980) with
-    windows as clusters. The result is doubled, since each fix is in two windows.
+    The result is the larger of two estimates: the covariance for white residuals, and the sandwich estimate of White
+    (1980) with windows as clusters. It is doubled, since each fix is in two windows.
     """
     inverse = pinv(np.sum(a @ a.transpose(0, 2, 1), axis=0))
     white = inverse * float(np.sum(left**2)) / max(left.size - 2 * own * len(left), 1)

@@ -73,7 +73,7 @@ class YawFit:
 
 
 def fit_yaw(drive: Drive, course: Course) -> YawFit | None:
-    """Fit gz, or the one of gx and gy that explains the course clearly better; None if the car hardly moves."""
+    """Fit gz, or another column that explains the course clearly better. Return None if the car hardly moves."""
     rows = yaw_windows(course)
     if not len(rows):
         return None
@@ -156,9 +156,9 @@ class Yaw:
 def yaw_of(fit: YawFit | None, imu: Imu) -> Yaw:
     """Find column, sign and unit of the gyro from the course.
 
-    If the course does not show them, the result is gz in rad/s. A factor that no unit explains is accepted only if the
-    column clearly follows the course, the gain hardly depends on the delay, and the axes are level, since a tilt
-    reduces the rate.
+    If the course does not show them, the result is gz in rad/s. A factor that no unit explains is accepted only if
+    three conditions hold: the column clearly follows the course, the gain hardly depends on the delay, and the axes are
+    level, since a tilt reduces the rate.
     """
     size = abs(fit.gain) / max(fit.std, 1e-12) if fit else 0.0
     if fit is None or size < 6 or (fit.share < MIN_EXPLAINED and size < MIN_GAIN_SIGMAS):
@@ -178,7 +178,7 @@ def yaw_of(fit: YawFit | None, imu: Imu) -> Yaw:
 
 
 def _units_of(gain: float) -> list[float]:
-    """Return the factors to rad/s (units with sign) that explain a gain; empty if no unit does."""
+    """Return the factors to rad/s (units with sign) that explain a gain, or nothing if no unit does."""
     return [f for f in (1.0, -1.0, DEGREE, -DEGREE) if 1 / FACTOR_TOLERANCE < gain / f < FACTOR_TOLERANCE]
 
 

@@ -1,9 +1,9 @@
-"""Find the start of a filter: its time and initial state, from samples up to this time, without truth.
+"""Find the start of a filter (its time and initial state) from samples up to this time, without truth.
 
-The heading of a car is not observable at standstill; after several meters of driving, the course over ground shows the
-heading. The fit to the fixes of the last few seconds (`alignment_fit`) uses the gyro to correct the course for turns,
-and the accelerometer to correct it for changes of speed. The gyro's bias is subtracted, and the fit repeated, only if
-the fixes contradict a gyro without bias, or if the vehicle is slow.
+The heading of a car is not observable at standstill. After several meters of driving, the course over ground shows it.
+The fit to the fixes of the last few seconds (`alignment_fit`) uses the gyro to correct the course for turns, and the
+accelerometer to correct it for changes of speed. The gyro's bias is subtracted, and the fit repeated, only if the fixes
+contradict a gyro without bias, or if the vehicle is slow.
 """
 
 from dataclasses import dataclass
@@ -79,12 +79,12 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     drive : Drive
         The drive; its truth is not used.
     as_recorded : bool
-        Also use stale fixes as positions: see `drives.stale_fixes`.
+        Also use stale fixes as positions (see `drives.stale_fixes`).
 
     Raises
     ------
     AlignmentError
-        If there is no such time; the message gives the reason.
+        If there is no such time. The message gives the reason.
     """
     found = find_start(drive, as_recorded=as_recorded)
     if isinstance(found, StartFailure):
@@ -122,7 +122,7 @@ def is_slow(drive: Drive) -> bool:
 
 
 def _slow_start(drive: Drive, usable: NDArray[np.bool_], *, near: bool = False) -> InitialState | None:
-    """Return the earliest alignment of a slow vehicle; for each fix, shorter windows are tried first."""
+    """Return the earliest alignment of a slow vehicle. For each fix, shorter windows are tried first."""
     windows = [Alignments(drive, usable, longest, near=near) for longest in SLOW_DURATIONS]
     tried = -np.inf
     for k, time in enumerate(windows[0].time):
@@ -135,7 +135,7 @@ def _slow_start(drive: Drive, usable: NDArray[np.bool_], *, near: bool = False) 
 
 
 def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | StartFailure:
-    """Return the state at the first usable fix: unknown speed, and a heading from drive.toml or from the fix."""
+    """Return the state at the first usable fix: its speed is unknown, its heading is from drive.toml or the fix."""
     gps, imu = drive.gps, drive.imu
     fixes = np.flatnonzero(usable & np.isfinite(gps.x + gps.y))
     if not len(fixes):
@@ -160,9 +160,10 @@ def _stated_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | Sta
 class Alignments:
     """The alignments that end at each fix, computed on first use.
 
-    ``usable`` (number of fixes,) marks the fixes to use, by default all fixes. ``time`` (m,) are the times of the used
-    fixes within the IMU's time span, s. ``longest``: longest duration of an alignment, s; above `MAX_DURATION` for slow
-    vehicles. ``near``: for slow vehicles in a small area, accept `NEAR_CHORD` if the heading is accurate.
+    ``usable`` (number of fixes,) marks the fixes to use, by default all fixes. ``time`` (m,) contains the times of the
+    used fixes within the IMU's time span, s. ``longest`` is the longest duration of an alignment, s; it is above
+    `MAX_DURATION` for slow vehicles. ``near`` accepts `NEAR_CHORD` if the heading is accurate, for slow vehicles in a
+    small area.
     """
 
     def __init__(
@@ -191,7 +192,7 @@ class Alignments:
         self._found: dict[int, InitialState | None] = {}
 
     def at(self, k: int) -> InitialState | None:
-        """Return the alignment that ends at the k-th used fix; None if the fixes or their motion do not suffice."""
+        """Return the alignment that ends at the k-th used fix, or None if the fixes or their motion do not suffice."""
         if k not in self._found:
             with np.errstate(all="ignore"):  # a fit that overflows is not an alignment
                 fitted = self._fitted_slow if self._slowly else self._fitted
@@ -221,7 +222,7 @@ class Alignments:
             )
         every = float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
         if every > MAX_DURATION / (ALIGNMENT_FIXES - 1):
-            what = f"the fixes come every {every:.3g} s, but a heading needs {ALIGNMENT_FIXES} fixes within {time}"
+            what = f"the fixes are {every:.3g} s apart, but a heading needs {ALIGNMENT_FIXES} fixes within {time}"
             return StartFailure(f"no filter can start, since {what}", "record fixes at 1 Hz or faster")
         span = float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
         usable = f"the usable fixes ({len(self.time)} of {len(self._drive.gps.time)}) span {span:.3g} s"
@@ -278,7 +279,7 @@ class Alignments:
     @cached_property
     @np.errstate(all="ignore")
     def course(self) -> Array:
-        """Rough heading at each fix, rad, shape (m,); NaN if the window has too few fixes or a chord below `MIN_CHORD`.
+        """Rough heading at each fix, rad, shape (m,). NaN if the window has too few fixes or a chord below `MIN_CHORD`.
 
         The heading is the direction of the chord, corrected for turns. A change of speed in a turn causes an error of a
         few degrees.

@@ -69,11 +69,11 @@ class InitialState:
     covariance : ndarray, shape (5, 5)
         Covariance of ``mean``, positive definite.
     time : float
-        Time of the last fix of the alignment, s; filters and scores start then.
+        Time of the last fix of the alignment, s. Filters and scores start at this time.
     gyro : GyroBiasEvidence or None
-        Evidence about the gyro's bias, for filters that estimate this bias; if None, the bias starts at 0.
+        Evidence about the gyro's bias, for filters that estimate this bias. If None, the bias starts at 0.
     tilt : TiltEvidence or None
-        Evidence about roll, pitch and accelerometer biases, for filters with tilts; if None, roll and pitch start at 0.
+        Evidence about roll, pitch and accelerometer biases, for filters with tilts. If None, roll and pitch start at 0.
     """
 
     mean: Array
@@ -90,7 +90,7 @@ class AlignmentFit:
     ----------
     taken : subtracted gyro bias, rad/s
     yaw_bias, yaw_std, bias_std : gyro bias about the vertical, its standard deviation, and the part of the standard
-        deviation that is due to the residuals of the fit, rad/s
+        standard deviation that is due to the residuals of the fit, rad/s
     travel, misfit : length of the path, and largest residual of a fix, m
     heading_std : standard deviation of the heading if there is no slip, rad
     span : time from the first to the last fix, s
@@ -101,7 +101,7 @@ class AlignmentFit:
     ) -> None:
         """Fit to the fixes ``time`` (s) and ``position`` (m), without a gyro bias.
 
-        ``integrals``: time integrals of the IMU's measurements since the first sample, by axis.
+        ``integrals`` contains, by axis, time integrals of the IMU's measurements since the first sample.
         """
         imu, end = drive.imu, time[-1]
         inside = slice(*np.searchsorted(imu.time, [time[0]], side="right"), *np.searchsorted(imu.time, [end]))
@@ -157,7 +157,7 @@ class AlignmentFit:
         self._covariance[range(SLOPE), range(SLOPE)] += added
 
     def state(self, *, tilts: bool = True) -> InitialState:
-        """Return the initial state; with ``tilts``, include evidence about tilts if the IMU has gx and gy."""
+        """Return the initial state. With ``tilts``, include evidence about tilts if the IMU has gx and gy."""
         fixes, mean, numbers = self._fixes, np.zeros(5), np.zeros(NUMBERS)
         posterior, covariance = self._covariance[SLOPE, SLOPE], self._covariance.copy()
         turns = self._turns.copy()
@@ -182,7 +182,7 @@ class AlignmentFit:
 
 
 def _integral_at(imu: Imu, axis: str, integrals: Mapping[str, Array], time: Array) -> Array:
-    """Return the integral for an axis at times (s) up to a fix; 0 if ``integrals`` does not contain the axis.
+    """Return the integral for an axis at times (s) up to a fix, or 0 if ``integrals`` does not contain the axis.
 
     The integral at the fix is extrapolated from the last sample before it, since a live filter has no later sample.
     """
@@ -249,8 +249,8 @@ def _multiply(matrix: Array, vector: Array, product: Array) -> None:
 def _equations_of(fix: Array, way: Array, fit: Array, c: float, s: float, rows: Array) -> None:
     """Set rows (2, 6): the equations of a fix along a heading (forward) and perpendicular to it (left).
 
-    ``c``, ``s``: cosine and sine of the heading. The columns of the position (forward, left) are not set, since they
-    are those of the identity matrix.
+    ``c`` and ``s`` are cosine and sine of the heading. The columns of the position (forward, left) are not set, since
+    they are those of the identity matrix.
     """
     v, slope = fit[SPEED], fit[SLOPE]
     x, y = fix[X] - fit[EAST], fix[Y] - fit[NORTH]
@@ -271,8 +271,8 @@ def fit_path(
 ) -> None:
     """Fit the unknowns to n fixes by the Gauss-Newton method, and then the gyro bias.
 
-    ``coasting``: part of the travel that is due to changes of speed, m. Results: ``fit``; ``covariance`` of the
-    unknowns; ``turns``, the derivatives of the unknowns with respect to the gyro bias.
+    ``coasting`` is the part of the travel that is due to changes of speed, m. The results are ``fit``, ``covariance``
+    (of the unknowns) and ``turns`` (the derivatives of the unknowns with respect to the gyro bias).
     """
     east, north = fixes[n - 1, X] - fixes[0, X], fixes[n - 1, Y] - fixes[0, Y]
     forward, left = path[0, BY_SPEED], path[0, BY_SPEED + 1]
@@ -337,7 +337,7 @@ def _fit_bias(
 ) -> None:
     """Fit the remaining gyro bias, from the part of its effect on the path that the other unknowns do not explain.
 
-    ``inverse``: inverse of the normal matrix; ``prior``: weight of the prior of b in the normal matrix.
+    ``inverse`` is the inverse of the normal matrix. ``prior`` is the weight of the prior of b in the normal matrix.
     """
     c, s = np.cos(fit[YAW]), np.sin(fit[YAW])
     rows, right = np.zeros((2, 6)), np.zeros(5)
@@ -390,7 +390,7 @@ def _convert_change(c: float, s: float, v: float, e: Array) -> None:
 
 @cached(error_model="numpy")
 def convert_to_start(fit: Array, mean: Array, covariance: Array, turns: Array, change: Array) -> float:
-    """Convert a fit to the mean x, y, vx, vy, theta of an initial state; return the variance of b without its prior.
+    """Convert a fit to the mean x, y, vx, vy, theta of an initial state. Return the variance of b without its prior.
 
     ``covariance`` and ``turns`` are converted in place. The change of the mean per m/s2 of forward force is stored in
     ``change``.

@@ -34,7 +34,7 @@ _WINDOW = 5.0  # s, window for speed and course: long enough for noise of meters
 
 @dataclass(frozen=True)
 class Remark:
-    """A probable fault; ``code`` is a code of the doctor (docs/doctor.md)."""
+    """A probable fault. ``code`` is a code of the doctor (docs/doctor.md)."""
 
     code: str
     file: str
@@ -59,7 +59,7 @@ class GapSummary:
 def check_tables(
     imu: Imu, gps: Gps, truth: Truth | None, placed: Callable[[str], str]
 ) -> list[SigmaswarmWarning]:
-    """Raise `DriveError` if a drive has too few data; return warnings of other faults.
+    """Raise `DriveError` if a drive has too few data. Return warnings of other faults.
 
     ``placed`` adds the folder to a message that begins with the name of a file.
     """
@@ -128,7 +128,7 @@ def _time_unit(imu: Array, gps: Array) -> Remark | None:
             if usual[0] <= _USUAL_INTERVALS[0] * f and usual[1] <= _USUAL_INTERVALS[1] * f
         )
         unit, file = next(fits, None), "imu.csv, gps.csv"
-        every = f"the IMU's samples come every {usual[0]:.6g} s and the fixes every {usual[1]:.6g} s"
+        every = f"the IMU's samples are {usual[0]:.6g} s apart and the fixes {usual[1]:.6g} s"
         what = f"{every}, as if t were in {unit} in both files"
     else:
         return None
@@ -155,7 +155,7 @@ def gravity_on(imu: Imu) -> Remark | None:
 
 
 def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
-    """Check whether the median of az differs from +9.8 m/s2; ``unit`` is m/s2 per unit of az, if known."""
+    """Check whether the median of az differs from +9.8 m/s2. ``unit`` is m/s2 per unit of az, if known."""
     if imu.az is None:
         return None
     az, columns = unit * float(np.median(imu.az)), "az"
@@ -170,7 +170,7 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
         what = f"column az has a median of {az:.2f} m/s2, but the specific force at rest is +9.8 m/s2 if z points up"
         remedy = "rotate the axes, or change the signs of ax, ay, az if the sensor reports the negated specific force"
     elif abs(az) < 0.2 * GRAVITY:
-        remedy = "check its unit and axis, or leave the column out if gravity was already subtracted"
+        remedy = "check its unit and axis, or omit the column if gravity was already subtracted"
     elif abs(az - GRAVITY) > 0.2 * GRAVITY:
         remedy = "check its unit and axis"
     else:
@@ -179,9 +179,9 @@ def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
 
 
 def gaps_in(time: Array, limit: tuple[float, float], imu: Array | None = None) -> GapSummary | None:
-    """Find the gaps of ``time`` (n,) in s with a limit such as `IMU_GAP`; None if there are none.
+    """Find the gaps of ``time`` (n,) in s with a limit such as `IMU_GAP`. Return None if there are none.
 
-    If the IMU's times ``imu`` (s) are given, a gap that coincides mostly with a gap of the IMU is not counted, since
+    If the IMU's times ``imu`` (s) are given, a gap that mostly coincides with a gap of the IMU is not counted, since
     the logger paused.
     """
     interval = np.diff(time)
@@ -220,7 +220,7 @@ def _gaps(imu: Imu, gps: Gps, truth: Truth | None) -> Iterator[Remark]:
 
 
 def outside_of(imu: Array, gps: Array) -> NDArray[np.bool_]:
-    """Mark fixes before or after the IMU samples, which no filter uses; ``imu`` and ``gps`` are times, s."""
+    """Mark fixes before or after the IMU samples, which no filter uses. ``imu`` and ``gps`` are times, s."""
     return (gps < imu[0]) | (gps > imu[-1])
 
 

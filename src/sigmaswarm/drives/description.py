@@ -41,7 +41,7 @@ _ANGLES = {
 
 
 def read_description(path: Path) -> dict[str, Any]:
-    """Read drive.toml; ``frame`` is not checked, since it depends on gps.csv."""
+    """Read drive.toml. ``frame`` is not checked, since it depends on gps.csv."""
     if not path.is_file():
         raise DriveError(f"{path} is missing; {WRITE_IT}")
     try:
@@ -80,7 +80,7 @@ def ineffective_keys(about: Mapping[str, Any], path: Path) -> Iterator[str]:
 
 
 def require_name(name: object, where: object) -> None:
-    """Raise `DriveError` if a name can't be the name of a folder; ``where``: file that contains the name."""
+    """Raise `DriveError` if a name can't be the name of a folder. ``where`` is the file that contains the name."""
     if not isinstance(name, str) or not name.strip():
         raise DriveError(
             f'{where}: name = {printable_value(name)} is empty or not text; write for example name = "monday"'
@@ -98,11 +98,11 @@ def _require_numbers(key: str, value: Any, path: Path) -> None:
     plain = all(type(v) in (int, float) and abs(v) <= MAX_VALUE for v in numbers)
     what = None
     if not numbers or not plain or length not in lengths:
-        what = f"can't be used; write for example {key} = {example}"
+        what = f"is not valid; write for example {key} = {example}"
     elif key in _ANGLES and max(map(abs, numbers)) > 360:
         what = f"is not an angle; specify {_ANGLES[key]}, -360 to 360"
     elif key not in (*_ANGLES, "gps_lever_arm_m") and not min(numbers) > 0:
-        what = "must be positive; leave the key out if the value is not known"
+        what = "must be positive; omit the key if the value is not known"
     if what:
         raise DriveError(f"{path}: {key} = {printable_value(value)} {what}")
 
@@ -119,7 +119,7 @@ def _origin(value: Any, path: Path) -> Origin:
 
 
 def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
-    """Return the stated frame of the fixes, which must agree with the columns; if None, return that of the columns."""
+    """Return the stated frame of the fixes, which must agree with the columns, or the columns' frame if it is None."""
     description = gps.parent / "drive.toml"
     if stated not in (None, *POSITIONS):
         raise DriveError(
@@ -128,8 +128,8 @@ def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
     present = [frame for frame, pair in POSITIONS.items() if set(pair) <= set(columns)]
     if not present:
         raise DriveError(
-            f"{gps}{', row 1' if gps.suffix == CSV else ''}: has neither columns x, y nor lat, lon, only "
-            f"{list_names(columns)}; name the positions x, y (m east, north) or lat, lon (deg)"
+            f"{gps}{', row 1' if gps.suffix == CSV else ''}: has columns {list_names(columns)}, "
+            f"but neither x, y nor lat, lon; name the positions x, y (m east, north) or lat, lon (deg)"
         )
     frame = cast("Frame", stated or present[0])
     if frame not in present:
@@ -142,7 +142,7 @@ def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
 
 
 def place_on_plane(gps: dict[str, Array], origin: Origin | None) -> Origin:
-    """Add x and y (m) to the columns of a "wgs84" log; return the origin (deg, deg, m) of x and y."""
+    """Add x and y (m) to the columns of a "wgs84" log. Return the origin (deg, deg, m) of x and y."""
     if origin is None:
         altitude = float(gps["alt"][0]) if "alt" in gps else 0.0
         origin = float(gps["lat"][0]), float(gps["lon"][0]), altitude

@@ -83,7 +83,7 @@ class Drive:
         Raises
         ------
         DriveError
-            If a column is missing, not numeric, not finite or out of range, or if times do not increase; the message
+            If a column is missing, not numeric, not finite or out of range, or if times do not increase. The message
             states table, column and row (from 0).
 
         Warns

@@ -40,8 +40,8 @@ NO_READINGS = np.empty((0, 2))
 class Events(NamedTuple):
     """The events of a timeline.
 
-    ``flags`` (k,): the bits FIX to HEADING at the end of each step. ``wheels`` (o, 3): odometer measurements at the
-    steps with the bit ODOMETER, see `drives.odometer`.
+    ``flags`` (k,) contains the bits FIX to HEADING at the end of each step. ``wheels`` (o, 3) contains odometer
+    measurements at the steps with the bit ODOMETER (see `drives.odometer`).
     """
 
     flags: NDArray[np.uint16]
@@ -49,7 +49,7 @@ class Events(NamedTuple):
 
 
 def events_of(line: Timeline, used: Set[str]) -> Events:
-    """Return the events of a filter that uses the measurements ``used``, see `filters.starts.measured_by`.
+    """Return the events of a filter that uses the measurements ``used`` (see `filters.starts.measured_by`).
 
     With "ay" (robot-localization, which has no standstill update), the bit STANDSTILL marks samples whose lateral
     acceleration is fused.
@@ -98,7 +98,7 @@ def _add_sample_events(
     stands: Mask,
     readings: Array,
 ) -> int:
-    """Add the events of all IMU samples to ``flags``; return the number of filled rows of ``wheels``."""
+    """Add the events of all IMU samples to ``flags``. Return the number of filled rows of ``wheels``."""
     n, come, before, mean = 0, 0, start, np.empty(3)
     done = np.array([-1.0, -1.0, -1.0, start])
     for k in range(len(end)):
@@ -137,10 +137,10 @@ def sample_events(
 ) -> int:
     """Return the events at an IMU sample. Each constraint, and the odometer, is used at most once per slot.
 
-    ``used``: bits of the events that the filter uses. ``slot``: see `slot_of`; ``now`` and ``before``: times of this
-    sample and of the previous sample, s. ``ay``: m/s2. ``stands``: True if IMU and fixes show a standstill. The first
-    ``come`` rows of ``readings`` (time and speed) are the readings up to ``now``. ``done`` (4,), see LATERAL_SLOT, is
-    updated. ``wheels`` (3,) receives the odometer's measurement if there is one.
+    ``used`` contains the bits of the events that the filter uses. For ``slot`` see `slot_of`. ``now`` and ``before``
+    are the times of this and of the previous sample, s. ``ay`` is in m/s2. ``stands`` is True if IMU and fixes show a
+    standstill. The first ``come`` rows of ``readings`` (time and speed) are the readings up to ``now``. ``done`` (4,)
+    is updated (see LATERAL_SLOT). ``wheels`` (3,) receives the odometer's measurement if there is one.
     """
     events = 0
     if used & LATERAL and done[LATERAL_SLOT] != slot and abs(ay) <= CORNERING:

@@ -41,7 +41,7 @@ def tables_from_frames(
 
 
 def _columns_of(table: Any, name: str, renamed: Mapping[str, str]) -> dict[str, NDArray[Any]]:
-    """Return the columns (n,) under the names that a drive uses; a pandas index of times becomes a column."""
+    """Return the columns (n,) under the names that a drive uses. A pandas index of times becomes a column."""
     if isinstance(table, str | Path):
         raise DriveError(f"{name} is a path, {quoted(str(table))}; read it with read_drive or import_log")
     if not hasattr(table, "keys") and not hasattr(table, "columns"):
@@ -66,14 +66,14 @@ def _columns_of(table: Any, name: str, renamed: Mapping[str, str]) -> dict[str, 
 
 
 def _values(column: Any) -> NDArray[Any]:
-    """Convert a column to an array; times with a time zone become UTC."""
+    """Convert a column to an array. Times with a time zone become UTC."""
     if getattr(getattr(column, "dtype", None), "tz", None) is not None:  # pandas would return objects
         column = column.dt.tz_convert("UTC").dt.tz_localize(None)
     return np.asarray(column.to_numpy() if hasattr(column, "to_numpy") else column)
 
 
 def _to_seconds(tables: dict[str, dict[str, NDArray[Any]]]) -> float | None:
-    """Replace dates by seconds since the first IMU sample; return the Unix time of this sample (s) or None.
+    """Replace dates by seconds since the first IMU sample. Return the Unix time of this sample (s) or None.
 
     Unix time as float64 has a resolution of 0.2 us; seconds since the first sample are exact.
     """

@@ -1,7 +1,7 @@
 """Find gaps in the IMU data and in the truth.
 
-A gap in the IMU data is an interval that is long compared with the preceding intervals; only these intervals are used,
-since a live filter does not know later intervals.
+A gap in the IMU data is an interval that is long compared with the preceding intervals. Only these intervals are used,
+since a live filter does not know later ones.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ MOST = 3.0
 
 
 def gaps_before(time: Array) -> Array:
-    """Return the length of the gap that ends at each sample of ``time`` (n,), s; 0 if there is none."""
+    """Return the length of the gap that ends at each sample of ``time`` (n,), s; 0 without a gap."""
     gaps = np.zeros(len(time))
     _find_gaps(np.ascontiguousarray(time, dtype=np.float64), gaps)
     return gaps
@@ -35,7 +35,7 @@ def _find_gaps(time: Array, gaps: Array) -> None:
 
 @cached
 def gap_of(interval: float, usual: float) -> float:
-    """Return the interval (s) if it is a gap relative to the usual interval (s; 0: unknown), otherwise 0."""
+    """Return an interval (s) if it is a gap relative to the usual interval (s; 0 if unknown), otherwise 0."""
     return interval if usual > 0.0 and interval > max(MANY * usual, SHORTEST) else 0.0
 
 
@@ -46,9 +46,9 @@ def usual_after(interval: float, usual: float) -> float:
 
 
 def is_known(truth: Truth, time: Array) -> Mask:
-    """Mark the times (n,), s, that lie between the start and the end of the truth, and not in a gap of the truth.
+    """Mark the times (n,), s, between the start and the end of the truth that are not in a gap of the truth.
 
-    A truth without standard deviations is used across gaps.
+    Truth without standard deviations is used across gaps.
     """
     inside = (time >= truth.time[0]) & (time <= truth.time[-1])
     if truth.std_x is None or len(truth) < 2:

@@ -53,8 +53,8 @@ class GyroBiasEvidence:
     def update(self, mean: Array, covariance: Array, indices: Sequence[int], std: float) -> None:
         """Update ``mean`` (n,) and ``covariance`` (n, n) of the states at the start, in place.
 
-        ``std``: prior standard deviation of the biases, rad/s. ``indices``: for each axis, the index of the state that
-        is its bias; negative if there is none.
+        ``std`` is the prior standard deviation of the biases, rad/s. ``indices`` contains, for each axis, the index of
+        the state that is its bias; it is negative if there is none.
         """
         bias, variance, used = np.zeros(3), np.zeros(3), np.array(indices, dtype=np.int64)
         mix_biases(self.bias, self.variance, used, std, bias, variance)
@@ -65,10 +65,10 @@ class GyroBiasEvidence:
 def mix_biases(
     observed: Array, unsure: Array, indices: NDArray[np.int64], std: float, bias: Array, variance: Array
 ) -> None:
-    """Combine the observed biases and their variances with a prior; write mean and variance of each estimated bias.
+    """Combine the observed biases and their variances with a prior. Write the mean and variance of each estimated bias.
 
-    The prior is a mixture of two normal distributions with mean 0: standard deviation ``std`` (rad/s), or, for a gyro
-    that is far worse, `OUTLIER_STD` with `OUTLIER_PROBABILITY`. The likelihood of all axes determines the weights.
+    The prior is a mixture of two normal distributions with mean 0. Their standard deviations are ``std`` (rad/s)
+    and, for a far worse gyro with the probability `OUTLIER_PROBABILITY`, `OUTLIER_STD`. The likelihood of all axes determines the weights.
     """
     usual, outlier = std * std, OUTLIER_STD * OUTLIER_STD
     odds = np.log((1.0 - OUTLIER_PROBABILITY) / OUTLIER_PROBABILITY)

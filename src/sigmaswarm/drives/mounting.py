@@ -37,7 +37,7 @@ def without_axes(metadata: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def axes_of(metadata: Mapping[str, Any]) -> dict[str, str]:
-    """Return the expressions of the IMU's axes in a drive's metadata; empty if there are none."""
+    """Return the expressions of the IMU's axes in a drive's metadata, or nothing if there are none."""
     stated = metadata.get(AXES_KEY)
     axes = cast("dict[str, Any]", stated if isinstance(stated, dict) else {})
     return {axis: str(text) for axis, text in axes.items()}

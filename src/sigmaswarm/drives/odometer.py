@@ -1,4 +1,4 @@
-"""Odometer measurements of a filter: means of the readings of up to a tenth of a second.
+"""Odometer measurements of a filter; each is the mean of the readings in a tenth of a second or less.
 
 The errors of readings are correlated (scale, quantization, tires). At a rate of 83 Hz, a mean therefore contains as
 much information as the single readings, with a smaller quantization error. At low speed, pulses are rare, and the
@@ -24,10 +24,10 @@ def wheels_turn(readings: Array, end: int, now: float) -> bool:
 
 @cached
 def mean_reading(readings: Array, end: int, now: float, before: float, taken: float, wheels: Array) -> bool:
-    """Average the readings since the last measurement, at most `INTERVAL` old; return False if no reading is new.
+    """Average the readings since the last measurement, at most `INTERVAL` old. Return False if no reading is new.
 
-    ``taken`` is the time of the last measurement; a reading is new if it is later than ``before``. The result is stored
-    in ``wheels`` (3,): see WHEEL_SPEED ... WHEEL_NOISE.
+    ``taken`` is the time of the last measurement. A reading is new if it is later than ``before``. The result is stored
+    in ``wheels`` (3,) (see WHEEL_SPEED ... WHEEL_NOISE).
     """
     oldest = now - INTERVAL
     if end == 0 or readings[end - 1, 0] <= max(before, oldest):

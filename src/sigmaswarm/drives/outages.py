@@ -14,9 +14,9 @@ SECONDS_PER_OUTAGE = 15.0  # s of driving per window in `random_windows`
 
 
 def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> Mask:
-    """Mark the fixes in the outage windows, including both ends; ``time`` (n,) and ``windows`` (k, 2) are in s.
+    """Mark the fixes in the outage windows, including both ends. ``time`` (n,) and ``windows`` (k, 2) are in s.
 
-    Drift is measured at the end of an outage, without a fix at this time.
+    The drift is measured at the end of an outage, so there must be no fix at this time.
     """
     t = np.asarray(time, dtype=np.float64)
     starts, ends = np.sort(np.reshape(windows, (-1, 2)), axis=0).T
@@ -36,9 +36,9 @@ def random_windows(
 ) -> Array:
     """Draw outages (k, 2) between two times (s), uniformly among all placements with the required distances.
 
-    ``length`` (s) is fixed or a range. The first outage begins at least ``first_after`` s after ``start``; outages are
-    at least ``apart`` s apart. ``count`` is the number of outages, by default one per 15 s but at least one; fewer are
-    returned if the time is too short.
+    ``length`` (s) is fixed or a range. The first outage begins at least ``first_after`` s after ``start``, and outages
+    are at least ``apart`` s apart. ``count`` is the number of outages, by default one per 15 s but at least one. If the
+    time is too short, fewer are returned.
     """
     shortest, longest = length if isinstance(length, tuple) else (length, length)
     if not (0 < shortest <= longest and first_after >= 0 and apart >= 0):
@@ -60,7 +60,7 @@ def random_windows(
 
 
 def balanced_windows(start: float, end: float, rng: np.random.Generator) -> Array:
-    """Draw outages of 3 to 5 s between two times (s): one in each interval of about 12 s. The shape is (k, 2).
+    """Draw outages (k, 2) of 3 to 5 s between two times (s), one in each interval of about 12 s.
 
     Each outage begins at least 5 s after ``start`` and after the end of the previous outage.
     """
@@ -76,9 +76,9 @@ def balanced_windows(start: float, end: float, rng: np.random.Generator) -> Arra
 def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) -> Array:
     """Shift windows (k, 2), sorted by time, so that each ends exactly at an IMU sample. Times are in s.
 
-    An end moves to the first sample at or after the end, or to a later sample if the window would otherwise begin less
-    than ``apart`` s after the previous window. The length does not change. An end after the last sample moves back to
-    this sample; a window that is then too close to the previous window is left out.
+    An end moves to the first sample at or after it, or to a later sample if the window would otherwise begin less than
+    ``apart`` s after the previous window. The length does not change. An end after the last sample moves back to this
+    sample; a window that is then too close to the previous window is left out.
     """
     samples = np.asarray(imu_time, dtype=np.float64)
     snapped: list[list[float]] = []

@@ -47,9 +47,10 @@ MIN_MATCH_SHARE = 0.5  # smallest fraction of the landmarks in the common time t
 class Landmarks:
     """The landmarks of a drive. In a file, landmarks need a thousandth of the drive's size.
 
-    ``sha256``: `fingerprint` of the drive. ``span``: start and end of the IMU samples, s. ``fixes`` (n, 3): time (us),
-    then latitude and longitude (1e-7 deg) if ``geographic``, else y and x (cm). ``rates`` (k, 2): time (s) and
-    ln|gz| modulo ``LOG_RATIO``, below ``width``. The second value is the same in rad/s and deg/s and for both signs.
+    ``sha256`` is the `fingerprint` of the drive. ``span`` contains start and end of the IMU samples, s. ``fixes`` (n,
+    3) contains time (us), then latitude and longitude (1e-7 deg) if ``geographic``, otherwise y and x (cm). ``rates``
+    (k, 2) contains time (s) and ln|gz| modulo ``LOG_RATIO``, below ``width``. The second value is the same in rad/s and
+    deg/s and for both signs.
     """
 
     name: str
@@ -114,7 +115,7 @@ def overlap_of(drive: Landmarks, others: Iterable[Landmarks]) -> Overlap:
 def known_overlap(drive: Landmarks, others: Sequence[Landmarks]) -> Overlap | None:
     """Return the result of `overlap_of`, or None if the overlap is unknown.
 
-    It is unknown if no overlap is found, but another drive has too few landmarks to recognize its parts.
+    The overlap is unknown if none is found, but another drive has too few landmarks to recognize its parts.
     """
     overlap = overlap_of(drive, others)
     recognizes_parts = all(max(len(other.fixes), len(other.rates)) >= MIN_MATCHES for other in others)
@@ -122,7 +123,7 @@ def known_overlap(drive: Landmarks, others: Sequence[Landmarks]) -> Overlap | No
 
 
 def _common(one: Landmarks, other: Landmarks) -> tuple[float, float] | None:
-    """Return start and end of the part of ``one`` that ``other`` also contains, s on the clock of ``one``, or None."""
+    """Return the start and end of the part of ``one`` that is also in ``other``, s on the clock of ``one``, or None."""
     if one.sha256 == other.sha256:
         return one.span
     for offset in (_by_fixes(one, other), _by_rates(one, other)):
@@ -153,9 +154,9 @@ def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
 def _offset(a: Array, b: Array, tolerance: float) -> float | None:
     """Return the offset (s) between the clocks of two drives for which most landmarks agree; None if too few agree.
 
-    ``a``, ``b``: landmarks, in rows of time (us) and values. Some landmarks agree by chance. Therefore, in the common
-    time, at least half of the landmarks of the drive with fewer landmarks must agree; the other drive may have more,
-    since a copy may be decimated. A standing car repeats one value, so several values must agree.
+    ``a`` and ``b`` are landmarks, in rows of time (us) and values. Some landmarks agree by chance. Therefore, in the
+    common time, at least half of the landmarks of the drive with fewer landmarks must agree. The other drive may have
+    more, since a copy may be decimated. A stationary car repeats one value, so several values must agree.
     """
     if min(len(a), len(b)) < MIN_MATCHES:
         return None
@@ -188,7 +189,7 @@ def _equal(a: Array, b: Array, tolerance: float) -> tuple[Integers, Integers]:
 def save_landmarks(
     seen: Iterable[Landmarks], path: Path, names: Sequence[tuple[str, str]] | None = None
 ) -> None:
-    """Save landmarks of drives; with ``names`` (name, fingerprint), read ``seen`` drive by drive, to save memory."""
+    """Save landmarks of drives. With ``names`` (name, fingerprint), read ``seen`` drive by drive, to save memory."""
     if names is None:
         seen = list(seen)
         names = [(marks.name, marks.sha256) for marks in seen]
@@ -208,7 +209,7 @@ def save_landmarks(
 
 @dataclass(frozen=True)
 class SavedLandmarks(Sequence[Landmarks]):
-    """Landmarks in a file; each is read when it is used."""
+    """Landmarks in a file, each of which is read when it is used."""
 
     path: Path
     names: tuple[tuple[str, str], ...]
@@ -224,7 +225,7 @@ class SavedLandmarks(Sequence[Landmarks]):
 
 
 def load_landmarks(path: Path) -> list[Landmarks] | None:
-    """Load a file of `save_landmarks`; return None if the file is missing, as after tuning with early versions."""
+    """Load a file of `save_landmarks`. Return None if the file is missing, as after tuning with early versions."""
     if not path.exists():
         return None
     try:

@@ -1,4 +1,4 @@
-"""A drive prepared for filters: the initial state and the timelines, computed once."""
+"""A drive prepared for filters, with the initial state and the timelines, which are computed once."""
 
 from dataclasses import replace
 from functools import cached_property
@@ -32,12 +32,15 @@ class PreparedDrive:
 
     @cached_property
     def initial(self) -> InitialState:
-        """Initial state of filters; raises AlignmentError if the alignment finds none."""
+        """Initial state of filters. Raises AlignmentError if the alignment finds none."""
         return self._given or initial_state(self.drive, as_recorded=self.as_recorded)
 
     @cached_property
     def kinds(self) -> Array:
-        """Kind of each fix, (number of fixes,), see `drives.stale_fixes`; with ``as_recorded`` all fixes are `NEW`."""
+        """Kind of each fix, (number of fixes,) (see `drives.stale_fixes`).
+
+        With ``as_recorded``, all fixes are `NEW`.
+        """
         return np.zeros(len(self.drive.gps)) if self.as_recorded else classify_fixes(self.drive.gps)
 
     @property
@@ -49,7 +52,7 @@ class PreparedDrive:
         """Return the cached timeline without updates by the fixes that the mask ``hidden`` (number of fixes,) marks.
 
         If ``removed`` is True, no step ends at a hidden fix. Otherwise, filters can predict hidden fixes, and the
-        timeline shares arrays with the timeline of all fixes.
+        timeline shares its arrays with the timeline of all fixes.
         """
         if hidden is None or not hidden.any():
             hidden, removed = np.zeros(len(self.drive.gps), dtype=np.bool_), False

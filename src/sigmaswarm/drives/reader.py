@@ -87,7 +87,7 @@ def read_drive(path: str | Path) -> Drive:
     Raises
     ------
     DriveError
-        If the folder, a file, a cell or a key is unusable; the message states place, fault and remedy.
+        If the folder, a file, a cell or a key is unusable. The message states place, fault and remedy.
 
     Warns
     -----
@@ -103,7 +103,7 @@ def read_drive(path: str | Path) -> Drive:
 
 
 def read_with_warnings(location: Location) -> tuple[Drive, list[SigmaswarmWarning]]:
-    """Read a drive; return the drive and its warnings, since `warnings.catch_warnings` would act on all threads."""
+    """Read a drive. Return the drive and its warnings, since `warnings.catch_warnings` would affect all threads."""
     if not is_url(location):
         folder, about = Path(location), Path(location) / "drive.toml"
         if folder.is_dir() and not (about.exists() or _drives_in(folder)) and any(folder.iterdir()):

@@ -29,21 +29,21 @@ UNSTATED_GPS_STD = 2.1  # m per axis, assumed if a receiver states no accuracy: 
 MIN_WHITE_NOISE = 0.25 * UNSTATED_GPS_STD
 """Smallest white noise (standard deviation, m per axis) that counts as the error of fixes without stated accuracy.
 
-If fixes have less white noise, their error is unknown, since the receiver may smooth the fixes.
+If the fixes have less white noise, their error is unknown, since the receiver may smooth the fixes.
 """
 FIXES_FOR_FIX_ERROR = 250
 """Smallest number of fixes, over all drives, at which `tune` uses fix-error by default.
 
-On eight simulated drives of 142 s with a u-blox M8 at 1 Hz, fix-error increased the drift in outages of 30 s on six
-drives, on one of them to 1319 m. With 300 and 600 fixes, fix-error did not change the mean drift, and reduced the
-position error by 3 to 6%.
+On six of eight simulated drives of 142 s with a u-blox M8 at 1 Hz, fix-error increased the drift in outages of 30 s, in
+one case to 1319 m. With 300 and 600 fixes, fix-error did not change the mean drift, and reduced the position error by 3
+to 6%.
 """
 
 LASTING_ERRORS = (
     "the scatter from fix to fix is well below the receiver's standard deviation, so the fix errors are probably "
     "correlated"
 )
-"""Reason for the option fix-error; see `has_lasting_errors`."""
+"""Reason for the option fix-error (see `has_lasting_errors`)."""
 
 MAX_RATE_RATIO = 1.5  # largest ratio of the sampling rates of two drives with the same sensors
 MAX_ANGLE = 10.0  # deg, largest angle between the mountings of two drives with the same mounting
@@ -169,7 +169,7 @@ def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
 
 
 def robust_std(off: NDArray[np.complexfloating[Any, Any]]) -> float:
-    """Return a robust standard deviation of real and imaginary parts about zero."""
+    """Return a robust standard deviation of the real and imaginary parts about zero."""
     return float(np.median(np.abs(np.concatenate([off.real.ravel(), off.imag.ravel()]))) / 0.6745)
 
 
@@ -201,7 +201,8 @@ def true_std(drive: Drive) -> float:
 def true_gyro_bias(drive: Drive) -> float:
     """Return the mean bias of gz relative to the heading of the truth, rad/s; NaN if one of them is unknown.
 
-    The scale error of the gyro is fitted too: otherwise, it would appear as a bias if a drive turns mostly to one side.
+    The scale error of the gyro is also fitted. Otherwise, it would appear as a bias if a drive turns mostly to one
+    side.
     """
     imu, truth = drive.imu, drive.truth
     if truth is None:
@@ -218,7 +219,7 @@ def true_gyro_bias(drive: Drive) -> float:
 
 
 def has_white_errors(drive: Drive) -> bool:
-    """Return True if a large part of the errors of the fixes is white noise: see `MIN_WHITE_SHARE`.
+    """Return True if a large part of the errors of the fixes is white noise (see `MIN_WHITE_SHARE`).
 
     If errors are correlated, or the receiver smooths the fixes, the white noise is far smaller than the errors.
     """
@@ -230,8 +231,8 @@ def has_white_errors(drive: Drive) -> bool:
 def has_lasting_errors(drive: Drive) -> bool:
     """Return True if white errors of size `receiver_std` would be visible from fix to fix, but are not visible.
 
-    Errors that are not visible are correlated, or smaller than the receiver states. The result is False if motion
-    between fixes would hide white errors, as with RTK. A repeated fix counts once.
+    Such errors are correlated, or smaller than the receiver states. The result is False if motion between fixes would
+    hide white errors, as with RTK. A repeated fix counts once.
     """
     position, least = drive.gps.position, MIN_WHITE_SHARE * max(receiver_std(drive))
     new = np.append(True, np.diff(position) != 0)

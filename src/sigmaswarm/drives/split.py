@@ -22,7 +22,7 @@ MAX_FOLDERS = 1000  # maximum number of folders in which a whole drive is search
 def split_drives(
     drives: Sequence[T], train_fraction: float = 0.7, *, rng: np.random.Generator
 ) -> tuple[list[T], list[T]]:
-    """Draw whole drives for training; the others are for testing. Both parts keep the given order.
+    """Draw whole drives for training; the others are for testing. Both sets keep the given order.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def is_repaired_alone(part: Drive) -> bool:
 def find_whole(part: Location) -> tuple[Drive, Path] | None:
     """Return the drive from which a part was split, and the folder of this drive.
 
-    Return None if it is not found near the part's folder (see `_near`).
+    Return None if the drive is not found near the part's folder (see `_near`).
 
     The part's drive.toml states the fingerprint of this drive.
     """
@@ -103,7 +103,7 @@ def _near(part: Path) -> Iterator[Path]:
 
 
 def description_of(folder: Path) -> dict[str, Any]:
-    """Return the content of a folder's drive.toml; {} if the file is missing or damaged."""
+    """Return the content of a folder's drive.toml, or {} if the file is missing or damaged."""
     try:
         return read_description(folder / "drive.toml")
     except DriveError:
@@ -111,7 +111,7 @@ def description_of(folder: Path) -> dict[str, Any]:
 
 
 def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | None = None) -> Drive:
-    """Return the part of a drive with start <= t < end (s); raise DriveError if it has fewer than two IMU samples."""
+    """Return the part of a drive with start <= t < end (s). Raises DriveError if it has fewer than two IMU samples."""
     inside = {k: v.select((v.time >= start) & (v.time < end)) for k, v in drive.tables.items()}
     if len(inside["imu"]) < 2:
         span = f"t = {drive.imu.time[0]:.12g} to {drive.imu.time[-1]:.12g} s"

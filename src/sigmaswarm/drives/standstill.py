@@ -65,7 +65,7 @@ PIECE = 100_000  # samples per copy, to limit the memory
 
 
 def detect_standstills(drive: Drive, kinds: Array) -> NDArray[np.bool_]:
-    """Detect standstill at each IMU sample, (n,), from earlier data; ``kinds`` of the fixes are as in `stale_fixes`."""
+    """Detect standstill at each IMU sample, (n,), from earlier data. ``kinds`` of the fixes are as in `stale_fixes`."""
     imu, gps = drive.imu, drive.gps
     stands = np.zeros(len(imu.time), dtype=np.bool_)
     fixes = np.column_stack([gps.time, gps.x, gps.y])
@@ -113,9 +113,9 @@ def is_calm(memory: Array, t: float, ax: float, ay: float, gz: float) -> bool:
 
 @cached
 def updated_calm(memory: Array, begun: int, dt: float, ax: float, ay: float, gz: float) -> bool:
-    """Add a sample, and update the estimated noise at rest; return True if the last second is calm.
+    """Add a sample, and update the estimated noise at rest. Return True if the last second is calm.
 
-    ``dt``: time since the previous sample, s. ``begun``: number of blocks that began since the previous sample.
+    ``dt`` is the time since the previous sample, s. ``begun`` is the number of blocks that began since then.
     """
     if begun > 0:
         _begin_block(memory, begun)
@@ -219,7 +219,7 @@ def matches_stop(stop: Array, passed: float, means: Array) -> bool:
     At the beginning of a constant acceleration the fixes can still seem constant. Therefore, a stop whose acceleration
     differs by more than `MAX_AT_REST` from 0 and from that of the previous stop counts only after `CONFIRMED`.
 
-    ``stop`` (3,) contains ax, ay of the stop, and the time (s) until it counts. The acceleration follows slow changes,
+    ``stop`` (3,) contains ax, ay of the stop, and the time (s) until it counts. This acceleration follows slow changes,
     and is replaced after `FORGETS`. ``passed`` (s) is the time since the last call. ``means`` (4,) are the means of ax,
     ay (m/s2) over the last second, then over the last quarter of a second.
     """

@@ -33,9 +33,9 @@ def suggest_filter(drives: Sequence[Drive | LogProperties]) -> SuggestedFilter:
 
     The gate is not used, since a gate that was tuned on one receiver rejects good fixes of another receiver. The
     receiver's velocity and heading are not used, since no drive with truth contained them. Latency is not estimated.
-    Scores do not choose the model: the errors of models chosen by held-out likelihood and predictions exceeded those of
-    the best model by 18 to 24% on average, and by 61 to 122% at worst. With one good model for all drives, the errors
-    exceeded those of the best model by 4 to 12%.
+    The choice of the model does not depend on scores. The errors of models chosen by held-out likelihood and
+    predictions exceeded those of the best model by 18 to 24% on average, and by 61 to 122% at worst. With one good
+    model for all drives, they exceeded those of the best model by 4 to 12%.
     """
     logs = [log_properties(drive) for drive in drives]
     six = bool(logs) and all(log.attitude for log in logs)

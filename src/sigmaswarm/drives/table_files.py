@@ -20,7 +20,7 @@ from sigmaswarm.wording import list_names, printable, quoted
 
 MAX_VALUE = 1e7  # largest accepted magnitude; values of a car's sensors are smaller, even in mm, mg or mdeg/s
 _METERS = "convert it to meters from a nearby origin"
-_NO_STD = "leave the column out if no standard deviation is stated"
+_NO_STD = "omit the column if no standard deviation is stated"
 _DAMAGED = "the value is damaged or in a wrong unit; delete the row or correct the unit"
 # Lowest and highest allowed value of a column, and the remedy.
 RANGES: dict[str, tuple[float, float, str]] = {
@@ -54,7 +54,7 @@ class TableFile:
     """The cells of a table, and the number of each row (n,), from 1: line of a CSV file, or row of a Parquet file.
 
     If all cells of a CSV file are finite numbers, they are stored as numbers, which need a fifth of the memory of
-    texts. Otherwise they are stored as texts (None if empty), which messages quote. A table in memory has a name
+    texts. Otherwise they are stored as texts (None if empty) for messages to quote. A table in memory has a name
     instead of a path, and its rows are numbered from 0.
     """
 
@@ -64,7 +64,7 @@ class TableFile:
 
     @classmethod
     def read(cls, path: Path) -> "TableFile":
-        """Read a file; rows of a CSV file must have as many cells as the header, and blank lines are ignored."""
+        """Read a file. Rows of a CSV file must have as many cells as the header. Blank lines are ignored."""
         require_regular(path)
         if not path.is_file():
             raise DriveError(
@@ -104,7 +104,7 @@ class TableFile:
     def columns(
         self, required: Sequence[str], optional: Sequence[str], remarks: list[str]
     ) -> dict[str, Array]:
-        """Return the known columns, (n,), with ``t`` renamed ``time``; add a message on unknown columns to remarks."""
+        """Return the known columns, (n,), with ``t`` renamed ``time``. Add a message on unknown columns to remarks."""
         new: list[str] = []
         try:
             known = self._known_columns(required, optional, new)
@@ -191,10 +191,10 @@ class TableFile:
 def _require_size(path: Path, rows: int, columns: int) -> None:
     if columns > MAX_COLUMNS:
         what = f"has {columns} columns; the limit is {MAX_COLUMNS}"
-        raise DriveError(f"{path}: {what}; leave out columns that a drive does not need")
+        raise DriveError(f"{path}: {what}; omit columns that a drive does not need")
     if rows * columns > MAX_CELLS:
         raise DriveError(
-            f"{path}: has {rows} rows of {columns} columns; the limit is {MAX_CELLS} cells; leave out "
+            f"{path}: has {rows} rows of {columns} columns; the limit is {MAX_CELLS} cells; omit "
             "columns that a drive does not need, or divide the log before the import"
         )
 

@@ -140,7 +140,7 @@ def _pair(x: Array | None, y: Array | None) -> Array | None:
 
 
 def headings_of(gps: Gps) -> tuple[Array, Array]:
-    """Return the heading (rad) and its stated variance, rad2 (infinite if there is no heading), of each fix."""
+    """Return the heading (rad) and stated variance (rad2; infinite without a heading) of each fix."""
     if gps.heading is None:
         return np.zeros(len(gps.time)), np.full(len(gps.time), np.inf)
     std = np.zeros(len(gps.time)) if gps.std_heading is None else gps.std_heading

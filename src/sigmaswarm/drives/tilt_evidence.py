@@ -48,7 +48,7 @@ class TiltEvidence:
     numbers: Array
 
     def with_bias(self, known: float) -> "TiltEvidence":
-        """Return the evidence for the raw yaw rate; ``known`` (rad/s) was subtracted from it before the alignment."""
+        """Return the evidence for the raw yaw rate. ``known`` (rad/s) was subtracted from it before the alignment."""
         numbers = self.numbers.copy()
         numbers[FORCE + 1] -= numbers[MEAN_SPEED] * known
         return TiltEvidence(numbers)
@@ -67,9 +67,9 @@ def mean_forces(
 ) -> None:
     """Compute the mean specific forces of a window and their dependence on tilts and biases.
 
-    ``taken``: gyro bias subtracted before the fit, rad/s. ``speed`` (m/s, at the last fix) and ``slope`` (b, m/s2) are
-    results of the fit. ``variance`` and ``posterior``: variances of b (see `alignment_fit`) without and with its prior.
-    ``tilt``: `TiltEvidence.numbers`, initially 0 except CHANGE.
+    ``taken`` is the gyro bias subtracted before the fit, rad/s. ``speed`` (m/s, at the last fix) and ``slope`` (b,
+    m/s2) are results of the fit. ``variance`` and ``posterior`` are the variances of b (see `alignment_fit`) without
+    and with its prior. ``tilt`` is `TiltEvidence.numbers`, which initially contains only CHANGE.
     """
     last, end = n - 1, fixes[n - 1, TIME]
     span = end - fixes[0, TIME]

@@ -116,7 +116,7 @@ class Timeline:
 
     @cached_property
     def stands(self) -> Mask:
-        """True if the car stands at the step's end, (k,)."""
+        """True if the car is stationary at the step's end, (k,)."""
         return detect_standstills(self.drive, self.kinds)[self.sample]
 
     @cached_property
@@ -124,7 +124,7 @@ class Timeline:
         return Alignments(self.drive, usable=self.kinds < STALE)
 
     def hiding(self, hidden: Mask) -> "Timeline":
-        """Return this timeline with fixes hidden where ``hidden`` (g,) is True; the two timelines share arrays."""
+        """Return this timeline with fixes hidden where ``hidden`` (g,) is True. The two timelines share arrays."""
         hides = np.zeros(len(self.end), dtype=np.bool_)
         hides[self.updates] = hidden[_usable(self.drive, self.start, self.kinds)]
         seen = replace(self.drive, gps=self.drive.gps.select(~hidden))
@@ -138,8 +138,8 @@ def build_timeline(
 ) -> Timeline:
     """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out.
 
-    ``kinds`` (g,): kinds of the fixes. ``as_recorded``: treat IMU gaps as ordinary steps. ``driving``: the array of
-    another timeline of the same IMU samples, to save memory.
+    ``kinds`` (g,) are the kinds of the fixes. With ``as_recorded``, IMU gaps are ordinary steps. ``driving`` is the
+    array of another timeline of the same IMU samples, to save memory.
     """
     imu, first = drive.imu, int(np.searchsorted(drive.imu.time, start, side="right"))
     fixes = drive.gps.select(_usable(drive, start, kinds))

@@ -74,7 +74,7 @@ def _opened(url: str) -> tuple[Any, str]:
 
 
 def _exists(system: Any, path: str) -> bool:
-    """Return True if a path exists; ``exists`` of fsspec would return False if permission is denied."""
+    """Return True if a path exists. ``exists`` of fsspec would return False if permission is denied."""
     try:
         system.info(path)
     except (FileNotFoundError, NotADirectoryError):

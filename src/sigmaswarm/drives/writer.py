@@ -15,7 +15,7 @@ from sigmaswarm.files import atomic_folder, make_folder
 
 Form = Literal["csv", "parquet"]
 FILES = frozenset({"drive.toml", *TABLES})
-"""Files of a drive; ``write_drive`` replaces a folder only if it contains no other files."""
+"""Files of a drive. ``write_drive`` replaces a folder only if it contains no other files."""
 
 
 def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form: Form = "csv") -> Path:
@@ -86,7 +86,7 @@ def require_replaceable(
 
 
 def drive_around(folder: Path) -> Path | None:
-    """Return the drive that an absolute path is or is in; None if there is none."""
+    """Return the drive that an absolute path names or is in, or None if there is none."""
     places = (place for place in (folder, *folder.parents) if (place / "drive.toml").is_file())
     return next((place for place in places if has_table(place, "imu")), None)
 

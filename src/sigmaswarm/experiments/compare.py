@@ -94,7 +94,7 @@ def compare(
     optimizers : sequence of str
         Names, optionally with settings: ``pso:polish=300``, ``pso:particles=10,trials=3``. All optimizers must have the
         same budget: particles x generations x trials. The statistical tests compare the first optimizer with each of
-        the others. By default pso, ga, ga-pso, de, cma-es and random.
+        the others. The default is pso, ga, ga-pso, de, cma-es and random.
     scales : sequence of str
         log10 (the default), linear or both.
     seeds : int
@@ -102,7 +102,7 @@ def compare(
     workers : int, optional
         Number of threads; by default the number of cores. The result does not depend on this number.
     **options
-        Options of every tuning, see `CompareOptions`: objective, model, particles, generations, ...
+        Options of every tuning (see `CompareOptions`): objective, model, particles, generations, ...
 
     Raises
     ------
@@ -202,7 +202,7 @@ def _grid(options: GridOptions, training: Dataset, held_out: Dataset) -> _Grid:
 
 
 def _contenders(options: GridOptions, drives: Sequence[Any]) -> list[Contender]:
-    """Create a contender for every optimizer and scale; all must have the same budget."""
+    """Create a contender for every optimizer and scale. All must have the same budget."""
     given: dict[str, Any] = {**options}
     given.pop("seeds", None)
     names = given.pop("optimizers", ("pso", "ga", "ga-pso", "de", "cma-es", "random"))

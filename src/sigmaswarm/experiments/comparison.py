@@ -18,7 +18,7 @@ from sigmaswarm.record_files import load_record
 from sigmaswarm.tuning.config import TuneConfig
 
 MIN_SEEDS = 6
-"""Smallest number of seeds for a two-sided signed-rank test at 5%, whose lowest p is 2^(1 - seeds)."""
+"""Smallest number of seeds for a two-sided signed-rank test at 5%. The lowest p of this test is 2^(1 - seeds)."""
 
 MEASURES = {
     "cost": "training cost",
@@ -59,8 +59,8 @@ class Outcome:
     cost : float
         Cost on the training drives.
     held_out_cost, held_out_rmse, held_out_heading : float or None
-        Objective, mean position RMSE (m) and mean heading error (deg) on the held-out drives; None if there are no
-        held-out drives, the drives have no truth, or the filter failed.
+        Objective, mean position RMSE (m) and mean heading error (deg) on the held-out drives. None if there are no
+        held-out drives, if the drives have no truth, or if the filter failed.
     touched : tuple of str
         Parameters at a bound.
     evaluations, failures : int
@@ -108,7 +108,7 @@ class Comparison:
     drives, test : tuple of str
         Names of the training and of the held-out drives.
     fixes_alone_rmse : float or None
-        Mean position RMSE (m) of a filter that uses only the fixes, on the held-out drives; its noise parameters are
+        Mean position RMSE (m) of a filter that uses only the fixes, on the held-out drives. Its noise parameters are
         fitted to the training drives.
     """
 

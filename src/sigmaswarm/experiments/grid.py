@@ -38,7 +38,7 @@ def run_grid(
     effort: Callable[[T], float] = lambda _: 0.0,
     progress: Callable[[int, int, T], None] | None = None,
 ) -> dict[T, R]:
-    """Run every task; return results in the order of the tasks. The first failure or interruption stops all tasks.
+    """Run every task. Return results in the order of the tasks. The first failure or interruption stops all tasks.
 
     ``run(task, report)`` runs a task of ``rounds`` rounds and calls ``report`` with the number of finished rounds.
     ``processes`` is the number of forks (Linux only); if it is 0, the threads of ``executor`` run the tasks. Kernels

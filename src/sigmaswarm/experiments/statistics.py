@@ -1,6 +1,6 @@
 """Statistics of repeated tuning runs: intervals of means and medians, paired tests, and correction for multiple tests.
 
-Scores are arrays of shape (trials, drives); a score is NaN if the trial did not test on the drive. The bootstrap draws
+Scores are arrays of shape (trials, drives). A score is NaN if the trial did not test on the drive. The bootstrap draws
 n - 1 of n values (J. N. K. Rao and C. F. J. Wu, J. American Statistical Association 83, 1988). With n draws, the
 variance of a mean would be too small by the factor (n - 1) / n.
 """
@@ -60,7 +60,7 @@ def std(values: Array) -> float:
 
 
 def trial_interval(values: Array) -> Interval:
-    """Return mean +- 1.96 SD / sqrt(n) over the trials, as in the paper.
+    """Return the interval mean +- 1.96 SD / sqrt(n) over the trials, as in the paper.
 
     The interval is too narrow for new drives: in simulated studies, its coverage is 45 to 91% (docs/study.md).
     """
@@ -70,7 +70,7 @@ def trial_interval(values: Array) -> Interval:
 
 
 def corrected_interval(values: Array, test_per_train: float) -> Interval:
-    """Return the corrected resampled t interval: C. Nadeau and Y. Bengio, Machine Learning 52, 2003, section 3."""
+    """Return the corrected resampled t interval (C. Nadeau and Y. Bengio, Machine Learning 52, 2003, section 3)."""
     n = len(values)
     if n < 2:
         return math.nan, math.nan
@@ -151,7 +151,7 @@ def _drive_weights(strata: Sequence[str], rng: np.random.Generator, times: Array
 
 
 def _weights(n: int, rng: np.random.Generator) -> Array:
-    """Draw n - 1 of n values in each resample; return the weights of the values, with sum n, shape (RESAMPLES, n)."""
+    """Draw n - 1 of n values in each resample. Return the weights of the values, with sum n, shape (RESAMPLES, n)."""
     if n == 1:
         return np.ones((RESAMPLES, 1))
     drawn = rng.integers(0, n, (RESAMPLES, n - 1)) + n * np.arange(RESAMPLES)[:, np.newaxis]
@@ -203,7 +203,7 @@ def signed_rank(own: Array, theirs: Array) -> float:
 
 
 def rank_biserial(difference: Array) -> float:
-    """Return the rank-biserial correlation, -1 to 1: positive if negative differences have the larger rank sum.
+    """Return the rank-biserial correlation, -1 to 1. It is positive if negative differences have the larger rank sum.
 
     D. S. Kerby, Comprehensive Psychology 3, 2014.
     """
@@ -215,7 +215,7 @@ def rank_biserial(difference: Array) -> float:
 
 
 def holm(probabilities: Sequence[float]) -> list[float]:
-    """Correct p-values for multiple tests: S. Holm, Scandinavian J. of Statistics 6, 1979."""
+    """Correct p-values for multiple tests (S. Holm, Scandinavian J. of Statistics 6, 1979)."""
     p = np.asarray(probabilities, dtype=np.float64)
     order = np.argsort(p, kind="stable")
     adjusted = np.empty_like(p)

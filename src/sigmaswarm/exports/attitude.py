@@ -13,7 +13,7 @@ def tilt_indices(n: int) -> tuple[int, ...]:
 
 
 def quaternions(mean: Array) -> Array:
-    """Return the quaternions (..., 4) of means (..., n), in the order x, y, z, w of files."""
+    """Return the quaternions (..., 4) of means (..., n), in the order x, y, z, w that files have."""
     if tilt_indices(mean.shape[-1]):
         return np.roll(tilted.quaternion_of(mean), -1, axis=-1)
     half = mean[..., THETA] / 2
@@ -33,8 +33,8 @@ def rotations(mean: Array) -> Array:
 def body_velocity(mean: Array) -> tuple[Array, Array]:
     """Return the velocity along the body axes x and y, (k, 2) m/s, for means (k, n), and its Jacobian (k, 2, 3 or 5).
 
-    The velocity is R^T (vx, vy, vz); vz is chosen such that the velocity along the body's z axis is 0. The columns of
-    the Jacobian are vx, vy, theta and, if the model has them, roll and pitch.
+    The velocity is R^T (vx, vy, vz), with vz such that the velocity along the body's z axis is 0. The columns of the
+    Jacobian are vx, vy, theta and, if the model has them, roll and pitch.
     """
     c, s, vx, vy = np.cos(mean[:, THETA]), np.sin(mean[:, THETA]), mean[:, 2], mean[:, 3]
     ahead, left = c * vx + s * vy, c * vy - s * vx  # planar

@@ -49,7 +49,9 @@ def c99(
     lanes: Lanes | None = None,
     imu_axes: Mapping[str, str] | None = None,
 ) -> dict[str, str]:
-    """Return the text of each file by name. Q refers to steps of ``interval`` s; other arguments: see `export_texts`.
+    """Return the text of each file by name.
+
+    Q refers to steps of ``interval`` s. For the other arguments see `export_texts`.
 
     Raise `InputError` if a parameter cannot be written as a C constant, if the IMU's sampling rate is too high, or if
     the filter type of the model is not available in C.
@@ -119,10 +121,10 @@ def replay_rows(
 def replay_events(
     drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False, heading: bool = False
 ) -> list[tuple[str, list[float]]]:
-    """Return name and numbers of each row in the input of replay.c: ``start``, then the data in order of time.
+    """Return the name and the numbers of each row in the input of replay.c: ``start``, then the data in order of time.
 
-    ``model`` determines the axes of the IMU and of the lever arm. ``heading``: True to include headings of fixes. Fixes
-    and readings after the last IMU sample are left out. For errors see `start_numbers`.
+    ``model`` determines the axes of the IMU and of the lever arm. If ``heading`` is True, headings of fixes are
+    included. Fixes and readings after the last IMU sample are left out. For errors see `start_numbers`.
     """
     rows = [("start", start_numbers(drive, model, as_recorded=as_recorded))]
     axes = ("ax", "ay", "gz", *(("az", "gx", "gy") if MODELS[model].tilts else ()))
@@ -140,7 +142,8 @@ def replay_events(
 def start_numbers(drive: Drive, model: ModelName, *, as_recorded: bool) -> list[float]:
     """Return the numbers of a row ``start`` in the input of replay.c.
 
-    Raise `InputError` if the drive lacks an IMU axis of the model, and `AlignmentError` if it has no initial state.
+    Raise `InputError` if the drive lacks an IMU axis that the model needs, and `AlignmentError` if it has no initial
+    state.
     """
     starts.require_axes(drive, model)
     initial = initial_state(drive, as_recorded=as_recorded)
@@ -158,8 +161,8 @@ def _fix_numbers(
 ) -> list[float]:
     """Return the numbers of a row ``fix``: time (s), position (m), velocity (m/s), standard deviations (m), heading.
 
-    The last columns are omitted if they are not logged. ``heading``: heading and its standard deviation (rad), or None.
-    A missing velocity or heading is NaN, and missing standard deviations of the position are 0.
+    The last columns are omitted if they are not logged. ``heading`` contains the heading and its standard deviation
+    (rad), or is None. A missing velocity or heading is NaN, and missing standard deviations of the position are 0.
     """
     numbers = [t, *position]
     if velocity or std or heading:

@@ -1,4 +1,4 @@
-"""Translate the alignment and the rules of the divergence monitor to C99; the C code always uses double."""
+"""Translate the alignment and the rules of the divergence monitor to C99. The C code always uses double."""
 
 # pyright: reportPrivateUsage=false
 

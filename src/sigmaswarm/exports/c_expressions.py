@@ -1,4 +1,4 @@
-"""Translate expressions of a function to C99: the places of rows and states, and terms that are 0 in the filter."""
+"""Translate expressions to C99: find the places of rows and states, and omit terms that are 0 in the filter."""
 
 import ast
 from collections.abc import Callable
@@ -52,7 +52,7 @@ class Expressions(ast.NodeTransformer):
         return RENAMED.get(name, name)
 
     def written(self, node: ast.expr) -> tuple[str | None, str]:
-        """Return the `place` of an assignment's target; None if the target is not stored in C."""
+        """Return the `place` of an assignment's target, or None if the target is not stored in C."""
         place, mirror = self.place(node)
         return (None if place is not None and " * " in place else place), mirror
 

@@ -53,7 +53,7 @@ class Function(Expressions):
         return (f"real {self.local(name)}",) if renamed is None else renamed
 
     def chosen(self, statements: list[ast.stmt]) -> list[ast.stmt]:
-        """Return the statements; omit branches that never run."""
+        """Return the statements, without branches that never run."""
         chosen: list[ast.stmt] = []
         for statement in statements:
             known = self.value(statement.test) if isinstance(statement, ast.If) else None
@@ -68,7 +68,7 @@ class Function(Expressions):
         return chosen
 
     def drop_unused(self) -> None:
-        """Remove local variables that were used only in removed terms; keep calls of kernels."""
+        """Remove local variables that were used only in removed terms. Calls of kernels are kept."""
         for line in reversed(list(self.lines)):
             match = re.match(r"( +)const (?:real|bool) (\w+) = ([^;]*;)$", line)
             if match and len(re.findall(rf"(?<!>)\b{match[2]}\b", "\n".join(self.lines))) == 1:
@@ -144,7 +144,7 @@ class Function(Expressions):
         self.put(f"{self.call(call, outs)};", depth)
 
     def store_all(self, targets: list[ast.expr], values: list[ast.expr], depth: int) -> None:
-        """Print simultaneous assignments one after another; raise an error if one reads an earlier target."""
+        """Print simultaneous assignments one after another. Raise an error if one of them reads an earlier target."""
         folded = [self.fold(value) for value in values]
         written: set[str] = set()
         for k, (target, value) in enumerate(zip(targets, folded, strict=True)):

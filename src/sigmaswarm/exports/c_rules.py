@@ -1,7 +1,7 @@
 """Translate the rules for samples and fixes (standstill, stale fixes, gaps) from the library's functions to C99.
 
 The exported C code has its own type for times, since the float build counts ticks. ``seconds_between`` returns the
-difference of two times; ``SECONDS`` converts seconds that are added to a time.
+difference of two times. ``SECONDS`` converts seconds that are added to a time.
 """
 
 # pyright: reportPrivateUsage=false
@@ -20,11 +20,11 @@ from sigmaswarm.exports.c_text import declaration
 from sigmaswarm.filters.compiled import live
 
 MODULES = gaps, stale_fixes, standstill, odometer, events
-"""Modules with constants of the rules."""
+"""Modules whose constants the rules use."""
 
 
 def by_name(names: Mapping[str, str]) -> dict[str, str]:
-    """Return the type of each name; ``names`` contains, by type, the names separated by blanks."""
+    """Return the type of each name. ``names`` contains, by type, the names separated by blanks."""
     return {name: kind for kind, some in names.items() for name in some.split()}
 
 
@@ -39,7 +39,7 @@ POINTERS = by_name(
         "InsGpsEstimate *": "done",
     }
 )
-"""C types of arrays; by default ``real *``. The array ``kinds`` is a field of the fixes."""
+"""C types of arrays, by default ``real *``. The array ``kinds`` is a field of the fixes."""
 FIELDS = {
     "fixes": ("time", "x", "y"),
     "rows": ("time",),
@@ -72,7 +72,7 @@ _CASTS = {"int": "(int)", "float": "(real)"}
 
 
 def rules_of(features: Mapping[str, Any], used: int) -> dict[str, str]:
-    """Return the C text of the rules and of the call of `sample_events`, by name; ``used``: see `events.bits_of`."""
+    """Return the C text of the rules and of the call of `sample_events`, by name. For ``used`` see `events.bits_of`."""
     emitter = Emitter(Rule, settings={"used": used})
     emitter.add(live._until, "fixes_until")
     if features["odometer"]:

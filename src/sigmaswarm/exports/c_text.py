@@ -41,7 +41,7 @@ def is_boolean(node: ast.expr) -> bool:
 
 
 def declaration(kind: str, name: str) -> str:
-    """Declare a variable in C; the type of a matrix is, for example, ``real [][5]``."""
+    """Declare a variable in C. The type of a matrix is, for example, ``real [][5]``."""
     kind, bracket, lengths = kind.partition(" [")
     return f"{kind} {name}{bracket[1:]}{lengths}".replace("* ", "*")
 

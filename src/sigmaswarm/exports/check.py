@@ -40,7 +40,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class ExportCheck:
-    """Differences on a drive, in double and in float; ``single`` is None if the filter exceeds the range of float."""
+    """Differences on a drive, in double and in float. ``single`` is None if the filter exceeds the range of float."""
 
     drive: str
     double: Difference
@@ -56,9 +56,11 @@ def check_export(
     lanes: int = 1,
     seed: int = 0,
 ) -> list[ExportCheck]:
-    """Compile the exported C library in ``folder``, and compare it with Python on drives; arguments: `export_texts`.
+    """Compile the exported C library in ``folder``, and compare it with Python on drives.
 
-    The reference is `run_filter` without resets or, if ``lanes`` exceeds 1, a `LiveFilterBank` without searches. Raise
+    For the arguments see `export_texts`.
+
+    The reference is `run_filter` without resets or, if ``lanes`` exceeds 1, a `LiveFilterBank` without searches. Raises
     `InputError` if there is no C compiler, if the build fails, or if a drive lacks data that the filter needs, and
     `AlignmentError` if a drive has no initial state.
     """

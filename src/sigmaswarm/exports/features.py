@@ -16,7 +16,7 @@ from sigmaswarm.versions import __version__
 
 
 def features_of(p: FilterParameters) -> dict[str, bool]:
-    """Return the features on which templates depend, by name: True if the filter has the feature."""
+    """Return the features on which templates depend, by name. A feature is True if the filter has it."""
     measured = starts.measured_by(p)
     lateral, stands, wheels = (name in measured for name in ("lateral", "standstill", "odometer"))
     gate, robust = p.gate is not None, p.robust_dof is not None
@@ -88,7 +88,7 @@ def context_of(p: FilterParameters, interval: float) -> dict[str, Any]:
 
 
 def in_range(value: float, of: str) -> float:
-    """Return a number; if it is not finite, raise `InputError` with the description ``of``."""
+    """Return a number. If it is not finite, raise `InputError` with the description ``of``."""
     if not math.isfinite(value):
         raise InputError(
             f"the filter can't be exported: {of} is not a finite number; correct this value, or tune the filter again"

@@ -36,7 +36,7 @@ MODEL = {
     models: "THETA ACCEL_BIAS GYRO_BIAS planar5 planar8 gps_position velocity lateral_arm lateral_velocity "
     "wheel_speed heading"
 }
-"""Names that the script contains, by module; an empty text means all. FILTER and DRIVE have the same form."""
+"""Names that the script contains, by module. An empty text means all names. FILTER and DRIVE have the same form."""
 FILTER = {
     kalman: "Innovation Prediction GaussianFilter complex_step NotPositiveDefiniteError square_root",
     constants: "STANDSTILL_RATE_NOISE SLIP_GATE HEADING_GATE MOST_REJECTED GAP_TURN_STD GAP_ACCELERATION_STD "
@@ -58,7 +58,7 @@ DRIVE = {
 
 
 def filterpy(parameters: FilterParameters, interval: float, *, as_recorded: bool = False) -> dict[str, str]:
-    """Return the script by file name. Q refers to steps of ``interval`` s; ``as_recorded``: see `PreparedDrive`."""
+    """Return the script by file name. Q refers to steps of ``interval`` s. For ``as_recorded`` see `PreparedDrive`."""
     p = parameters
     stated = {f.name: f for f in fields(p) if f.name not in _ABSENT}
     numbers = {name: getattr(p, name) for name in stated} | {"nominal_interval": interval}

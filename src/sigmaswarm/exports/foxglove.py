@@ -54,7 +54,7 @@ def _plot(title: str, paths: Collection[str]) -> dict[str, Any]:
 
 
 def _arranged(panels: list[str], direction: str = "row") -> Any:
-    """Return the panels as a binary tree; its levels are alternately rows and columns."""
+    """Return the panels as a binary tree whose levels are alternately rows and columns."""
     if len(panels) == 1:
         return panels[0]
     half, other = (len(panels) + 1) // 2, "column" if direction == "row" else "row"

@@ -19,14 +19,14 @@ from sigmaswarm.files import nan_to_none, write_atomically
 
 _UNIX_TIMES = (1e9, 2.5e11)  # s, years 2001 to 9892
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""Characters that XML 1.0 (section 2.2) forbids even if they are escaped; JSON forbids unpaired surrogates."""
+"""Characters that XML 1.0 (section 2.2) forbids even if they are escaped. JSON forbids unpaired surrogates."""
 
 
 _MAX_LONGITUDE = 179.999999999  # deg, largest longitude in GPX, which excludes 180 deg; the error is 0.1 mm
 
 
 def geojson(time: Array, places: Array, path: Path, name: str) -> None:
-    """Write a line, cut at the antimeridian (RFC 7946, 3.1.9). ``places`` (n, 2): latitude and longitude, deg.
+    """Write a line, cut at the antimeridian (RFC 7946, 3.1.9). ``places`` (n, 2) contains latitude and longitude, deg.
 
     The property ``coordTimes`` has the format of togeojson: a list, or a list of lists for a line in parts.
     """
@@ -74,7 +74,7 @@ def kml(time: Array, places: Array, path: Path, name: str) -> None:
 
 
 def _timed_kml(time: Array, places: Array, path: Path, name: str) -> None:
-    """Write a track in Google's extension of KML 2.2; each part lists all times, then all positions."""
+    """Write a track in Google's extension of KML 2.2. Each part lists all times, then all positions."""
     lines = [
         '<kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"><Document>',
         f"<Placemark><name>{_escaped(name)}</name><gx:MultiTrack>",
@@ -86,7 +86,7 @@ def _timed_kml(time: Array, places: Array, path: Path, name: str) -> None:
 
 
 def split_at_antimeridian(time: Array, places: Array) -> list[tuple[Array, Array]]:
-    """Cut a track at the antimeridian; return times (k,) in s and places (k, 2) in deg of each part.
+    """Cut a track at the antimeridian. Return the times (k,) in s and places (k, 2) in deg of each part.
 
     At each cut, a new point on the antimeridian ends one part and starts the next part.
     """
@@ -119,7 +119,7 @@ def _escaped(text: str) -> str:
 
 
 def _stamps(time: Array) -> list[str]:
-    """Return times in UTC as text; an empty list if the times are not Unix times."""
+    """Return the times in UTC as text, or an empty list if they are not Unix times."""
     if not (len(time) and _UNIX_TIMES[0] <= time[0] and time[-1] <= _UNIX_TIMES[1]):
         return []
     return [

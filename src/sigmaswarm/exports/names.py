@@ -8,7 +8,7 @@ from typing import Literal
 
 Target = Literal["c99", "filterpy", "robot_localization"]
 AnyTarget = Literal[Target, "robot-localization"]
-"""Targets as users may write them: see `target_named`."""
+"""Targets in the spelling of users (see `target_named`)."""
 LIBRARIES = ("libins_gps.so", "libins_gps_float.so")  # C libraries in double and in float
 
 
@@ -71,7 +71,7 @@ DESCRIPTIONS: dict[Target, Description] = {
 
 
 def target_named(target: AnyTarget) -> Target:
-    """Return a target; robot-localization, the name of the model, is also accepted."""
+    """Return a target. The name of the model, robot-localization, is also accepted."""
     return "robot_localization" if target == "robot-localization" else target
 
 

@@ -33,9 +33,9 @@ START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
 def robot_localization(
     parameters: FilterParameters, interval: float, *, mounting: Angles | None = None
 ) -> dict[str, str]:
-    """Return the text of each file by name; raise `InputError` if a variance per second is not finite.
+    """Return the text of each file by name. Raises `InputError` if a variance per second is not finite.
 
-    Q refers to steps of ``interval`` s; ``mounting``: see `export_texts`.
+    Q refers to steps of ``interval`` s. For ``mounting`` see `export_texts`.
     """
     p, (r_east, r_north) = parameters, parameters.measurement_noise
     if MODELS[p.model].measures_imu:

@@ -1,4 +1,4 @@
-"""Write an estimate as a ROS 2 bag with a layout for Foxglove; needs the package rosbags.
+"""Write an estimate as a ROS 2 bag with a layout for Foxglove. This needs the package rosbags.
 
 The topic /sigmaswarm/odometry, nav_msgs/Odometry, has the pose in ``map`` (east-north-up) and the twist in
 ``base_link`` (x forward, y left): see REP-105 and the definition of the message.
@@ -53,8 +53,8 @@ def ros2(
     """Write a bag (a folder with MCAP storage) and a layout for Foxglove, with parameters as in `write_pieces`.
 
     Without ``replace``, ``path`` must not exist. Topics of the bag ``merge`` that have an unknown type are omitted with
-    a warning. `InputError`: rosbags is not installed, a time is before 0, or ``merge`` is damaged, covers other times,
-    or already contains /sigmaswarm/odometry. In these cases no file remains.
+    a warning. Raises `InputError` if rosbags is not installed, if a time is before 0, or if ``merge`` is damaged,
+    covers other times, or already contains /sigmaswarm/odometry. In these cases no file remains.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
@@ -110,7 +110,7 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
         if "rofile" in str(error):
             raise InputError(
                 f"{path}: is an MCAP file that ROS 2 did not write, so a ROS 2 bag can't contain its messages; "
-                "leave --merge out"
+                "omit --merge"
             ) from None
         raise damage_error(path, error) from None
     try:
@@ -128,7 +128,7 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
 
 
 def _copied(path: Path, reader: Any, writer: Any) -> Iterator[RawMessage]:
-    """Add the topics of a bag to the new bag; return an iterator of their messages, sorted by time.
+    """Add the topics of a bag to the new bag. Return an iterator of their messages, sorted by time.
 
     A topic is omitted with a warning if neither the bag nor the latest ROS defines its type.
     """
@@ -170,7 +170,7 @@ def _copied(path: Path, reader: Any, writer: Any) -> Iterator[RawMessage]:
 def _serialized(
     messages: Iterable[Message], store: Any, writer: Any, added: dict[str, Any]
 ) -> Iterator[RawMessage]:
-    """Yield messages as bytes; add a topic to the bag before the first message of the topic."""
+    """Yield messages as bytes. A topic is added to the bag before its first message."""
     for nanoseconds, topic, message in messages:
         kind = message.__msgtype__
         if topic not in added:
@@ -180,7 +180,7 @@ def _serialized(
 
 @dataclass(frozen=True)
 class MessageFactory:
-    """Constructor of ROS messages; ``types``: classes by name, ``time_origin``: see `write_pieces`."""
+    """Constructor of ROS messages. ``types`` contains classes by name. For ``time_origin`` see `write_pieces`."""
 
     types: Any
     time_origin: float
@@ -189,7 +189,7 @@ class MessageFactory:
         return self.types[name.replace("/", "/msg/")](*fields)
 
     def nanoseconds(self, time: float) -> int:
-        """Return a time on the clock of the bag, ns; origin and time are rounded separately to keep all digits."""
+        """Return a time on the clock of the bag, ns. Origin and time are rounded separately to keep all digits."""
         return round(float(time) * 1e9) + round(self.time_origin * 1e9)
 
     def header(self, nanoseconds: int) -> Any:
@@ -204,7 +204,7 @@ class MessageFactory:
 def _messages(
     pieces: Iterable[Estimate], factory: MessageFactory, origin: Origin | None
 ) -> Iterator[Message]:
-    """Yield estimates; once per `INTERVAL` also standard deviations (if known) and the NavSatFix (with ``origin``)."""
+    """Yield estimates and, once per `INTERVAL`, standard deviations (if known) and the NavSatFix (with ``origin``)."""
     before = -1
     for estimate in pieces:
         velocity, jacobian = body_velocity(estimate.mean)

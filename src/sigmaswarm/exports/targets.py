@@ -78,7 +78,7 @@ def export_texts(
 
 
 def _checked(parameters: FilterParameters, target: Target) -> float:
-    """Check that a target supports a filter; return the nominal IMU interval of Q, s."""
+    """Check that a target supports a filter. Return the nominal IMU interval of Q, s."""
     if target not in DESCRIPTIONS:
         raise InputError(f"there is no export target {target!r}; choose one of {', '.join(DESCRIPTIONS)}")
     if MODELS[parameters.model].tilts and not DESCRIPTIONS[target].tilts:

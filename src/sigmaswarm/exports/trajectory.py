@@ -95,7 +95,9 @@ def _degrees(east: Array, north: Array, origin: Origin) -> Array:
 def write_fixes(
     drive: Drive, until: float, path: str | Path, *, origin: Origin | None = None, time_origin: float = 0.0
 ) -> int:
-    """Write the fixes before ``until`` (s), for example the start of a filter; return the number of written fixes.
+    """Write the fixes before ``until`` (s), for example before the start of a filter.
+
+    Return the number of written fixes.
 
     Formats: ``.csv`` (t in s, x and y in m), ``.geojson``, ``.gpx`` and ``.kml``. Other formats raise `InputError`.
     """
@@ -154,10 +156,10 @@ def check_target(
 
 
 def true_trajectory(drive: Drive) -> Estimate:
-    """Return the truth of a drive as an estimate; raise `InputError` if there is no truth."""
+    """Return the truth of a drive as an estimate. Raises `InputError` if there is no truth."""
     truth = drive.truth
     if truth is None:
-        raise InputError(f"{drive.name}: has no truth.csv; leave --truth out")
+        raise InputError(f"{drive.name}: has no truth.csv; omit --truth")
     mean = np.column_stack([truth.x, truth.y, truth.vx, truth.vy, truth.theta])
     return Estimate(truth.time, mean, np.empty(0), InitialState(mean[0], np.eye(5), float(truth.time[0])))
 

@@ -17,7 +17,7 @@ is plausible.
 HEADING_GATE = 9.0
 """Upper limit of the NIS of a heading.
 
-If the NIS would be larger, S is increased until the NIS has this value (G. Chang, Robust Kalman filtering based on
+If the NIS is larger, S is increased until the NIS has this value (G. Chang, Robust Kalman filtering based on
 Mahalanobis distance as outlier judging criterion, Journal of Geodesy 88, 2014). A filter with a wrong heading can
 therefore recover.
 """
@@ -30,7 +30,7 @@ GAP_TILT_STD = 0.01  # rad/s about east and north; 0.02 gives equal results
 
 
 def gap_covariance(n: int, dt: float, gap: float) -> Array:
-    """Return the covariance (n, n) that a step of ``dt`` s in a gap of ``gap`` s adds to P + Q; 0 if there is no gap.
+    """Return the covariance (n, n) that a step of ``dt`` s in a gap of ``gap`` s adds to P + Q; 0 without a gap.
 
     The unobserved motion is a constant turn rate and a constant acceleration over the gap. Together, the steps in a gap
     therefore add (GAP_TURN_STD gap)^2 to the variance of the heading and (GAP_ACCELERATION_STD gap)^2 to the variance

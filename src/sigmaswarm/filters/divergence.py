@@ -42,8 +42,9 @@ CHECKS, SINCE, LAST = range(3)
 def check_times(line: Timeline) -> tuple[Indices, Indices]:
     """Find, in each `CHECK_INTERVAL`, the first IMU sample that follows a new fix within `LATEST_CHECK`.
 
-    Return, for each of l checks, the step that ends at this sample, and the last fix before it; both are indices, (l,).
-    A sample after a gap of more than `LEAP` is omitted, since a live filter uses it only after the next sample.
+    Return, for each of l checks, the step that ends at this sample, and the last fix before this sample; both are
+    indices, (l,). Samples after a gap of more than `LEAP` are left out, since a live filter uses such a sample only
+    after the next one.
     """
     sampled, updating = np.flatnonzero(line.sampled), np.flatnonzero(line.updates)
     before = np.searchsorted(updating, sampled, side="right")  # fixes up to each sample
@@ -97,7 +98,7 @@ class StateCheck:
         return bool(off > max(HEADING_OFF, MANY_SIGMAS * std))
 
     def _turned_by_bias(self, aligned: InitialState) -> float:
-        """Return the change of heading at the check (rad) if the filter's gyro bias replaces that of the alignment."""
+        """Return the change in heading at the check (rad) if the filter's gyro bias replaces that of the alignment."""
         gyro = aligned.gyro
         if gyro is None or len(self.mean) <= GYRO_BIAS:
             return 0.0
@@ -137,7 +138,7 @@ class DivergenceMonitor:
         self._position, self._heading = _Contradiction(), _Contradiction()
 
     def take(self, check: StateCheck) -> InitialState | None:
-        """Evaluate a check; return the state for a reset, or None if the filter continues or becomes ``lost``."""
+        """Evaluate a check. Return the state for a reset, or None if the filter continues or becomes ``lost``."""
         if not np.isfinite(check.mean).all():  # the run reports this failure
             return None
         return self.take_all([check.time], lambda _: check)[1]
@@ -145,7 +146,7 @@ class DivergenceMonitor:
     def take_all(
         self, times: Sequence[float], check_at: Callable[[int], StateCheck]
     ) -> tuple[int | None, InitialState | None]:
-        """Evaluate checks at several times (s); return the index of the first divergence and the state for a reset.
+        """Evaluate checks at several times (s). Return the index of the first divergence and the state for a reset.
 
         ``check_at`` returns the check at the k-th time. If the filter is ``lost``, only the first check is evaluated.
         """
@@ -251,8 +252,8 @@ _MAX_MAGNITUDE = 1e12  # m, m/s2 or rad/s; samples and fixes with larger numbers
 def align_stream(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> InitialState | None:
     """Compute an alignment from the last few seconds of a live filter's data.
 
-    ``samples`` (k, 4 or 6): time, ax, ay, gz and, if present, gx, gy; ``fixes`` (m, 3): time (s), x, y (m);
-    ``gyro_bias``: known bias of gz, rad/s.
+    ``samples`` (k, 4 or 6) contains time, ax, ay, gz and, if known, gx, gy. ``fixes`` (m, 3) contains time (s), x, y
+    (m). ``gyro_bias`` is the known bias of gz, rad/s.
     """
     columns = samples[(np.abs(samples[:, 1:]) < _MAX_MAGNITUDE).all(axis=1)].T
     fixes = fixes[(np.abs(fixes[:, 1:]) < _MAX_MAGNITUDE).all(axis=1)]
@@ -274,7 +275,7 @@ def align_stream(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -
 
 @call_once
 def compile_resets() -> None:
-    """Compile or load the functions of a reset in advance; otherwise, the first reset would wait for seconds."""
+    """Compile or load the functions of a reset in advance. Otherwise, the first reset would wait for seconds."""
     samples, fixes = np.zeros((100, 6)), np.zeros((100, 3))
     samples[:, 0] = fixes[:, 0] = 0.1 * np.arange(100)
     fixes[:, 1] = 10.0 * fixes[:, 0]  # 10 m/s to the east
@@ -284,7 +285,7 @@ def compile_resets() -> None:
 
 
 def state_at_fix(time: float, fix: Array, variance: Array, theta: float, lever: Array) -> InitialState:
-    """Return the state at a fix (m) with its variance (m2), both (2,), an unknown speed and an uncertain heading."""
+    """Return the state at a fix (m) with its variance (m2), both (2,); the speed and the heading are uncertain."""
     c, s = np.cos(theta), np.sin(theta)
     turned = np.array([c * lever[0] - s * lever[1], s * lever[0] + c * lever[1]])
     mean = np.array([*(fix - turned), 0.0, 0.0, theta])

@@ -44,7 +44,7 @@ def join_chunks(pieces: Iterable[EstimateChunk]) -> EstimateChunk:
 
 @dataclass(frozen=True, eq=False)
 class Innovations:
-    """Innovations of a filter: each fix minus its prediction, before the update.
+    """Innovations of a filter: each fix minus its prediction before the update.
 
     Attributes
     ----------
@@ -73,10 +73,10 @@ class Innovations:
 
 
 class FilterRun:
-    """Run of a filter over a drive: an iterator of pieces. Sums and innovations are available after the last piece.
+    """Run of a filter over a drive, as an iterator of pieces. Sums and innovations are available after the last piece.
 
-    ``samples``: number of IMU samples in a piece; the results do not depend on this number. ``recover``: True to reset
-    the filter if it diverges. At a sample at which the filter is reset, the sums contain the error before the reset.
+    ``samples`` is the number of IMU samples in a piece; the results do not depend on this number. If ``recover`` is
+    True, the filter is reset when it diverges. At the sample of a reset, the sums contain the error before the reset.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class FilterRun:
         return join_chunks(self)
 
     def at(self, times: Array) -> EstimateChunk:
-        """Run to the end; return only the estimates at ``times`` (k,), s, which are times of IMU samples."""
+        """Run to the end. Return only the estimates at ``times`` (k,), s, which are times of IMU samples."""
         chunks: list[EstimateChunk] = []
         for time, record, lost in self._parts:
             rows = np.searchsorted(time, times[(times >= time[0]) & (times <= time[-1])])
@@ -146,7 +146,9 @@ class FilterRun:
         self._complete = True
 
     def _run_to(self, stops: Indices, record: Array) -> Mask:
-        """Run to the last of the steps ``stops``, (r,), each after an IMU sample; return `EstimateChunk.lost`, (r,).
+        """Run to the last of the steps ``stops``, (r,), each of which follows an IMU sample.
+
+        Return `EstimateChunk.lost`, (r,).
 
         Stopping the filter at every check would take longer than the steps themselves. Therefore, a filter with a
         constant R runs to the end, and its recorded estimates are checked afterwards. If it diverged, it runs again up
@@ -234,7 +236,7 @@ class FilterRun:
         return state_at_fix(time, line.fixes[fix, :2], self._variance_of(fix), theta, line.lever)
 
     def _estimate(self) -> tuple[Array, Array]:
-        """Return mean (n,), with the heading not wrapped, and covariance (n, n)."""
+        """Return the mean (n,), whose heading is not wrapped, and the covariance (n, n)."""
         mean, covariance = state_estimate(self._rows[0, self._state, :1], self._array.kernel)
         return mean[0], covariance[0]
 
@@ -278,13 +280,16 @@ class FilterRun:
 
 
 class InterruptibleRun(FilterRun):
-    """Run of a filter that calls `_at` after some IMU samples; ``_marks``, (k,), contains their sorted indices."""
+    """Run of a filter that calls `_at` after some IMU samples.
+
+    ``_marks``, (k,), contains the sorted indices of these samples.
+    """
 
     _marks: Indices
     _done = 0
 
     def _at(self, sample: int, stop: int, record: Array, *, lost: bool) -> None:
-        """Change the filter after an IMU sample, before step ``stop``; ``record`` (s, 1) is the row of this sample."""
+        """Change the filter after an IMU sample, before step ``stop``. ``record`` (s, 1) is the row of this sample."""
         raise NotImplementedError
 
     def _run_to(self, stops: Indices, record: Array) -> Mask:

@@ -42,7 +42,7 @@ class MotionNoise:
 def _filter(
     dt: Array, fixes: Array, variance: Array, density: float, start: Array, states: Array
 ) -> float:  # pragma: no cover
-    """Filter fixes (k, 2); return minus twice the log-likelihood, without its constant.
+    """Filter fixes (k, 2). Return minus twice the log-likelihood, without its constant.
 
     ``states`` (k, 7) receives x, y, vx, vy, P_xx, P_xv and P_vv after each fix.
     """
@@ -71,7 +71,7 @@ def _variances(line: Timeline) -> Array:
 
 
 def fit_noise(drive_pass: FilterPass) -> MotionNoise:
-    """Estimate the noise parameters of a drive by maximum likelihood; for fewer than 3 fixes, both are 1."""
+    """Estimate the noise parameters of a drive by maximum likelihood. For fewer than 3 fixes, both are 1."""
     line = drive_pass.timeline
     fixes, variance = np.ascontiguousarray(line.fixes[:, FIX_X : FIX_X + 2]), _variances(line)
     if len(fixes) < 3:

@@ -1,7 +1,8 @@
 """Parameter sets as columns of a table, and as columns of the kernel's array (constants, starts, sums).
 
-Building one object per set takes as long as running the filters. A kernel call takes 0.2 ms. Python code for each drive
-and block of columns would take longer and keep other threads waiting, so all sets and drives are processed together.
+Building one object per set takes as long as running the filters. A kernel call takes only 0.2 ms; Python code for each
+drive and block of columns would take longer and keep other threads waiting. Therefore all sets and drives are processed
+together.
 """
 
 from collections.abc import Callable, Sequence
@@ -41,7 +42,7 @@ _ABSENT: dict[str, float] = described("absent")
 
 @dataclass(frozen=True, eq=False)
 class ParameterTable(Sequence[FilterParameters]):
-    """Parameter sets with the same model and measurements; indexing builds a `FilterParameters`.
+    """Parameter sets with the same model and measurements. Indexing builds a `FilterParameters`.
 
     ``like`` contains the fields that are equal in all ``size`` = n sets; ``columns`` contains the other fields, (n,) or
     (n, k).
@@ -63,7 +64,7 @@ class ParameterTable(Sequence[FilterParameters]):
         return cls(parameter_sets[0], columns, len(parameter_sets))
 
     def field(self, name: str) -> Any:
-        """Return the values of a field, (n,) or (n, k), or the shared value; None becomes inf or 0."""
+        """Return the values of a field, (n,) or (n, k), or the value that all sets share. None becomes inf or 0."""
         if name in self.columns:
             return self.columns[name]
         value = getattr(self.like, name)
@@ -101,7 +102,9 @@ def group_tables(parameter_sets: Sequence[FilterParameters]) -> list[tuple[Indic
 
 
 Starts = dict[InitialState, tuple[Array, Array]]
-"""Initial state rows (N_STATE, columns) and headings (columns,), rad; a single column if all sets have the same start.
+"""Initial state rows (N_STATE, columns) and headings (columns,), rad.
+
+If all sets have the same start, there is only one column.
 """
 
 MAX_STARTS = 20_000  # largest number of columns of starts computed in advance; each takes about 3 kB
@@ -115,7 +118,7 @@ class KernelSums:
     Attributes
     ----------
     numbers : (n_sums, n_passes, n_sets)
-        In the order of `layout.SUMS`; NaN if a set failed.
+        Sums in the order of `layout.SUMS`; NaN if a set failed.
     failed : bool (n_passes, n_sets)
         True if P was not positive definite, if a state or sum was not finite, or if the set is implausible (see
         `KernelArray.plausible`).
@@ -140,7 +143,7 @@ class KernelSums:
 class KernelArray:
     """Parameter sets with the same kernel and measurements.
 
-    Each block has ``width`` columns, at most `most_lanes`; surplus columns are copies of the last set. ``like`` has the
+    Each block has ``width`` columns, at most `most_lanes`. Surplus columns are copies of the last set. ``like`` has the
     model and measurements of all ``size`` sets. ``reads`` states what the sets require of a drive: axes of the model,
     stated accuracy of fixes, and measurements (`measured_by`). The constructor raises `InputError` if the model is not
     compiled as this filter type.
@@ -180,7 +183,10 @@ class KernelArray:
 
     @property
     def plausible(self) -> Mask:
-        """True for sets with Q >= 0 and R > 0, (size,); for other sets, P may become indefinite long before a check."""
+        """Mask (size,) of the sets with Q >= 0 and R > 0.
+
+        In other sets, P may become indefinite long before it is checked.
+        """
         own = self._constants[:, : self.size]
         r = own[[R.RX - CONSTANT_ROWS.start, R.RY - CONSTANT_ROWS.start]]
         return (own[_Q].min(axis=0) >= 0) & (r.min(axis=0) > 0)
@@ -201,7 +207,7 @@ class KernelArray:
             self._starts = self._starts_at(unknown, self._start_std)
 
     def start(self, initial: Sequence[InitialState], nominal_intervals: Sequence[float]) -> Array:
-        """Return the rows of the filters at m starts, (blocks * m, N_KEPT, width); nominal IMU intervals in s."""
+        """Return the rows of the filters at m starts, (blocks * m, N_KEPT, width). Nominal IMU intervals are in s."""
         blocks, m, starts = self.blocks, len(initial), self._starts
         if not all(start in starts for start in initial):
             starts = self._starts_at(tuple(dict.fromkeys(initial)), self._start_std)
@@ -242,12 +248,15 @@ def _starts_of(initial: tuple[InitialState, ...], model: str, std: Array) -> Sta
 
 @lru_cache(4)
 def _shared_starts(initial: tuple[InitialState, ...], model: str, std: tuple[float, ...]) -> Starts:
-    """Return the starts of sets with equal `start_std`; cached, since they are equal in all generations of a search."""
+    """Return the starts of sets with equal `start_std`.
+
+    They are cached, since all generations of a search have the same starts.
+    """
     return _starts_of(initial, model, np.array([std]))
 
 
 def _in_blocks(rows: Array, blocks: int) -> Array:
-    """Reshape rows (r, columns) to (blocks, r, width); a single column, for all sets, to (1, r, 1)."""
+    """Reshape rows (r, columns) to (blocks, r, width), or a single column for all sets to (1, r, 1)."""
     return rows.reshape(len(rows), blocks if rows.shape[1] > 1 else 1, -1).swapaxes(0, 1)
 
 
@@ -259,7 +268,7 @@ def _side_by_side(values: NDArray[Any], blocks: int) -> NDArray[Any]:
 
 
 def _constants(table: ParameterTable) -> Array:
-    """Return the kernel's constants, (N_CONSTANTS, n), with Q per `nominal_interval` of the set, and PATIENCE 0."""
+    """Return the kernel's constants, (N_CONSTANTS, n), with Q per `nominal_interval` of each set, and PATIENCE 0."""
     constants = np.zeros((len(CONSTANTS), len(table)))
     for row, value in _values(table.field, table.like.kernel).items():
         constants[row - CONSTANT_ROWS.start] = value

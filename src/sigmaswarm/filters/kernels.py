@@ -40,7 +40,7 @@ def with_fix_error(model: CarModel) -> CarModel:
 
 
 def add_start(mean: Array, covariance: Array, variance: Array) -> None:
-    """Add b to initial means (..., n) and covariances (..., n, n), in place; ``variance`` (...) is g s^2, m2."""
+    """Add b to initial means (..., n) and covariances (..., n, n), in place. ``variance`` (...) is g s^2, m2."""
     for position, b in ((0, -2), (1, -1)):
         mean[..., b] = 0.0
         covariance[..., b, b] = variance

@@ -77,8 +77,9 @@ class LiveFilter:
     A fix waits for the next IMU sample. The filter is then propagated to the time of the fix, updated, and propagated
     to the time of the sample. If a fix is at most ``history`` seconds late, the filter returns to the time of the fix
     and processes the later samples again. The state therefore equals the result of `run_filter` for the same data in
-    time order. Fixes with the same time, for example from two receivers, are used one after the other. A fix that is
-    identical to an earlier fix is a repeated message and is ignored. A stale fix is not used: see `drives.stale_fixes`.
+    time order. Fixes with the same time, for example from two receivers, are processed one after the other. A fix that
+    is identical to an earlier fix is a repeated message and is ignored. A stale fix is not used: see
+    `drives.stale_fixes`.
 
     Without IMU samples, the state does not change and fixes wait; the next sample bridges the gap (`drives.gaps`). A
     sample whose time stamp is more than 10 s ahead of the filter waits for the next sample. If that sample is at most 1
@@ -116,11 +117,11 @@ class LiveFilter:
     restarts : list of float
         Times of the last `MAX_RESTARTS` resets, s.
     too_late : int
-        Number of fixes and odometer readings that were ignored, since they were more than ``history`` s late, too many
-        of them waited in an IMU gap, or their time or speed was not finite.
+        Number of fixes and odometer readings that were ignored because they were more than ``history`` s late, because
+        too many of them waited in an IMU gap, or because their time or speed was not finite.
     time_jumps : int
-        Number of samples, fixes and odometer readings that were dropped, since their time stamps were far ahead and not
-        confirmed.
+        Number of samples, fixes and odometer readings that were dropped because their time stamps were far ahead and
+        not confirmed.
     frozen : int
         Number of stale fixes, which are not used.
     """
@@ -171,9 +172,9 @@ class LiveFilter:
         self._lag = None if lag is None else FixedLag(kernel, lag, self._memory.arrays, most_steps=most_steps)
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
-        """Process an IMU sample; ignore a sample whose time is not after that of the last sample.
+        """Process an IMU sample. It is ignored if its time is not after that of the last sample.
 
-        A sample more than 10 s ahead waits: see `LiveFilter`. Samples before the start of the filter do not change the
+        A sample more than 10 s ahead waits (see `LiveFilter`). Samples before the start of the filter do not change the
         state; they are used only to detect gaps, standstills and divergence.
 
         Parameters
@@ -284,7 +285,10 @@ class LiveFilter:
         due: bool,
         gyro_bias: float = 0.0,
     ) -> InitialState | None:
-        """Return the state for a reset; None if no reset is due. ``gyro_bias``: known bias of the gyro, rad/s."""
+        """Return the state for a reset, or None if no reset is due.
+
+        ``gyro_bias`` is the known bias of the gyro, rad/s.
+        """
         start = monitor.take(self._check(now, fix, *estimate(), gyro_bias)) if due else None
         if monitor.lost:
             theta = float(estimate()[0][THETA])
@@ -322,7 +326,7 @@ class LiveFilter:
 
     @property
     def _samples(self) -> Array:
-        """Samples of the last `MONITOR_SPAN` seconds and one before: time, ax, ay, gz (and gx, gy if read)."""
+        """Samples of the last `MONITOR_SPAN` seconds and one earlier sample: time, ax, ay, gz (and gx, gy if used)."""
         arrays, columns = self._memory.arrays, [0, *_ALIGNING[: 5 if "gx" in self._axes else 3]]
         newest, n = int(arrays.counts[live.NEWEST]), int(arrays.counts[live.N_LATELY])
         samples = arrays.lately[np.arange(newest - n + 1, newest + 1) % len(arrays.lately)][:, columns]
@@ -350,23 +354,23 @@ class LiveFilter:
         return self._memory.arrays.filter_state
 
     def _estimate(self) -> tuple[Array, Array]:
-        """Return mean (n,), with the heading not wrapped, and covariance (n, n)."""
+        """Return the mean (n,), whose heading is not wrapped, and the covariance (n, n)."""
         mean, covariance = state_estimate(self._filter_state[self._state, np.newaxis], self.parameters.kernel)
         return mean[0], covariance[0]
 
     @property
     def restarts(self) -> list[float]:
-        """Times of the last resets, s: see `LiveFilter`."""
+        """Times of the last resets, s (see `LiveFilter`)."""
         return [] if self._monitor is None else self._monitor.restarts[-MAX_RESTARTS:]
 
     @property
     def too_late(self) -> int:
-        """Number of fixes and odometer readings that came too late: see `LiveFilter`."""
+        """Number of fixes and odometer readings that came too late (see `LiveFilter`)."""
         return int(self._memory.arrays.counts[live.TOO_LATE])
 
     @property
     def time_jumps(self) -> int:
-        """Number of dropped data whose time stamps were far ahead: see `LiveFilter`."""
+        """Number of dropped data whose time stamps were far ahead (see `LiveFilter`)."""
         return int(self._memory.arrays.counts[live.TIME_JUMPS])
 
     @property
@@ -376,7 +380,7 @@ class LiveFilter:
 
     @property
     def state(self) -> LiveState:
-        """State estimate after the last IMU sample and all fixes up to its time."""
+        """State estimate after the last IMU sample and all earlier fixes."""
         time, definite = float(self._filter_state[live.TIME]), self._calls.definite(self._memory.handle)
         return self._state_at(time, self._filter_state[self._state], definite)
 
@@ -409,7 +413,7 @@ class LiveFilter:
 
 
 def live_state(time: float, mean: Array, covariance: Array, lost: bool, sound: bool) -> LiveState:
-    """Return a state with a wrapped heading; change ``mean`` in place."""
+    """Return a state with a wrapped heading; ``mean`` changes in place."""
     sound = sound and bool(np.isfinite(mean).all() and np.isfinite(covariance).all())
     if np.pi < abs(mean[THETA]) < np.inf or mean[THETA] == -np.pi:
         mean[THETA] = wrap_angle(float(mean[THETA]))
@@ -422,7 +426,7 @@ _ALIGNING = (1, 2, 3, 5, 6)
 
 def _check_spans(interval: float, history: float, lag: float | None) -> None:
     if lag is not None and not 0 < lag < np.inf:
-        raise InputError(f"lag = {lag}: pass a positive number of seconds, or leave lag out")
+        raise InputError(f"lag = {lag}: pass a positive number of seconds, or omit lag")
     if not (interval > 0 and history >= 0 and max(history, lag or 0) <= MAX_HISTORY * interval < np.inf):
         raise InputError(
             f"nominal_interval = {interval} s, history = {history} s, lag = {lag} s: pass a positive "
@@ -431,7 +435,7 @@ def _check_spans(interval: float, history: float, lag: float | None) -> None:
 
 
 def _known_heading(theta: float, std: float) -> tuple[float, float]:
-    """Return heading (rad) and stated variance, rad2 (infinite if there is no heading), as in `Timeline.fixes`."""
+    """Return the heading (rad) and its stated variance (rad2; infinite without a heading), as in `Timeline.fixes`."""
     known = math.isfinite(theta) and 0 <= std < NO_HEADING
     return (theta, std**2) if known else (0.0, math.inf)
 

@@ -71,10 +71,10 @@ def robot_localization(state: Array, dt: float, imu: Array) -> Array:
         x += cos(yaw) A - sin(yaw) B        y += sin(yaw) A + cos(yaw) B        yaw += d yaw rate
         vx += d ax                          vy += d ay                          P = J P J^T + d Q
 
-    The velocity does not rotate with the body, so in a turn a fused ay becomes lateral speed. The measurements are
-    states plus noise: the IMU measures the yaw rate, ax and ay; the wheels measure vx; a twist measures vy = 0; a fix
-    measures x and y; two antennas measure yaw. A fix, gz or ax with nu^T S^-1 nu >= threshold^2 is rejected. Source:
-    https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel.
+    The model does not rotate the velocity with the body, so in a turn a fused ay becomes lateral speed. The
+    measurements are states plus noise: the IMU measures the yaw rate, ax and ay; the wheels measure vx; a twist
+    measures vy = 0; a fix measures x and y; two antennas measure yaw. A fix, gz or ax with nu^T S^-1 nu >= threshold^2
+    is rejected. Source: https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel.
     """
     x, y, vx, vy, theta, ax, ay, yaw_rate = state
     a, b = vx * dt + ax * dt**2 / 2, vy * dt + ay * dt**2 / 2
@@ -100,7 +100,7 @@ def velocity(state: Array) -> Array:
 
 
 def lateral_arm(state: Array, rear_axle: float, tire_slip: float) -> float:
-    """Return the distance (m) from the point with zero lateral velocity forward to the IMU: rear_axle - tire_slip v^2.
+    """Return the distance (m) from the point without lateral velocity forward to the IMU: rear_axle - tire_slip v^2.
 
     The rear tires slip by an angle of ``tire_slip`` (s2/m) times the lateral acceleration, v yaw_rate. The lateral
     velocity at the rear axle is therefore -tire_slip v^2 yaw_rate, where v is the predicted speed.
@@ -142,10 +142,10 @@ def heading(near: float) -> Callable[[Array], Array]:
 VARIANCE = (1e-5, 10.0)  # bounds of all variances in the paper; Q is per nominal IMU step
 SMALL_VARIANCE = (1e-12, 10.0)  # bounds of Q for position and velocity
 HEADING_VARIANCE = (1e-10, 1e-1)
-"""Bounds of Q per second for the heading; the upper bound is a drift of 0.3 rad in 1 s, more than that of any gyro.
+"""Bounds of Q per second for the heading. The upper bound is a drift of 0.3 rad in 1 s, more than that of any gyro.
 
-With a larger Q, a filter would determine the heading from the fixes alone. If the receiver smooths its fixes, such a
-filter may nevertheless have the highest likelihood.
+With a larger Q, a filter would determine the heading from the fixes alone. Such a filter may have the highest
+likelihood if the receiver smooths its fixes.
 """
 CITY_VARIANCE = (1e-5, 1e3)  # bounds of R: between tall buildings, fixes have errors of tens of meters
 BIAS_WALK = (1e-16, 1e-4)  # bounds of Q for the random walks of the biases
@@ -183,9 +183,9 @@ class State:
 class CarModel:
     """A model for cars: process and measurements, which do not depend on further states.
 
-    ``filter_types`` are the compiled filter types, beginning with the default. ``measures_imu``: as in
+    ``filter_types`` are the compiled filter types, beginning with the default. If ``measures_imu`` is True, as for
     robot-localization, acceleration and yaw rate are states that the IMU measures with `FilterParameters.imu_noise`,
-    and the velocity is in the body frame. A model with ``measures_imu`` supports neither smoothing nor live filters.
+    and the velocity is in the body frame. Such a model supports neither smoothing nor live filters.
     """
 
     states: tuple[State, ...]
@@ -299,6 +299,6 @@ MODELS: dict[str, CarModel] = {
 
 
 def require_driven_by_imu(model: str, use: str) -> None:
-    """Raise `InputError` if a model treats IMU samples as measurements; ``use``: name of the unsupported use."""
+    """Raise `InputError` if a model treats IMU samples as measurements. ``use`` is the name of the unsupported use."""
     if MODELS[model].measures_imu:
         raise InputError(f"{use} does not support {model}; use planar8 or tilted12")

@@ -33,7 +33,7 @@ def pack_states(mean: Array, covariance: Array, model: str) -> Array:
 
 
 def unpack_states(state: Array, model: str) -> tuple[Array, Array]:
-    """Return means (..., r, n) and covariances (..., r, n, n) from the `state_rows` of a model, (..., s, r)."""
+    """Return the means (..., r, n) and covariances (..., r, n, n) from the `state_rows` of a model, (..., s, r)."""
     n = len(FILTERS[model].states)
     rows, columns = _upper(n)
     mean, packed = state[..., :n, :].swapaxes(-1, -2).copy(), state[..., -len(rows) :, :].swapaxes(-1, -2)
@@ -46,7 +46,7 @@ def unpack_states(state: Array, model: str) -> tuple[Array, Array]:
 
 
 def state_estimate(state: Array, model: str) -> tuple[Array, Array]:
-    """Return means and covariances like `unpack_states`, without the correlated fix error.
+    """Return the means and covariances like `unpack_states`, without the correlated fix error.
 
     For a model with roll and pitch, the covariance is that of the angles. For a model with ``measures_imu``, the result
     has planar5's five states, with the velocity east and north, m/s.
@@ -62,7 +62,7 @@ def state_estimate(state: Array, model: str) -> tuple[Array, Array]:
 
 
 def _turned(mean: Array, covariance: Array, sign: float) -> tuple[Array, Array]:
-    """Rotate velocity and covariance (to first order) by the heading: body to local frame (sign 1) or back (-1)."""
+    """Rotate a velocity and its covariance (to first order) by the heading, body to local frame (sign 1) or back."""
     c, s = np.cos(mean[..., THETA]), sign * np.sin(mean[..., THETA])
     vx, vy = mean[..., 2], mean[..., 3]
     turned, jacobian = mean.copy(), np.zeros_like(covariance) + np.eye(mean.shape[-1])
@@ -75,7 +75,7 @@ def _turned(mean: Array, covariance: Array, sign: float) -> tuple[Array, Array]:
 
 @cache
 def _upper(n: int) -> tuple[Indices, Indices]:
-    """Return row and column indices of the upper triangle, column by column, as the kernel packs it."""
+    """Return the row and column indices of the upper triangle, column by column, as the kernel packs it."""
     columns, rows = np.tril_indices(n)
     return rows, columns
 
@@ -104,8 +104,8 @@ def definite(covariance: Array) -> Mask:
 def _find_definite(rows: Array, first: int, n: int, ok: int, definite: Mask) -> None:
     """Find positive definite covariances (n, n), packed in rows (m, s, r) from row ``first`` on, as in `_upper`.
 
-    ``ok``: row that must be 1 (the filter never failed); the state and sums must then also be finite. -1: the rows
-    contain only covariances. The results are written to ``definite``, (m, r).
+    ``ok`` is the row that must be 1 (the filter never failed); the state and sums must then also be finite. If ``ok``
+    is -1, the rows contain only covariances. The results are written to ``definite``, (m, r).
     """
     scale, a = np.empty(n), np.empty((n, n))
     for m in range(rows.shape[0]):

@@ -56,9 +56,9 @@ def _option(
 ) -> Any:
     """Describe an optional parameter.
 
-    ``use``, ``bounds`` and ``logarithmic`` are those of `SearchRange`. Properties: ``absent`` represents None in a
-    `ParameterTable` (default 0); ``typical`` is the value without tuning if no data sheet states one; ``scaled`` marks
-    noise variances and factors of variances.
+    ``use``, ``bounds`` and ``logarithmic`` are those of `SearchRange`. The other properties are ``absent``, which
+    represents None in a `ParameterTable` (default 0); ``typical``, the value without tuning if no data sheet states
+    one; and ``scaled``, which marks noise variances and factors of variances.
     """
     about = {"unit": unit, "search": SearchRange(use, *bounds, logarithmic) if use else None}
     about |= {"absent": 0.0} if default is None else {}
@@ -92,8 +92,8 @@ class FilterParameters:
         IMU interval to which ``process_noise`` refers, s. None: the median interval of each drive. A tuning stores the
         interval of its drives, so that the filter adds the same variance per second with an IMU of another rate.
     kind : {"ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"}
-        In this order: unscented; extended; unscented with Q and R adapted to the innovations (Sage and Husa 1969);
-        unscented with a fading factor (Zhou and Frank 1996); unscented with Q and R scaled by fuzzy rules
+        Filter types, in this order: unscented; extended; unscented with Q and R adapted to the innovations (Sage and
+        Husa 1969); unscented with a fading factor (Zhou and Frank 1996); unscented with Q and R scaled by fuzzy rules
         (`textbook.adaptive.FuzzyNoise`).
     forgetting : float
         Forgetting factor per fix of an adaptive, strong tracking or fuzzy filter, in (0, 1).
@@ -109,29 +109,31 @@ class FilterParameters:
     imu_gate : tuple of float, length 2
         robot-localization: largest accepted NIS of gz and of ax; inf: no limit.
     velocity_noise : float or None
-        Variance of the receiver's velocity per axis, m2/s2, if the log has speed and course. None: not used.
+        Variance of the receiver's velocity per axis, m2/s2, if the log has speed and course. None: the velocity is not
+        used.
     lateral_noise : float or None
-        Variance of the lateral velocity at the rear axle, m2/s2; this velocity is 0 without tire slip. None: not used.
+        Variance of the lateral velocity at the rear axle, m2/s2; this velocity is 0 without tire slip. None: the
+        constraint is not used.
     rear_axle : float
         Distance from the rear axle forward to the IMU, m, for ``lateral_noise``.
     tire_slip : float
         Slip angle of the rear tires per lateral acceleration, s2/m (rad per m/s2), for ``lateral_noise``. 0: no slip.
     standstill_noise : float or None
-        Variance of the velocity at detected standstills, m2/s2. None: not used.
+        Variance of the velocity at detected standstills, m2/s2. None: standstills are not used.
     odometer_noise : float or None
-        Variance of the wheels' speed, m2/s2, if the log has an odometer. None: not used.
+        Variance of the wheels' speed, m2/s2, if the log has an odometer. None: the odometer is not used.
     odometer_scale : float
         Ratio of the odometer's reading to the true speed.
     odometer_latency : float
-        Age of an odometer reading at its time stamp, s.
+        Delay of an odometer reading relative to its time stamp, s.
     heading_noise : float or None
         Variance added to the stated variance of a fix's heading, rad2, if the log has headings (two antennas, a
-        compass). None: not used.
+        compass). None: the heading is not used.
     gate : float or None
         Largest accepted normalized innovation squared (NIS) of a fix; 9.2 rejects 1% of good fixes (chi-square, two
         degrees of freedom). None: every fix is used.
     latency : float
-        Age of a fix at its time stamp, s.
+        Delay of a fix relative to its time stamp, s.
     accuracy_scale : float or None
         Factor s2: R of a fix is ``measurement_noise`` + s2 std^2 per axis, with the standard deviation std that the
         receiver states. None: R is ``measurement_noise``.
@@ -143,14 +145,12 @@ class FilterParameters:
     fix_std : float
         Standard deviation of fixes per axis (m), which ``fix_error`` uses if the receiver states none.
     robust_dof : float or None
-        Degrees of freedom of Student's t for the errors of fixes, with which outliers have little weight (R. Piche, S.
-        Sarkka and J. Hartikainen, MLSP 2012). Start with 4; use fewer if there are more outliers. None: Gaussian
-        errors.
+        Degrees of freedom of Student's t distribution for the errors of fixes; outliers then have little weight (R.
+        Piche, S. Sarkka and J. Hartikainen, MLSP 2012). Begin with 4, and use fewer if there are more outliers. None:
+        Gaussian errors.
 
-    Notes
-    -----
-    Negative numbers in ``process_noise`` and ``measurement_noise`` are accepted; the filter then fails and reports the
-    failure, and its cost is ``inf``.
+    Notes ----- Negative numbers in ``process_noise`` and ``measurement_noise`` are accepted. The filter then fails and
+    reports the failure, and its cost is ``inf``.
     """
 
     alpha: Positive
@@ -208,11 +208,11 @@ class FilterParameters:
         for option in used:
             if known is not None and option not in known:
                 raise ValueError(
-                    f"{self.model} does not have the option {_ACTIVATES[option]}; leave this option out"
+                    f"{self.model} does not have the option {_ACTIVATES[option]}; omit this option"
                 )
         if self.kernel not in FILTERS:
             raise ValueError(
-                f"fix_error can't be combined with {self.model} of kind {self.kind}; use ekf, or leave fix_error out"
+                f"fix_error can't be combined with {self.model} of kind {self.kind}; use ekf, or omit fix_error"
             )
         if known is not None and self.latency:
             raise ValueError(
@@ -327,7 +327,10 @@ def described(key: str) -> dict[str, Any]:
 
 
 def filter_file(path: Path) -> Path:
-    """Return the tuning.toml of a folder; raise `InputError` for a drive, and for an interrupted tuning without it."""
+    """Return the tuning.toml of a folder.
+
+    Raises `InputError` for a drive, and for an interrupted tuning that has no tuning.toml yet.
+    """
     if not path.is_dir():
         return path
     file = path / "tuning.toml"
@@ -346,7 +349,7 @@ def filter_file(path: Path) -> Path:
 
 
 def read_filter(path: Path) -> tuple[dict[str, Any], Path]:
-    """Read a TOML file with a filter, or the tuning.toml of a folder; return its content and its path."""
+    """Read a TOML file with a filter, or the tuning.toml of a folder. Return its content and its path."""
     file = filter_file(path)
     remedy, missing = "name a readable TOML file", "name a tuning.toml or the folder that contains it"
     return read_content(file, remedy, missing=missing), file
@@ -354,10 +357,10 @@ def read_filter(path: Path) -> tuple[dict[str, Any], Path]:
 
 SEARCHED: dict[str, SearchRange] = described("search")
 _ACTIVATES = {s.option: n for n, s in SEARCHED.items() if getattr(FilterParameters, n) is None}
-"""Options of ``tune --use``, and for each the field that is None unless the option is used."""
+"""Options of ``tune --use``, and for each option the field that is None without the option."""
 _SCALED = tuple(described("scaled"))
 NOISES = ("process_noise", "measurement_noise", "imu_noise", *_SCALED)
-"""Fields that are noise variances or factors of variances; a common factor of all of them scales the covariance."""
+"""Fields that are noise variances or factors of variances. Scaling all of them by a factor scales the covariance."""
 RULES_SINCE = (0, 3)  # first version with the current rules for stale fixes, gaps and standstills
 
 
@@ -367,19 +370,19 @@ _CONFLICTS = (
     ("accuracy", _ADAPTS[:1], "estimates R; use another kind"),
     ("fix-error", _ADAPTS, "adapts to the innovations; use ukf or ekf"),
 )
-"""Options of ``tune --use``, the filter types with which they conflict, and reason and remedy."""
+"""Options of ``tune --use``, the filter types with which they conflict, and the reason and remedy."""
 
 
 def incompatibility(kind: str, use: Collection[str]) -> str | None:
     """Return the reason why a filter type and options conflict; None if they do not."""
     if "robust" in use and "gate" in use:
         return (
-            "robust and gate can't be combined: robust reduces the weight of fixes that gate rejects; leave one of "
-            "them out"
+            "robust and gate can't be combined: robust reduces the weight of fixes that gate rejects; omit one of "
+            "them"
         )
     for option, kinds, why in _CONFLICTS:
         if option in use and kind in kinds:
-            return f"{option} can't be combined with {kind}, which {why}, or leave {option} out"
+            return f"{option} can't be combined with {kind}, which {why}, or omit {option}"
     return None
 
 
@@ -402,7 +405,7 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
 
 
 def known_interval(parameters: FilterParameters) -> float:
-    """Return ``nominal_interval``, s; raise `InputError` if it is None."""
+    """Return ``nominal_interval``, s. Raises `InputError` if it is None."""
     if parameters.nominal_interval is None:
         raise InputError(
             "the file of the filter does not contain the IMU interval of its process noise; add "

@@ -26,7 +26,7 @@ class Targets:
 
     ``noise`` (m, 4) contains the weights of the squared errors of position and heading, and the variances of x and y,
     m2, which the NEES adds to P. If no variances are known, the shape of ``noise`` is (0, 4). ``weight`` (m,) is the
-    weight of the later estimate in the interpolation between the two estimates around a target's time.
+    weight of the later estimate in the interpolation to a target's time.
     """
 
     weight: Array
@@ -121,7 +121,7 @@ def run_steps(
     record: Array = run.NO_RECORD,
     innovations: Array = run.NO_INNOVATIONS,
 ) -> None:
-    """Run a block of filters over the steps of a pass from ``cursor`` to ``stop``: see `compiled.run.run_lanes`."""
+    """Run a block of filters over the steps of a pass from ``cursor`` to ``stop`` (see `compiled.run.run_lanes`)."""
     require_readable(drive_pass, array)
     drive = drive_pass.arrays(array.reads[-1])
     run.run_lanes(array.kernel, drive, rows, cursor, stop, record, innovations)

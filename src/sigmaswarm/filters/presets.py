@@ -84,9 +84,8 @@ def baseline(
     ----------
     drive : Drive
     like : FilterParameters, optional
-        Filter that determines the model, type and options of the result. If None, the result is the preset
-        ``datasheet``, a planar5 UKF with values from data sheets only (without `MODEL_NOISE` and without an estimate
-        from the fixes).
+        Filter whose model, type and options the result has. If None, the result is the preset ``datasheet``, a planar5
+        UKF with values from data sheets only (without `MODEL_NOISE` and without an estimate from the fixes).
     shown_std : float, optional
         Standard deviation of the receiver's fixes, m per axis, from the truth or the scatter of the training drives'
         fixes.
@@ -185,7 +184,10 @@ def _stated_imu(drive: Drive, p: FilterParameters) -> tuple[float, ...]:
 def _planar(
     drive: Drive, std: tuple[float, float], more: Mapping[str, float] = MappingProxyType({})
 ) -> FilterParameters:
-    """Return a planar5 UKF for fixes with ``std`` (east, north; m); ``more``: additional noise densities of the IMU."""
+    """Return a planar5 UKF for fixes with ``std`` (east, north; m).
+
+    ``more`` contains additional noise densities of the IMU.
+    """
     stated, dt = drive.metadata, drive.nominal_interval
     accel = float(stated.get("accel_noise_density", MPU6050_ACCEL_NOISE_DENSITY)) ** 2
     gyro = float(stated.get("gyro_noise_density", MPU6050_GYRO_NOISE_DENSITY)) ** 2

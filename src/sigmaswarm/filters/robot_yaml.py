@@ -34,7 +34,7 @@ Block = Mapping[str, Any]
 def read_configuration(path: Path) -> dict[str, Any]:
     """Read fields of `FilterParameters` from an ekf.yaml of ROS 1 or 2, with typical variances of measurements.
 
-    Raise `InputError` if the file is not such a configuration; warn if the model does not support a setting in it.
+    Raises `InputError` if the file is not such a configuration; warns if the model does not support a setting in it.
     """
     block = _chosen(_loaded(path), path)
     inputs = {found[1]: _entries(block[key], path, key) for key in block if (found := _CONFIG.fullmatch(key))}
@@ -109,7 +109,7 @@ def _entries(value: Any, path: Path, key: str) -> list[bool]:
 
 
 def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
-    """Return the variances per second of the eight states, or the defaults if the file contains no variances."""
+    """Return the variances per second of the eight states, or the defaults if the file contains none."""
     key = "process_noise_covariance"
     if key not in block:
         return PROCESS_NOISE
@@ -128,7 +128,7 @@ def _process_noise(block: Block, path: Path) -> tuple[float, ...]:
 
 
 def _threshold(block: Block, path: Path, names: Sequence[str] | None) -> float | None:
-    """Return the squared Mahalanobis threshold of the first of ``names`` that has one in the file; None: no limit."""
+    """Return the squared Mahalanobis threshold of the first of ``names`` that has a threshold in the file, or None."""
     keys = [key for name in names or () if (key := f"{name}_rejection_threshold") in block]
     if not keys:
         return None

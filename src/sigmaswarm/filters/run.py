@@ -42,7 +42,7 @@ class Estimate:
     initial : InitialState
         The state at which the filter started.
     restarts : tuple of float
-        Times of the resets after divergence, s: see `divergence`.
+        Times of the resets after divergence, s (see `divergence`).
     lost : ndarray of bool, shape (n,) or None
         True if the filter has diverged and no alignment is available for a reset; the position is then the last fix.
         None if divergence is not monitored.
@@ -59,9 +59,9 @@ class Estimate:
     lost: NDArray[np.bool_] | None = None
 
     def columns(self, *, std: bool = False) -> dict[str, Array]:
-        """Return time and states by name, in the units of ``mean``, each of shape (n,).
+        """Return the time and the states by name, in the units of ``mean``, each of shape (n,).
 
-        ``std``: True to also return standard deviations, named ``std_STATE``, if there is a covariance.
+        If ``std`` is True, also return standard deviations, named ``std_STATE``, if there is a covariance.
         """
         states = MODELS["tilted12"].names  # begins with the returned states of all other models
         named = {"t": self.time} | dict(zip(states, self.mean.T, strict=False))
@@ -124,7 +124,7 @@ def run_filter(
     initial : InitialState, optional
         State at which the filter starts; by default `initial_state(drive)`.
     recover : bool
-        Reset the filter if it diverges: see `divergence`. Filters are not reset during tuning.
+        Reset the filter if it diverges (see `divergence`). Filters are not reset during tuning.
     as_recorded : bool
         Run without preprocessing: use stale fixes, and treat gaps in the IMU as ordinary steps. A `PreparedDrive` has
         its own setting.
@@ -150,7 +150,7 @@ def run_innovations(
     initial: InitialState | None = None,
     as_recorded: bool = False,
 ) -> Innovations:
-    """Compute the innovations of the compiled filter over a drive; parameters as in `run_filter`.
+    """Compute the innovations of the compiled filter over a drive. The parameters are those of `run_filter`.
 
     Innovations after a failure are NaN or meaningless; `run_filter` reports the failure.
     """
@@ -161,7 +161,7 @@ def run_innovations(
 def whole_pass(
     drive: Drive | PreparedDrive, initial: InitialState | None = None, *, as_recorded: bool = False
 ) -> FilterPass:
-    """Prepare a whole drive for filters, without `Targets`; raise `InputError` if no IMU sample follows the start."""
+    """Prepare a whole drive for filters, without `Targets`. Raises `InputError` if no IMU sample follows the start."""
     ready = prepare_drive(drive, initial, as_recorded=as_recorded)
     timeline = ready.timeline()
     if not len(timeline.imu_time):
@@ -188,7 +188,7 @@ class Run(Protocol):
 
 
 def estimate_of(run: Run, *, recover: bool) -> Estimate:
-    """Join all pieces of a run; ``recover``: True if the run monitors divergence."""
+    """Join all pieces of a run. ``recover`` is True if the run monitors divergence."""
     whole = join_chunks(run)
     lost = whole.lost if recover else None
     return Estimate(
@@ -197,7 +197,7 @@ def estimate_of(run: Run, *, recover: bool) -> Estimate:
 
 
 def estimates_of(run: Run) -> Iterator[Estimate]:
-    """Yield the estimates of a run by piece; raise `SigmaswarmError` if the filter fails."""
+    """Yield the estimates of a run by piece. Raises `SigmaswarmError` if the filter fails."""
     reported = 0
     for piece in run:
         if run.failure:
@@ -244,7 +244,7 @@ def run_textbook(
 
 
 def run_imu_only(drive: Drive | PreparedDrive, *, initial: InitialState | None = None) -> Estimate:
-    """Run dead reckoning: integrate the IMU from a filter's initial state, with the steps of `models.planar5`."""
+    """Run dead reckoning: integrate the IMU from a filter's initial state by the process of `models.planar5`."""
     ready = prepare_drive(drive, initial)
     line, initial = ready.timeline(), ready.initial
     x, y, vx, vy, theta = initial.mean

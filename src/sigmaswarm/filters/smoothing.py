@@ -52,7 +52,7 @@ def smooth(
     """Run the compiled filter over a drive, and smooth its estimates: each estimate uses earlier and later fixes.
 
     Sources: H. E. Rauch, F. Tung and C. T. Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA
-    Journal 3(8), 1965; for unscented filters S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE TAC 53(3), 2008.
+    Journal 3(8), 1965; for unscented filters: S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE TAC 53(3), 2008.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def smooth(
 
 @dataclass(frozen=True, eq=False)
 class _ForwardLog:
-    """Log of one piece of the forward pass for `smooth_back`; ``lost`` is that of `EstimateChunk`."""
+    """Log of one piece of the forward pass for `smooth_back`. ``lost`` is that of `EstimateChunk`."""
 
     steps: Array
     start: Array
@@ -176,7 +176,7 @@ class SmootherRun:
             first += size
 
     def _back(self) -> Array:
-        """Run the backward pass; return the smoothed state at the start, (s,)."""
+        """Run the backward pass. Return the smoothed state at the start, (s,)."""
         behind = None
         for number in reversed(range(len(self._sizes))):
             sound = self._sizes[number][1]
@@ -211,7 +211,7 @@ class SmootherRun:
         return EstimateChunk(time, mean, covariance, np.arange(size) < sound, lost)
 
     def _estimate(self, states: Array) -> tuple[Array, Array]:
-        """Return means (r, n), with wrapped headings, and covariances (r, n, n) of packed states (r, s)."""
+        """Return the means (r, n), with wrapped headings, and covariances (r, n, n) of packed states (r, s)."""
         mean, covariance = state_estimate(states.T, self._kernel)
         mean[:, THETA] = wrap_angle(mean[:, THETA])
         return mean, covariance
@@ -219,7 +219,7 @@ class SmootherRun:
 
 LAG_ROUNDING = 1e-6  # s, largest rounding error of a lag
 N_LOGGED = live.N_ALL
-"""Index of the number of logged steps; this number is stored after the state of a live filter, before the log."""
+"""Index of the number of logged steps, which is stored after the state of a live filter and before the log."""
 STEP_LOG = N_LOGGED + 1
 
 

@@ -56,7 +56,7 @@ def require_named_axes(name: str, axes: Collection[str], model: ModelName) -> No
 
 
 def start_of(initial: InitialState, p: FilterParameters) -> tuple[Array, Array]:
-    """Return mean (n,) and covariance (n, n) at the start of a filter on a drive."""
+    """Return the mean (n,) and covariance (n, n) at the start of a filter on a drive."""
     mean, covariance = starts_of([initial], FILTERS[p.kernel], start_std(p)[np.newaxis])
     return mean[0, 0], covariance[0, 0]
 
@@ -67,11 +67,11 @@ def start_std(p: FilterParameters) -> Array:
 
 
 def starts_of(initial: Sequence[InitialState], model: CarModel, std: Array) -> tuple[Array, Array]:
-    """Return means (m, r, n) and covariances (m, r, n, n) for m starts and std of shape (r, 3).
+    """Return the means (m, r, n) and covariances (m, r, n, n) for m starts and std of shape (r, 3).
 
-    All starts have the same number of states. States that a start does not contain begin at 0; their standard deviation
+    All starts have the same number of states. States that a start does not contain begin at 0. Their standard deviation
     is ``std`` (see `start_std`) for a bias or fix error, otherwise the state's ``start_std``. The evidence of the
-    alignment is included: see `GyroBiasEvidence.update` and `add_tilt_evidence`.
+    alignment is included (see `GyroBiasEvidence.update` and `add_tilt_evidence`).
     """
     n = len(model.states)
     known = known_states(n, len(initial[0].mean))

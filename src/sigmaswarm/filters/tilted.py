@@ -173,7 +173,7 @@ def antenna(lever: Sequence[float], latency: float = 0.0) -> Callable[[Array], A
 def rear_axle(yaw_rate: float, distance: float) -> Callable[[Array], Array]:
     """Predict the velocity to the left (m/s) at the rear axle of a car that moves along the road.
 
-    ``distance``: from the rear axle forward to the IMU, m; ``yaw_rate``: rad/s.
+    ``distance`` is the distance from the rear axle forward to the IMU, m. ``yaw_rate`` is in rad/s.
     """
 
     def h(state: Array) -> Array:
@@ -186,7 +186,7 @@ def rear_axle(yaw_rate: float, distance: float) -> Callable[[Array], Array]:
 def wheels(ax: float, delay: float) -> Callable[[Array], Array]:
     """Predict the forward velocity along the road (m/s) that the wheels measured ``delay`` s ago.
 
-    ``ax``: forward specific force (m/s2), which on a slope contains gravity.
+    ``ax`` is the forward specific force (m/s2), which on a slope contains a component of gravity.
     """
 
     def h(state: Array) -> Array:
@@ -208,18 +208,17 @@ def heading(near: float) -> Callable[[Array], Array]:
 
 
 def along_the_road(state: Array, up: Array) -> Array:
-    """Return the velocity (3,) of a car that stays on its road; ``up`` (3,) is the road's normal."""
+    """Return the velocity (3,) of a car that stays on its road. ``up`` (3,) is the road's normal."""
     vx, vy = state[2:4]
     return np.array([vx, vy, -(up[0] * vx + up[1] * vy) / up[2]])
 
 
 @cached(error_model="numpy")
 def add_tilt_evidence(mean: Array, covariance: Array, seen: Array) -> None:
-    """Update mean (12,) and covariance (12, 12) of a level start with `TiltEvidence.numbers`, in place.
+    """Update the mean (12,) and covariance (12, 12) of a level start with `TiltEvidence.numbers`, in place.
 
     The evidence is the mean specific force, forward and left, which gives two Kalman updates. The state of the
-    alignment depends on an assumed distribution of the forward force; here the updated distribution replaces the
-    assumed one.
+    alignment depends on an assumed distribution of the forward force; the updated distribution replaces it here.
     """
     c, s = np.cos(mean[THETA]), np.sin(mean[THETA])
     re, im = GRAVITY * (seen[TURN] * c + seen[TURN + 1] * s), GRAVITY * (seen[TURN + 1] * c - seen[TURN] * s)

@@ -44,9 +44,9 @@ def assemble(
     say: Say,
     recording: int | None = None,
 ) -> Drive:
-    """Make a drive from gathered columns; ``say`` receives sentences on assumptions and omissions.
+    """Make a drive from gathered columns. ``say`` receives sentences on assumptions and omissions.
 
-    ``recording``: number of the recording to use, counted from 1, if a clock restarts within a table.
+    ``recording`` is the number of the recording to use, counted from 1, if a clock restarts within a table.
     """
     joined: Sensors = {
         role: join(parts, role, REQUIRED.get(role, ()), say, recording) for role, parts in gathered.items()
@@ -109,7 +109,7 @@ def _imu(time: Array, values: Values, recipe: Recipe) -> Imu:
 
 
 def _metadata(recipe: Recipe, zero: int) -> dict[str, Any]:
-    """Return the keys of drive.toml; ``zero``: time origin, s."""
+    """Return the keys of drive.toml. ``zero`` is the time origin, s."""
     metadata: dict[str, Any] = {"time_origin_s": zero} if zero else {}
     metadata[AXES_KEY] = recipe.imu_axes()
     if recipe.gps_from_truth:
@@ -137,7 +137,7 @@ def _checked_fixes(
 def placed_fixes(
     values: Values, origin: Origin | None, say: Say, texts: Mapping[str, str] = MappingProxyType({})
 ) -> tuple[Values, Origin | None]:
-    """Return the fixes with x and y, m, and the origin; ``texts``: expressions of the columns."""
+    """Return the fixes with x and y, m, and the origin. ``texts`` are the expressions of the columns."""
     if "vx" in values and "vy" in values:
         vx, vy = values.pop("vx"), values.pop("vy")
         values["speed"], values["course"] = np.hypot(vx, vy), np.arctan2(vy, vx)

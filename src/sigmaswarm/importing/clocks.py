@@ -37,7 +37,10 @@ MAX_RATIO_ERROR = 0.2
 
 
 def on_common_clock(roles: Roles, samples: Mapping[str, pl.DataFrame]) -> tuple[Roles, list[str]]:
-    """Return the roles and notes; if the tables' times do not overlap, both use a shared column whose times overlap."""
+    """Return the roles and notes.
+
+    If the tables' times do not overlap, both roles use a shared column whose times overlap.
+    """
     imu, gps = ((*parts, Part("", {}))[0] for parts in (roles.get("imu", ()), roles.get("gps", ())))
     if not {"t"} <= imu.columns.keys() & gps.columns.keys() or imu.table == gps.table:
         return roles, []
@@ -74,14 +77,14 @@ def _overlap(rows: tuple[pl.DataFrame, pl.DataFrame], texts: tuple[str, str]) ->
 
 @dataclass(frozen=True)
 class Counter:
-    """Counter of the IMU's times whose unit is only guessed; ``text`` is "" if there is none."""
+    """Counter of the IMU's times whose unit is only guessed. ``text`` is "" if there is none."""
 
     text: str = ""
     shared: bool = False  # True if the fixes have the same counter
 
     @property
     def alone(self) -> bool:
-        """True for a counter of the IMU alone."""
+        """True if only the IMU has the counter."""
         return bool(self.text) and not self.shared
 
 
@@ -110,7 +113,7 @@ def rates_by_clock(samples: Mapping[str, pl.DataFrame]) -> dict[str, TickRate]:
 
 
 def rate_of(ticks: Array, clock: Array) -> float | None:
-    """Fit the rate of a counter (n,), Hz, that may wrap, to a known clock (n,), s; None if they do not agree."""
+    """Fit the rate (Hz) of a counter (n,) that may wrap to a known clock (n,), s. Return None if they do not agree."""
     new = np.flatnonzero(np.diff(clock) > 0) + 1  # a clock of whole seconds repeats
     if len(new) < MIN_CHANGES or clock[new[-1]] - clock[new[0]] < MIN_SPAN:
         return None
@@ -153,7 +156,7 @@ def describe_rate(text: str, found: TickRate) -> str:
 
 @dataclass(frozen=True)
 class DurationRate:
-    """Rate of a counter, ticks per s, at which IMU and fixes have the same duration; 0 if no other rate is needed."""
+    """Rate of a counter, ticks per s, at which IMU and fixes have the same duration; 0 if the guessed rate is kept."""
 
     rate: float = 0.0
     factor: float = 1.0  # factor of the IMU's times
@@ -161,12 +164,12 @@ class DurationRate:
 
 
 def wrong_tick(drive: Drive, counter: Counter, time: str, other: DurationRate) -> str:
-    """Describe a wrongly guessed unit of a counter, with which the motions of IMU and fixes differ; else return "".
+    """Describe a counter whose guessed unit is wrong, since the motions of IMU and fixes differ; otherwise return "".
 
-    ``time``: expression of the IMU's time.
+    ``time`` is the expression of the IMU's time.
 
-    A counter of the IMU alone is refused only if the motion agrees at the rate that the durations show, since an IMU
-    may also record longer or shorter than the receiver.
+    A counter that the fixes do not share is refused only if the motions agree at the rate that the durations show. The
+    IMU may also have recorded longer or shorter than the receiver.
     """
     if not (counter.shared or other.rate):
         return ""
@@ -190,10 +193,10 @@ def wrong_tick(drive: Drive, counter: Counter, time: str, other: DurationRate) -
 
 
 def rate_by_motion(drive: Drive) -> float | None:
-    """Return the factor of all times that makes turns and accelerations agree with the fixes; None if it is unclear.
+    """Return the factor of all times with which turns and accelerations agree with the fixes, or None if it is unclear.
 
-    At a wrong rate, turns differ by the factor and accelerations by its square, unlike with a wrong unit of the gyro.
-    A receiver has a usual rate, so a counter that IMU and fixes share has few possible rates.
+    At a wrong rate, turns differ by a factor and accelerations by its square. A wrong unit of the gyro changes only the
+    turns. A receiver has one of the usual rates, so a counter that IMU and fixes share has few possible rates.
     """
     step, interval = (float(np.median(np.diff(sensor.time))) for sensor in (drive.imu, drive.gps))
     possible = (1 / (rate * interval) for rate in FIX_RATES)
@@ -220,9 +223,10 @@ def _agrees(drive: Drive) -> bool:
 
 
 def rate_by_duration(counter: Counter, time: str, durations: Mapping[Role, float]) -> DurationRate:
-    """Return the rate of a counter at which IMU and fixes have the same duration, if the guessed rate differs.
+    """Return the rate of a counter at which IMU and fixes have the same duration, if it differs from the guessed rate.
 
-    ``time``: expression of the IMU's time; ``durations``: those of IMU and fixes, s, or {} if they are not known.
+    ``time`` is the expression of the IMU's time. ``durations`` are those of IMU and fixes, s, or {} if they are not
+    known.
     """
     scaled, (imu, gps) = scaled_column(time), (durations.get(role, 0.0) for role in ("imu", "gps"))
     if scaled is None or not min(imu, gps) or abs(math.log(imu / gps)) < MAX_RATIO_ERROR:

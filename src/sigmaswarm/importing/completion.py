@@ -1,4 +1,4 @@
-"""Complete the recipe of an import from the guesses of its logs, and find the table and the time of each part."""
+"""Complete the recipe of an import from the guesses about its logs, and find the table and the time of each part."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -24,7 +24,10 @@ Beginnings = Mapping[Path, Mapping[str, pl.DataFrame]]  # first rows of the tabl
 
 
 def completed(plan: Plan) -> Plan:
-    """Return the plan with the parts of the request or, for other roles, of the guesses, changed by mappings."""
+    """Return the plan with the parts of the request.
+
+    A role that is not in the request has the guessed parts, changed by the mappings.
+    """
     request, own = plan.request, plan.request.recipe
     roles: dict[Role, tuple[Part, ...]] = {}
     for role in ROLES:
@@ -76,7 +79,7 @@ def guessed_counter(plan: Plan) -> Counter:
 
 
 def notes_of(plan: Plan) -> list[str]:
-    """Return the notes of the guesses on columns that are read as guessed, and the readers' remarks."""
+    """Return the notes on guessed columns that are read as guessed, and the readers' remarks."""
     used = {role: texts_of(parts) for role, parts in plan.recipe.roles.items()}
     guesses = plan.guesses.values()
 
@@ -100,7 +103,7 @@ def assumed_mounting(plan: Plan) -> tuple[str, ...]:
 
 
 def with_tables(plan: Plan, first: Beginnings | None = None) -> tuple[Plan, list[str]]:
-    """Complete all parts with `complete_parts`; return the plan with these parts, and the first fault of each table."""
+    """Complete all parts with `complete_parts`. Return the plan with these parts, and the first fault of each table."""
     roles: dict[Role, tuple[Part, ...]] = {}
     faults: dict[tuple[Path, str], str] = {}
     for path, log in plan.logs.items():
@@ -117,9 +120,9 @@ def with_tables(plan: Plan, first: Beginnings | None = None) -> tuple[Plan, list
 def complete_parts(
     part: Part, log: Log, role: Role, first: Mapping[str, pl.DataFrame] | None = None
 ) -> list[Part]:
-    """Complete a part; a part without a table becomes one part for each table that contains its columns.
+    """Complete a part. A part without a table becomes one part for each table that contains its columns.
 
-    ``first``: first rows of the tables, if they have been read.
+    ``first`` contains the first rows of the tables, if they have been read.
     """
     return [_complete(fitted, log, role, first) for fitted in _in_tables(part, log, role)]
 
@@ -154,7 +157,7 @@ def _complete(part: Part, log: Log, role: Role, first: Mapping[str, pl.DataFrame
 def _in_tables(part: Part, log: Log, role: Role) -> list[Part]:
     """Find the tables of a part.
 
-    The only table of a log fits any part that names no table, or that names another file.
+    If a log has only one table, this table fits any part that names no table, or that names another file.
     """
     if part.table in log.tables:
         return [part]

@@ -50,7 +50,7 @@ def import_drive(
 ) -> ImportResult:
     """Make a drive from a log.
 
-    ``progress`` receives the completed fraction, 0 to 1; ``raw`` permits IMU values in raw counts. Raise `InputError`
+    ``progress`` receives the completed fraction, 0 to 1. ``raw`` permits IMU values in raw counts. Raises `InputError`
     for a damaged or incomplete log, or a column that cannot be computed.
     """
     require_name(name, "the drive")
@@ -65,7 +65,7 @@ def import_drive(
 
 
 def import_imu(request: Request) -> tuple[Imu, tuple[str, ...]]:
-    """Read the IMU of a log, with or without fixes; return the IMU and the assumptions of the import."""
+    """Read the IMU of a log, with or without fixes. Return the IMU and the assumptions of the import."""
     plan, gathered, notes = _read(request, ("imu",), lambda done: None)
     with _errors_of(request):
         imu = assemble_imu(gathered["imu"], plan.recipe, notes.append, request.part)
@@ -84,7 +84,7 @@ def _errors_of(request: Request) -> Generator[None]:
 def _read(
     request: Request, roles: Sequence[Role], progress: ImportProgress
 ) -> tuple[Plan, Gathered, list[str]]:
-    """Return the plan, whose logs are closed and left out, the columns of the roles, and notes."""
+    """Return the plan (with its logs closed and removed), the columns of the roles, and notes."""
     with opened(request) as plan:
         plan = completed(plan)
         plan = plan.with_roles({role: parts for role, parts in plan.recipe.roles.items() if role in roles})
@@ -110,7 +110,7 @@ def _unused_truth(plan: Plan, roles: Sequence[Role]) -> list[str]:
 
 
 def _drive(name: str, plan: Plan, gathered: Gathered, notes: list[str], *, raw: bool) -> tuple[Drive, Recipe]:
-    """Assemble and check the drive; return it with the recipe and an estimated mounting, and extend ``notes``."""
+    """Assemble and check the drive. Return it with the recipe and an estimated mounting, and extend ``notes``."""
     recipe, recording = plan.recipe, plan.request.part
     plain = replace(recipe, mount="") if recipe.mount == AUTO else recipe
     field = gathered.pop("mag", ())
@@ -138,7 +138,7 @@ def _drive(name: str, plan: Plan, gathered: Gathered, notes: list[str], *, raw: 
 
 
 def _notes_on_units(drive: Drive, plan: Plan, *, raw: bool) -> list[str]:
-    """Refuse an IMU in wrong units; return a note if the unit of its rates is assumed."""
+    """Refuse an IMU in wrong units. Return a note if the unit of its rates is assumed."""
     require_gravity_in_force(drive.imu)
     roles, mapped = plan.recipe.roles, [entry.partition("=")[0].strip() for entry in plan.request.maps]
     unitless = {n: t for n, t in plan.guess("imu").unitless.items() if not {n, f"imu.{n}"} & {*mapped}}

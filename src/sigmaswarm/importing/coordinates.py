@@ -33,7 +33,7 @@ EDGE = 2.01e7  # m, coordinate at the edge of Web Mercator's map
 
 
 def describe_web_mercator(columns: Columns, role: Role) -> str:
-    """Describe x and y that may be Web Mercator, with the remedy; "" if their magnitude or a name contradicts it."""
+    """Describe x and y that may be Web Mercator, with the remedy; "" if their magnitude or a name contradicts this."""
     sizes = [median_of(columns.numbers(n).abs()) for n in "xy" if n in columns]
     if len(sizes) < 2 or not 1e5 < min(sizes) <= max(sizes) < EDGE or "utm" in columns.names["y"].plain:
         return ""
@@ -86,7 +86,7 @@ def geographic_position(columns: Columns, role: Role) -> dict[str, Conversion]:
 def _are_dms(lat: pl.Series, lon: pl.Series) -> bool:
     """Return True for texts with degree marks or hemisphere letters: 48°07'02.3"N, 11 31.5 E, N48.12.
 
-    Degrees and minutes must be joined to one number (4807.038) in both latitude and longitude, or in neither.
+    Degrees and minutes must be joined in one number (4807.038) in both latitude and longitude, or in neither.
     """
     if lat.dtype != pl.String or lon.dtype != pl.String:
         return False
@@ -100,7 +100,7 @@ def _are_dms(lat: pl.Series, lon: pl.Series) -> bool:
 
 
 def _hemispheres(columns: Columns) -> dict[str, tuple[str, str]]:
-    """Return the conditions of rows in the southern and western hemispheres, and faults in the hemispheres' letters.
+    """Return the conditions of rows in the southern and western hemispheres, and faults in the hemisphere letters.
 
     The letters are in columns with names such as N/S, or in the columns that follow the coordinates. In the second case
     the columns must contain only these letters, and the coordinates must have no signs.
@@ -141,7 +141,7 @@ def degrees_as_meters(columns: Columns, role: Role) -> str:
     changes = [v.diff().abs().replace(0.0, None).drop_nulls() for v in values]
     steps = [median_of(v) for v in changes]
     ranges = [float(v.max() or 0) - float(v.min() or 0) for v in values]  # pyright: ignore[reportArgumentType]
-    # If the vehicle stands most of the time, the median steps are noise.
+    # If the vehicle is stationary most of the time, the median steps are noise.
     if all(far < 20 * step for far, step in zip(ranges, steps, strict=True)):
         steps = [float(v.max() or 0) for v in changes]  # pyright: ignore[reportArgumentType]
     far = min(median_of(v.abs()) for v in values) > 0.5
@@ -156,7 +156,7 @@ def degrees_as_meters(columns: Columns, role: Role) -> str:
 
 
 def from_ecef(columns: Columns) -> dict[str, Conversion]:
-    """Convert x, y, z from the center of the earth (ECEF, WGS84) to degrees (Bowring); {} for other coordinates.
+    """Convert x, y, z from the center of the earth (ECEF, WGS84) to degrees (Bowring); return {} for other coordinates.
 
     UTM coordinates near 57 degrees have the norm of ECEF coordinates, but their z is an altitude.
     """
@@ -180,7 +180,7 @@ def from_ecef(columns: Columns) -> dict[str, Conversion]:
 
 
 def _place_form(columns: Columns, role: Role) -> Conversion:
-    """Guess the unit of latitude and longitude from their magnitude; {} in the expression stands for the column."""
+    """Guess the unit of latitude and longitude from their magnitude. {} in the expression stands for the column."""
     both = ("lat", "lon")
     cells = [columns.frame[columns.names[what].column] for what in both]
     if cells[0].dtype == cells[1].dtype and not cells[0].dtype.is_nested():
@@ -235,10 +235,10 @@ _PARTS = {
 
 
 def degree_parts(frame: pl.DataFrame) -> dict[str, tuple[str, str]]:
-    """Return the column of degrees and the expression of the sum, deg, for lat and lon; {} if either is not found.
+    """Return, for lat and lon, the column of degrees and the expression of the sum, deg; {} if either is not found.
 
-    If the table also has latitude and longitude in one column each, these columns are returned, with an empty
-    expression, since the parts may lack the sign.
+    If latitude and longitude are also in one column each, these columns are returned, with an empty expression, since
+    the separate degrees and minutes may lack the sign.
     """
     found: dict[str, tuple[str, str]] = {}
     whole: dict[str, tuple[str, str]] = {}

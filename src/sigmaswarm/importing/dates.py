@@ -49,7 +49,7 @@ def as_text(columns: Sequence[str]) -> pl.Expr:
 
 
 def parse_dates(text: pl.Expr, form: str = "") -> pl.Expr:
-    """Convert dates in text to seconds since 1970; other texts become null, and dates without a zone are UTC.
+    """Convert dates in text to seconds since 1970. Other texts become null, and dates without a zone are UTC.
 
     ``form`` contains strftime codes; "" is ISO 8601. If ``form`` contains no day, seconds count from midnight.
     """
@@ -78,7 +78,7 @@ def parse_dates(text: pl.Expr, form: str = "") -> pl.Expr:
 
 
 def parse_durations(text: pl.Expr) -> pl.Expr:
-    """Convert durations in text to seconds: "1.23 sec", "12 ms", "27:00:01.5", "1 day 02:00:00"; others become null."""
+    """Convert durations such as "1.23 sec", "12 ms", "27:00:01.5" or "1 day 02:00:00" to s. Other texts become null."""
     plain = text.str.to_lowercase().str.replace(r"(\d),(\d+)", "${1}.${2}")
     counted = plain.str.extract_groups(r"^([+-]?\d+\.?\d*(?:e[+-]?\d+)?) ?([a-zµμ]+)$")
     factors = {word: factor for word, (kind, factor) in BASES.items() if kind == "T"}

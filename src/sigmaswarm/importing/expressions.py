@@ -3,7 +3,7 @@
 Names refer to columns, as in ``-acc_y * 9.80665``, ``radians(gyro_z)``, ``linear_acceleration.x`` and
 ``accelerometer_m_s2[0]``. Backticks enclose other names: ```Acceleration x (m/s^2)` ``.
 
-Values are numbers. An empty cell results in null. A comparison is 1 or 0 in arithmetic. For ``not``, ``and``, ``or``,
+Values are numbers, and an empty cell gives null. A comparison gives 1 or 0. For ``not``, ``and``, ``or``,
 ``where`` and ``keep``, a number other than 0 is true. Times can also be computed as integer nanoseconds.
 """
 
@@ -35,7 +35,7 @@ def _number(a: pl.Expr) -> pl.Expr:
 def _truth(a: pl.Expr) -> pl.Expr:
     """Return True for numbers other than 0, and null for NaN.
 
-    In contrast to ``fill_nan``, the column is evaluated once.
+    Unlike ``fill_nan``, this evaluates the column only once.
     """
     return _number(a).sign().cast(pl.Int8, strict=False) != 0
 
@@ -58,8 +58,9 @@ _DMS = rf"(?i)^(?:[NSEW] *)?[+-]? *{_PART}(?:[ °º:d'′’m]+{_PART}){{0,2}}[ 
 def _dms(text: pl.Expr) -> pl.Expr:
     """Convert degrees, minutes and seconds in a text (48°07'02.3"S) to degrees, negative for S and W.
 
-    A single number of four digits or more is degrees and minutes (4807.038 N). The result is null for letters other
-    than N, S, E, W, and for a latitude of three digits (012.5 N), which may be degrees, or degrees and minutes.
+    A single number of four or more digits is degrees and minutes (4807.038 N). The result is null for letters other
+    than N, S, E, W. It is also null for a latitude of three digits (012.5 N), which may be degrees, or degrees and
+    minutes.
     """
     plain = text.str.strip_chars().str.replace_all(",", ".").str.replace(rf"(?i)(m *{_PART} *)s", "${1}")
     numbers = plain.str.extract_all(_PART)
@@ -140,7 +141,7 @@ class Expression:
 
 
 def compile_expression(text: str, columns: Collection[str]) -> Expression:
-    """Compile an expression over a table's columns; raise `InputError` if it is not valid."""
+    """Compile an expression over a table's columns. Raises `InputError` if it is not valid."""
     compiler = _Compiler(text, columns)
     try:
         polars = compiler.build(_parse(text))
@@ -158,7 +159,7 @@ def is_valid_expression(text: str, columns: Collection[str]) -> bool:
 
 
 def _parse(text: str) -> ast.expr:
-    """Parse an expression; names in backticks become ``col("...")``."""
+    """Parse an expression. Names in backticks become ``col("...")``."""
     if len(text) > MAX_LENGTH:
         raise InputError(
             f"the expression {text[:40]!r}... is longer than {MAX_LENGTH} characters; shorten it"
@@ -274,7 +275,7 @@ class _Compiler:
         return _OPERATORS[type(op)](_number(self.build(a)), _number(self.build(b)))
 
     def _utc(self, args: list[ast.expr]) -> pl.Expr:
-        """Compile ``utc(...)`` of one column of dates, or of columns with day and time of day; a format may follow."""
+        """Compile ``utc(...)`` of a column of dates, or of two columns, days and times of day; a format may follow."""
         form = ""
         if isinstance(args[-1], ast.Constant) and isinstance(args[-1].value, str):
             form, args = args[-1].value, args[:-1]
@@ -290,7 +291,7 @@ class _Compiler:
 
 
 def time_expression(text: str, frame: pl.DataFrame) -> pl.Expr:
-    """Compile an expression of a time in s to integer nanoseconds; integer columns keep all digits, also in a sum."""
+    """Compile an expression of a time in s to integer nanoseconds. Integer columns keep all digits, also in a sum."""
     tree = _parse(text)
     terms = [text]
     if isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Add):
@@ -302,7 +303,7 @@ def time_expression(text: str, frame: pl.DataFrame) -> pl.Expr:
 
 
 def with_row_numbers(frame: pl.DataFrame, first: int = 0) -> pl.DataFrame:
-    """Add the column `ROW`, unless the table has it; ``first``: number of the first row."""
+    """Add the column `ROW`, unless the table has it. ``first`` is the number of the first row."""
     if ROW in frame.columns:
         return frame
     return frame.with_columns(pl.int_range(first, first + len(frame)).alias(ROW))
@@ -350,7 +351,7 @@ def _exact_term(text: str, frame: pl.DataFrame) -> pl.Expr | None:
 
 
 def integer_scale(text: str, columns: Collection[str]) -> tuple[str, float] | None:
-    """Return column and factor of an expression ``column`` or ``column * number``, also with ``/``; else None.
+    """Return the column and factor of ``column``, ``column * number`` or ``column / number``. Return None for others.
 
     Such times are scaled as integers, since nanoseconds since 1970 have more digits than a float.
     """
@@ -371,6 +372,6 @@ def integer_scale(text: str, columns: Collection[str]) -> tuple[str, float] | No
 
 
 def _scaled(count: pl.Expr, factor: int) -> pl.Expr:
-    """Multiply a count by a factor; null beyond 64 bits."""
+    """Multiply a count by a factor; results beyond 64 bits become null."""
     most = (2**63 - 1) // max(factor, 1)
     return pl.when(count.is_between(-most, most)).then(count * factor)

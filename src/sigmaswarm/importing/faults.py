@@ -70,9 +70,9 @@ def faults_left(plan: Plan) -> list[str]:
 
 
 def _with_rate_of_ticks(faults: list[str], plan: Plan) -> list[str]:
-    """In faults of a counter of unknown unit, replace the remedy by the rate that motion or duration indicates.
+    """In faults of a counter of unknown unit, replace the remedy by the rate that the motion or duration shows.
 
-    The unit of a counter that IMU and fixes share is also unknown if the guesses for both differ.
+    If IMU and fixes share a counter, its unit is also unknown if the guesses for the two differ.
     """
     counter = guessed_counter(plan)
     unknown = [fault for fault in faults if UNKNOWN_TICK in fault]
@@ -87,9 +87,9 @@ def _with_rate_of_ticks(faults: list[str], plan: Plan) -> list[str]:
 
 
 def with_rate_of_rows(faults: list[str], plan: Plan) -> list[str]:
-    """For IMU and fixes in one table without a time, let the remedy state the rate of rows that the motion shows.
+    """If IMU and fixes are in one table without a time, add the rate of rows that agrees with the motion to the remedy.
 
-    ``faults``: those of `with_tables`.
+    ``faults`` are those of `with_tables`.
     """
     imu, gps = ((*plan.parts("imu"), Part("", {}))[0], (*plan.parts("gps"), Part("", {}))[0])
     timeless = [fault for fault in faults if f"; {IF_RATE_IS_KNOWN}" in fault]
@@ -103,7 +103,7 @@ def with_rate_of_rows(faults: list[str], plan: Plan) -> list[str]:
 
 
 def _rate_by_trial(counter: Counter, plan: Plan, rates: Sequence[float] = TRIAL_RATES) -> str:
-    """Import with the first trial rate that works; return the remedy computed from the resulting drive, or ""."""
+    """Import with the first trial rate that works. Return the remedy computed from the resulting drive, or ""."""
     for trial in rates:
         roles: Sequence[Role] = ("imu", "gps")[: 1 + counter.shared]
         changed = _with_maps(plan, {f"{role}.t": time_of_ticks(counter.text, trial) for role in roles})
@@ -119,7 +119,7 @@ def _rate_by_trial(counter: Counter, plan: Plan, rates: Sequence[float] = TRIAL_
 
 
 def _with_unit_of_rates(faults: list[str], plan: Plan) -> list[str]:
-    """For angular rates without a unit, let the remedy state the unit that agrees with the course of the fixes."""
+    """For angular rates without a unit, add the unit that agrees with the course of the fixes to the remedy."""
     rates = [fault for fault in faults if '"imu.g' in fault]
     if "gps" not in plan.recipe.roles or not rates:
         return faults
@@ -158,7 +158,7 @@ def _drive(plan: Plan, gathered: Gathered) -> Drive:
 
 
 def missing_sensor(plan: Plan, roles: Sequence[Role]) -> str:
-    """Describe a missing sensor, with the remedy; return "" if IMU and fixes have tables."""
+    """Describe a missing sensor, with the remedy. Return "" if IMU and fixes have tables."""
     for role, what, remedy in _SENSORS:
         made = role == "gps" and plan.recipe.gps_from_truth
         if role in roles and not plan.parts(role) and not made:
@@ -208,7 +208,7 @@ def _siblings(path: Path, role: Role) -> list[str]:
 
 
 def _lacking_table(log: Log) -> str:
-    """Name the missing sensor if the log has a table of either the accelerometer or the gyroscope, but not of both."""
+    """Name the missing sensor if the log has a table of the accelerometer or of the gyroscope, but not of both."""
     names = [
         name for name, table in log.tables.items() if {"x", "y", "z"} <= {c.lower() for c in table.columns}
     ]
@@ -218,7 +218,7 @@ def _lacking_table(log: Log) -> str:
 
 
 def _headers(log: Log) -> str:
-    """Return a command that copies the tables of a folder and adds missing headers; "" if no IMU would result."""
+    """Return a command that copies the tables of a folder and adds missing headers; "" if this would give no IMU."""
     if not log.path.is_dir():
         return ""
     headers = {name: header for name in log.tables if (header := header_by_values(log.first_rows(name)))}
@@ -233,13 +233,11 @@ def _headers(log: Log) -> str:
     command = " && ".join([f"cd {quote(str(log.path))}", f"mkdir -p {' '.join(folders)}", *lines])
     there = quote(str(log.path / "named"))
     more = f"; copy {list_names(left)} to {there} with a header, such as t,lat,lon, since the values suggest none"
-    return (
-        f"write headers as the values suggest: ({command}){more * bool(left)}, and import the folder {there}"
-    )
+    return f"add the headers that the values suggest: ({command}){more * bool(left)}, and import the folder {there}"
 
 
 def describe_kinds(log: Log) -> str:
-    """Describe a long table (one value or sensor per row) and a command that converts it; "" for other tables."""
+    """Describe a long table (one value or sensor per row), and a command that converts it; "" for other tables."""
     if found := _between_sentences(log.path):
         return found
     for table in log.tables:
@@ -289,7 +287,7 @@ def _is_kind(values: pl.Series) -> bool:
 
 
 def _between_sentences(path: Path) -> str:
-    """Describe rows of numbers, or of a board's own, between NMEA sentences, and a command that separates them."""
+    """Describe rows of numbers, or of a board's format, between NMEA sentences, and a command that separates them."""
     lines = first_bytes(path, 65536).decode("utf-8", "replace").split("\n")[:-1] if path.is_file() else []
     rows = [line for line in lines if len(re.findall(r"\d+\.?\d*", line)) >= MIN_NUMBERS]
     sentences = [found[1] for line in lines if (found := re.match(r"\$([A-Z]{4,6}),", line))]

@@ -37,7 +37,7 @@ class ReceiverLog:
 def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
     """Read the fixes of a log in any format of `sigmaswarm import`, or of a drive's folder.
 
-    Clock (``time_origin_s``) and frame (``origin``) are those of ``drive``; ``offset``, s, is added to the times.
+    Clock (``time_origin_s``) and frame (``origin``) are those of ``drive``. ``offset``, s, is added to the times.
     """
     if has_table(path, "gps"):
         return _of_drive(read_with_warnings(path)[0], drive, offset)  # the import has printed the warnings
@@ -50,7 +50,7 @@ def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
 
 
 def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.bool_]]:
-    """Return times (n,), ns, columns (n,), and a mask (n,) of fixes with integer ambiguities."""
+    """Return the times (n,), ns, the columns (n,), and a mask (n,) of fixes with integer ambiguities."""
     request = Request(source=path)
     with opened(request) as plan:
         log, guess = plan.log("gps"), plan.guess("gps")

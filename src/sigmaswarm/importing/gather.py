@@ -1,4 +1,4 @@
-"""Evaluate the expressions of a drive's columns for the batches of a log; leave out and count unusable rows."""
+"""Evaluate the expressions of a drive's columns for the batches of a log. Unusable rows are left out and counted."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -39,14 +39,14 @@ MAX_ROW_STEPS = 3.0  # largest step between the rows of a slower sensor, in medi
 
 
 def _is_every_nth(known: Mask) -> bool:
-    """Return True if a column has values in every n-th row, n > 1, also if single values are missing."""
+    """Return True if a column has values in every n-th row (n > 1), even if some of these values are missing."""
     steps = np.diff(np.flatnonzero(known))
     return len(steps) > 0 and 1 < float(np.median(steps)) >= float(steps.max()) / MAX_ROW_STEPS
 
 
 @dataclass
 class PartColumns:
-    """Columns of a part: ``t``, ns, and others; null where the log has no value."""
+    """Columns of a part: ``t``, ns, and others. A value is null where the log has none."""
 
     part: Part
     expressions: dict[str, Expression]
@@ -90,7 +90,7 @@ class PartColumns:
 
     @property
     def duration(self) -> float:
-        """Sum of the forward steps of the time, s, which hardly depends on wraps of a counter."""
+        """Sum of the forward steps of the time, s, which wraps of a counter hardly change."""
         steps = pl.concat(self.rows)["t"].diff() if self.rows else pl.Series([0])
         return float(steps.filter(steps > 0).sum()) / SECOND
 
@@ -118,7 +118,7 @@ class PartColumns:
         return time, {name: column.to_numpy().astype(np.float64) for name, column in columns.items()}
 
     def separated(self, required: Collection[str]) -> "list[PartColumns]":
-        """Return a part for each group of columns that have values in the same rows; two sensors may share a table.
+        """Return a part for each group of columns with values in the same rows, since two sensors may share a table.
 
         The part with the most rows is the first. Optional columns that belong to no required column stay in it.
         """
@@ -167,7 +167,10 @@ class PartColumns:
                 )
 
     def _few_timeless(self, frame: pl.DataFrame) -> pl.Series | None:
-        """Mark rows without a time, such as a repeated header or lines below the table; None if there are many."""
+        """Mark rows without a time, such as a repeated header or lines below the table.
+
+        Return None if there are many.
+        """
         try:
             times = frame.select(time_expression(self.part.columns["t"], frame)).to_series()
         except pl.exceptions.PolarsError:
@@ -208,7 +211,7 @@ class PartColumns:
 
 
 def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
-    """Mark values far from the median of the values not ``marked``, relative to the 1% to 99% range of these values."""
+    """Mark values that are far from the median of the values not yet ``marked``, relative to their 1% to 99% range."""
     rest = numbers.filter(~marked).drop_nulls().drop_nans()
     if not len(rest):
         return is_huge(numbers).fill_null(False)
@@ -240,7 +243,7 @@ Gathered = dict[Role, list[PartColumns]]
 
 
 def gather_all(plan: Plan, progress: ImportProgress = lambda done: None) -> Gathered:
-    """Read the columns of all roles of a plan with tables; ``progress`` receives the fraction that has been read."""
+    """Read the columns of all roles of a plan with tables. ``progress`` receives the fraction that has been read."""
     gathered: Gathered = {}
     sizes = {path: _size(path) for path in plan.logs}
     total, before = sum(sizes.values()), 0

@@ -1,4 +1,4 @@
-"""Guess the roles of a log's tables by the names, units and sampled values of their columns."""
+"""Guess the roles of a log's tables from the names, units and sampled values of their columns."""
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -90,7 +90,7 @@ _HINTS: dict[str, str] = {
 def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) -> Guess:
     """Find the tables of each role by their columns, and choose among several tables by their names.
 
-    ``samples``: rows of each table; ``chosen``: table by role, as chosen by the user.
+    ``samples`` contains rows of each table, and ``chosen`` the table that the user chose for each role.
     """
     found = {table: _find_columns(frame, table) for table, frame in samples.items()}
     truths, notes = _truths_of_columns(samples, found)
@@ -147,9 +147,9 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
 def _other_tables(
     role: Role, best: str, others: Sequence[str], samples: Mapping[str, pl.DataFrame], *, ask: bool
 ) -> list[str]:
-    """Return a note on unused tables with equal columns or, if ``ask``, with positions, and the options to read them.
+    """Return a note on unused tables with equal columns or, if ``ask``, with positions, and the options that read them.
 
-    Positions from wheels and estimates are not offered as fixes.
+    Positions from wheels or estimates are not proposed as fixes.
     """
     alike = [table for table in others if samples[table].columns == samples[best].columns]
     measured = [table for table in others if not (_WHEELS.search(table) or _ESTIMATE.search(table))]
@@ -165,11 +165,11 @@ def _other_tables(
 
 
 def _best_table(role: Role, tables: Sequence[str], found: Mapping[str, Columns]) -> str:
-    """Return the first table with a fitting name, else the first table.
+    """Return the first table with a matching name or, if there is none, the first table.
 
-    Tables that may contain estimates come last. Among fixes, positions from wheels come after all measured positions,
-    and a reference comes after other measurements. x, y, z of constant magnitude come later, since they may be those of
-    a magnetometer.
+    Tables that may contain estimates come last. For fixes, positions from wheels come after all measured positions, and
+    a reference comes after other measurements. Tables whose x, y, z have a constant magnitude come later, since they
+    may be those of a magnetometer.
     """
     return max(
         tables,
@@ -185,7 +185,7 @@ def _best_table(role: Role, tables: Sequence[str], found: Mapping[str, Columns])
 
 
 def _has_constant_size(columns: Columns) -> bool:
-    """Return True if x, y, z change, but not their magnitude, as for a magnetometer that turns."""
+    """Return True if x, y, z change but their magnitude does not, as for a magnetometer that turns."""
     if not columns.has("x", "y", "z") or from_ecef(columns):
         return False
     low, high = (float(columns.norms(["x", "y", "z"]).quantile(q) or 0.0) for q in (0.1, 0.9))
@@ -248,7 +248,7 @@ def _names_receiver(name: Name) -> bool:
 def _truths_of_columns(
     samples: Mapping[str, pl.DataFrame], found: Mapping[str, Columns]
 ) -> tuple[dict[str, Columns], list[str]]:
-    """Find in each table the columns whose names mark them as truth (truth_x, gt_lat); return these columns, and notes.
+    """Find the columns in each table whose names mark them as truth (truth_x, gt_lat). Return these columns, and notes.
 
     The truth of a moving vehicle changes; the position of a reference station does not.
     """
@@ -299,8 +299,8 @@ def _candidates(
 ) -> dict[Role, list[str]]:
     """List the tables that fit each role.
 
-    If a table has latitude and longitude, tables with only x, y are not fixes. ``truths``: tables in which the names of
-    some columns mark truth. ``chosen_truth``: the user's table of the truth.
+    If a table has latitude and longitude, tables with only x, y are not fixes. ``truths`` are tables in which the names
+    of some columns mark truth. ``chosen_truth`` is the table that the user chose for the truth.
     """
     forces = {t for t, c in found.items() if c.has("ax", "ay")}
     rates = {t for t, c in found.items() if "gz" in c}
@@ -324,7 +324,10 @@ def _candidates(
 
 
 def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[str, Conversion]]:
-    """Yield the columns of a role as expressions; ``rows_of``: role whose usual rate determines the unit of times."""
+    """Yield the columns of a role as expressions.
+
+    ``rows_of`` is the role whose usual rate determines the unit of times.
+    """
     filled: dict[str, Role] = {"gz": "imu", "ax": "imu", "x": "gps", "lat": "gps"}
     keys: dict[Role, str] = {of: columns.names[what].column for what, of in filled.items() if what in columns}
     if (time := time_of_rows(columns.frame, role, keys, rows_of)) is not None:
@@ -365,7 +368,7 @@ def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[
 
 
 def _std_of_messages(names: Sequence[str]) -> Iterator[tuple[str, Conversion]]:
-    """Yield the standard deviations of NavSatFix messages in a table; `join` leaves out values of 0."""
+    """Yield the standard deviations of NavSatFix messages in a table. `join` leaves out values of 0."""
     for what, element in (("std_x", 0), ("std_y", 4)):
         found = [n for n in names if re.search(rf"position_covariance\W?_?{element}\W?$", n, re.IGNORECASE)]
         if len(found) == 1:
@@ -387,7 +390,7 @@ def points_down(column: str) -> str:
 
 
 def magnetometer_part(table: str, columns: Sequence[str]) -> Part:
-    """Find the axes by their names in a table of a magnetometer; the part is empty if there are none."""
+    """Find the axes in a table of a magnetometer by their names. The part is empty if there are none."""
     for pattern in _MAGNETIC_AXES:
         found = {m[1]: column for column in reversed(columns) if (m := re.fullmatch(pattern, column.lower()))}
         if {"x", "y"} <= found.keys():

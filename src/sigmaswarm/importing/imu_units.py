@@ -112,7 +112,7 @@ def wrong_scale(imu: Imu, parts: Sequence[Part], rates: Mapping[str, str]) -> li
 
 
 class RateUnit(NamedTuple):
-    """The unit of rates: a fault with its remedy, a note, and expressions in the most likely unit, by column."""
+    """The unit of rates: a fault with its remedy, a note, and the expression of each column in the most likely unit."""
 
     fault: str = ""
     note: str = ""
@@ -122,10 +122,10 @@ class RateUnit(NamedTuple):
 def unit_of_rates(
     drive: Drive, roles: Mapping[Role, Sequence[Part]], unitless: Mapping[str, str]
 ) -> RateUnit:
-    """Compare rates without a stated unit with the course of the fixes; find the unit if the assumed unit is wrong.
+    """Compare rates without a stated unit with the course of the fixes. Find the unit if the assumed unit is wrong.
 
-    ``unitless``: columns without a unit, as text in expressions, by column of the drive. If the changes of course do
-    not confirm the unit, a note states that rad/s is assumed.
+    ``unitless`` contains, by column of the drive, the columns without a unit, as they are written in expressions. If
+    the changes of course do not confirm the unit, a note states that rad/s is assumed.
     """
     rates = unitless.keys() & {"gx", "gy", "gz"}
     times = {role: parts[0].columns.get("t", "") for role, parts in roles.items() if parts}
@@ -161,18 +161,18 @@ def _maps(names: Iterable[str], unitless: Mapping[str, str], form: str) -> str:
 
 
 def _wrong_clock(ratio: float, columns: str, times: Mapping[Any, str]) -> str:
-    """Describe times whose unit is wrong by a power of ten; "" for other ratios, or times with a date."""
+    """Describe times whose unit is wrong by a power of ten; return "" for other ratios, or times with a date."""
     power = round(math.log10(ratio))
     plain = all(times.values()) and "(" not in "".join(times.values())
     if not plain or abs(math.log(ratio / 10.0**power)) > FACTOR_TOLERANCE:
         return ""
     maps = " ".join(f'"{role}.t={text}*1e{power}"' for role, text in times.items())
-    message = f"the course of the fixes turns {ratio:.3g} times as far as the integral of {columns}"
+    message = f"the changes of the course of the fixes are {ratio:.3g} times the integral of {columns}"
     return f"{message}, so the unit of the times is likely {10.0**power:g} times the assumed unit; write --map {maps}"
 
 
 def turn_ratio(drive: Drive) -> tuple[float, float]:
-    """Return the explained fraction of the variance of course changes, and the ratio of course change to gyro turn."""
+    """Return the fraction of the variance of course changes that the gyro explains, and the ratio of both."""
     time, x, y, imu = drive.gps.time, drive.gps.x, drive.gps.y, drive.imu
     axes = np.array([v for v in (imu.gx, imu.gy, imu.gz) if v is not None])
     steps = 0.5 * (axes[:, 1:] + axes[:, :-1]) * np.diff(imu.time)
@@ -198,9 +198,9 @@ def turn_ratio(drive: Drive) -> tuple[float, float]:
 def _fitted(measured: Array, turns: Array, lasted: Array) -> tuple[float, float]:
     """Regress the turns of the course (n,) on the measured angles (delays, axes, n), rad, for each delay.
 
-    Return the largest explained fraction of the variance, and the norm of its coefficients; 0 and 0 if the turns are
-    few or small. ``lasted`` (n,): durations, s. The axes have different biases, so angles proportional to the duration
-    are removed; otherwise the fit would cancel the biases by a combination of the axes with large factors.
+    Return the largest explained fraction of the variance, and the norm of its coefficients; both are 0 if the turns are
+    few or small. ``lasted`` (n,) contains durations, s. The axes have different biases, so angles proportional to the
+    duration are removed. Otherwise the fit would cancel the biases by a combination of the axes with large factors.
     """
     both = np.concatenate([measured, np.broadcast_to(turns, (len(measured), 1, len(turns)))], axis=1)
     used, valid = np.ones((len(both), len(turns)), np.bool_), np.ones(len(both), np.bool_)

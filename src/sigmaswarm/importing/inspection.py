@@ -59,11 +59,11 @@ class TablePreview:
 class Inspection:
     """Content of the logs of a request, the recipe that an import would use, and its assumptions.
 
-    ``proposal``: options of `sigmaswarm import` for unrecognized columns; ``settings``: the same options for
-    `import_log`; ``evidence``: reasons for these options. ``works``: True if the import with these options succeeds, or
-    if there is no proposal and no note states a fault of tables or columns. ``unread``: columns, by table, that neither
-    recipe nor proposal reads. ``faults``: reasons not to use a column unchanged. ``rows``: first rows of each table.
-    ``mount``: mounting that a note recommends.
+    ``proposal`` contains options of `sigmaswarm import` for unrecognized columns, ``settings`` the same options for
+    `import_log`, and ``evidence`` the reasons for them. ``works`` is True if the import with these options succeeds, or
+    if there is no proposal and no note states a fault of tables or columns. ``unread`` contains, by table, the columns
+    that neither recipe nor proposal reads. ``faults`` are reasons not to use a column unchanged. ``rows`` are the first
+    rows of each table. ``mount`` is the mounting that a note recommends.
     """
 
     tables: tuple[TablePreview, ...]
@@ -85,9 +85,9 @@ class Inspection:
 
 
 def inspect_request(request: Request, progress: ImportProgress = lambda done: None) -> Inspection:
-    """Read the beginning of each log; faults become notes, and nothing is written.
+    """Read the beginning of each log. Faults become notes, and nothing is written.
 
-    A proposal is checked on the whole log; ``progress`` then receives the fraction that has been read, 0 to 1.
+    A proposal is checked on the whole log. ``progress`` then receives the fraction that has been read, 0 to 1.
     """
     with opened(request) as plan:
         try:

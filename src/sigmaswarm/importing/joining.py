@@ -1,4 +1,4 @@
-"""Join the parts of a role into one table with sorted times and complete rows; report omissions."""
+"""Join the parts of a role into one table with sorted times and complete rows, and report omissions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -64,7 +64,7 @@ class Samples:
 def join(
     parts: Sequence[PartColumns], role: Role, required: Sequence[str], say: Say, recording: int | None = None
 ) -> Samples:
-    """Join a role's parts at the times of the first part; other parts are interpolated linearly.
+    """Join a role's parts at the times of the first part. Other parts are interpolated linearly.
 
     ``recording`` is the number of the recording, counted from 1, if a clock restarts within a table.
     """
@@ -132,7 +132,7 @@ def _other_rate(time: Nanoseconds, values: Values, other_time: Nanoseconds, othe
 
 
 def _with_known_headings(values: Values) -> Values:
-    """Set the standard deviation of missing headings to `NO_HEADING`; the fixes without a heading remain."""
+    """Set the standard deviation of missing headings to `NO_HEADING`. Fixes without a heading are kept."""
     heading = values.get("heading", np.zeros(0))
     std, known = values.get("std_heading", np.full(len(heading), np.nan)), np.isfinite(heading)
     if not known.any() or (known.all() and not np.isfinite(std).any()):
@@ -143,10 +143,10 @@ def _with_known_headings(values: Values) -> Values:
 
 
 def _between(time: Array, known: Array, values: Array, turn: float | None) -> Array:
-    """Interpolate values (m,) at times ``known`` (m,), s, linearly to ``time`` (n,), s; angles along the shorter arc.
+    """Interpolate values (m,) at times ``known`` (m,), s, linearly to ``time`` (n,), s. Angles take the shorter arc.
 
-    ``turn`` is the period of an angle, or None. Values beyond half a period, which are unwrapped or in a wrong unit,
-    are not wrapped, so a wrong unit remains visible.
+    ``turn`` is the period of an angle, or None. Values beyond half a period are not wrapped, since they are unwrapped
+    or in a wrong unit; thus a wrong unit remains visible.
     """
     if turn is None:
         return np.interp(time, known, values)
@@ -172,7 +172,7 @@ def _in_order(
     if not len(time):
         why = "no usable row; --show shows the contents of the log"
         if part.timeless:
-            why = f"no time within 292 years of 1970; specify its column and unit with --map {role}.t=..."
+            why = f"no time within 292 years of 1970; specify the column and unit of the time with --map {role}.t=..."
         raise InputError(f"{role}: {table} contains {why}")
     text = part.part.columns["t"]
     tick = (scaled_column(text) or ("", 0.0))[1]
@@ -231,7 +231,7 @@ def _complete_rows(
     full = finite(values, len(time)).all(axis=0)
     if not full.any():
         raise InputError(
-            f"{role}: no row has values in all columns ({', '.join(values)}); leave one out with --map {role}.NAME="
+            f"{role}: no row has values in all columns ({', '.join(values)}); omit one with --map {role}.NAME="
         )
     sparse = role == "gps" and np.mean(placed) < 0.5
     if (left := int(np.count_nonzero(~full))) and not sparse:

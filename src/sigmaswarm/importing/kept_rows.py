@@ -1,4 +1,4 @@
-"""Find the condition of the rows to read: those with a fix, and those of one of several sensors that alternate."""
+"""Find the condition of the rows to read: rows with a fix, or rows of one of several sensors that alternate."""
 
 import math
 import re
@@ -62,7 +62,7 @@ MIN_JUMP_RATIO = 5.0  # smallest ratio of a jump to the 90% quantile of the othe
 
 
 def kept_rows(columns: Columns, role: Role) -> Conversion | None:
-    """Return the condition of the rows of a role, perhaps only with a note; None if all rows are read."""
+    """Return the condition of the rows of a role, or None if all rows are read, and possibly a note."""
     found = (_of_first_sensor(columns, role), _with_fix(columns) if role == "gps" else None)
     if not (kept := [one for one in found if one is not None]):
         return None
@@ -98,7 +98,7 @@ def _of_first_sensor(columns: Columns, role: Role) -> Conversion | None:
 
 
 def _with_fix(columns: Columns) -> Conversion | None:
-    """Return the condition of rows with a fix from a column of flags, or a note if it would exclude many likely fixes.
+    """From a column of flags, return the condition of rows with a fix, or a note if it would exclude many likely fixes.
 
     In some codes, 0 is a fix without fixed ambiguities.
     """
@@ -120,11 +120,11 @@ def _with_fix(columns: Columns) -> Conversion | None:
     seen = (
         f"{(~kept).sum()} of {len(fixes)} fixes are used, although the condition {text} is not true for them"
     )
-    return Conversion("", note=f'{seen}; to leave these fixes out, write --map "gps.keep={text}"')
+    return Conversion("", note=f'{seen}; to omit these fixes, write --map "gps.keep={text}"')
 
 
 def _jump(places: pl.DataFrame, kept: pl.Series) -> bool:
-    """Return True if positions jump to the rows that a flag excludes, or between these rows."""
+    """Return True if positions jump at the rows that a flag excludes, or between these rows."""
 
     def squares(rows: pl.DataFrame) -> pl.Series:
         east, north = (column.cast(pl.Float64, strict=False).diff().pow(2) for column in rows)

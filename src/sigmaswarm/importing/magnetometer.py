@@ -71,7 +71,7 @@ def with_magnetometer(
 ) -> Drive:
     if drive.gps.heading is not None:
         raise InputError(
-            'mag: the fixes already have a heading; leave it out with --map "gps.heading=", or omit the magnetometer'
+            'mag: the fixes already have a heading; omit it with --map "gps.heading=", or omit the magnetometer'
         )
     samples = join(parts, "mag", ("mx", "my"), say, recording)
     zero = int(drive.metadata.get("time_origin_s", 0))
@@ -141,7 +141,7 @@ def _reference(evidence: Evidence, time: Array, late: float) -> tuple[Array, NDA
 
 
 def _turned(heading: Array) -> int:
-    """Return how many degrees of the circle are covered by the headings (shape (n,), rad)."""
+    """Return how many degrees of the circle the headings (n,), rad, cover."""
     bins = (np.degrees(heading) % 360 // BIN).astype(np.int64)
     return int(np.count_nonzero(np.bincount(bins, minlength=1) >= MIN_SAMPLES)) * BIN
 
@@ -164,14 +164,14 @@ def calibrate(heading: Array, field: Array) -> Calibration:
 
 
 def _near_steel(time: Array, size: Array, off: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark samples (n,) close in time to a field of unusual magnitude, or unusual direction relative to the heading."""
+    """Mark samples (n,) close in time to a field of unusual magnitude or unusual direction relative to the heading."""
     odd = _odd(size / float(np.median(size[moving])), moving) | (moving & _odd(off, moving))
     wrong = time[odd]
     return np.searchsorted(wrong, time - MARGIN) < np.searchsorted(wrong, time + MARGIN, side="right")
 
 
 def _odd(values: Array, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark values (n,) that differ from their median in motion by more than `MAX_FIELD_DEVIATION`."""
+    """Mark values (n,) that differ by more than `MAX_FIELD_DEVIATION` from their median during motion."""
     apart = np.abs(values - float(np.median(values[moving])))
     deviations, least = MAX_FIELD_DEVIATION
     return apart > max(deviations * 1.4826 * float(np.median(apart[moving])), least)
@@ -188,7 +188,7 @@ def _at(
 
 
 def _turn(calibration: Calibration, stated: float | None) -> float:
-    """Return the correction, rad, of headings calibrated with the course, for a stated declination, deg."""
+    """Return the correction, rad, of headings calibrated with the course that a stated declination, deg, requires."""
     if stated is None:
         return 0.0
     if not abs(stated) <= 180:

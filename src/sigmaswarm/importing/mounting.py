@@ -71,7 +71,7 @@ def parse_mount(text: str) -> Array:
     text : str
         ``"90"``: the sensor is rotated by 90 degrees about z, counter-clockwise seen from above. ``"0,10.5,90"``: roll,
         pitch and yaw of the sensor in the vehicle, degrees, about x, then y, then z. ``"x=-y,y=x"``: axes of the
-        vehicle in terms of axes of the sensor; missing axes follow from the given axes.
+        vehicle in terms of the sensor's axes; the other axes follow from these.
     """
     parts = text.replace(" ", "").split(",")
     if all("=" in part for part in parts):
@@ -90,7 +90,10 @@ def parse_mount(text: str) -> Array:
 
 
 def _from_axes(text: str, parts: list[str]) -> Array:
-    """Make the rotation from the given axes: one leaves z (or x) unchanged, and two determine the third."""
+    """Make the rotation from the given axes.
+
+    A single axis implies that z (or x) is unchanged; two determine the third.
+    """
     unit = dict(zip(_AXES, np.eye(3), strict=True))
     rows: dict[str, Array] = {}
     for part in parts:
@@ -134,7 +137,7 @@ def rotate(imu: dict[str, Array], rotation: Array) -> dict[str, Array]:
 def tilted_mount(recipe: Recipe, rows: Mapping[str, pl.DataFrame], *, downward: bool) -> tuple[str, str]:
     """Return "auto" and a note if the specific force in the first rows is clearly not along +z; otherwise "" and "".
 
-    ``downward``: True if another note reports that the z axis points down.
+    ``downward`` is True if another note reports that the z axis points down.
     """
     force = _median_force(recipe, rows)
     size = math.hypot(*force)

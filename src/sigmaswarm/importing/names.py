@@ -1,4 +1,4 @@
-"""Interpret names of columns: separate name and unit, and find the column of a drive that the name means."""
+"""Interpret names of columns: separate the name from the unit, and find the column of a drive that the name means."""
 
 import re
 import unicodedata
@@ -13,7 +13,7 @@ LONGEST_NAME = 200
 
 
 def _any_of(*texts: str) -> str:
-    """Return a pattern of patterns that are separated by spaces."""
+    """Return a pattern of alternatives from patterns that are separated by spaces."""
     return "|".join(pattern for text in texts for pattern in text.split())
 
 
@@ -165,7 +165,7 @@ class Name:
 
     @property
     def meaning(self) -> str | None:
-        """The column of a drive that the name means, or None; roll, pitch and yaw per second are rates."""
+        """The column of a drive that the name means, or None. Roll, pitch and yaw per second are rates."""
         if self.unit is not None and self.unit.dimension == "rate" and self.plain in TURNS:
             return TURNS[self.plain]
         return _stated(self.plain, self.unit) or meaning_of_plain(self.plain)
@@ -189,7 +189,7 @@ def plain_words(text: str) -> list[str]:
 
 
 def split_words(text: str) -> list[str]:
-    """Split a name into words like `plain_words`, also at the capitals of CamelCase."""
+    """Split a name into words like `plain_words`, and also at the capitals of CamelCase."""
     return plain_words(_with_underscores(text))
 
 
@@ -222,8 +222,9 @@ def is_time(plain: str) -> bool:
 def read_names(columns: Sequence[str]) -> list[Name]:
     """Interpret the names of a table's columns, without a shared prefix as in "Car.ax" and "vehicle/imu/ax".
 
-    A prefix that names a receiver is not removed from accelerations and rates. Any other prefix is removed only from
-    these and, in a table with an IMU, from positions in degrees, since a table of estimates has no accelerations.
+    A prefix that names a receiver is not removed from the names of accelerations and rates. Any other prefix is removed
+    only from these names and, in a table with an IMU, from those of positions in degrees, since a table of estimates
+    has no accelerations.
     """
     pairs = zip(min(columns, default=""), max(columns, default=""), strict=False)
     shared = "".join(a for a, _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
@@ -288,7 +289,7 @@ def _meaning_in_table(name: Name) -> str | None:
 
 
 def _family(name: Name) -> str:
-    """Return the name without its axis if another family takes precedence, otherwise ""."""
+    """Return the name without its axis if another group of names takes precedence, otherwise ""."""
     stated = not name.plain.endswith("rate") and _stated(name.plain, name.unit)
     weak = re.match(_SHORT, name.plain) or stated or name.plain.startswith("lin")  # may be without gravity
     weak = weak or (name.words[-2:-1] == ("g",) and name.meaning in _AXES[:3])  # may be gravity itself
@@ -372,7 +373,7 @@ def _after_unit(column: str, words: list[str]) -> Name | None:
 
 
 def _with_unit(column: str, words: list[str], axis: str = "") -> Name:
-    """Return a name with the unit in its last words before the axis, or without a unit if these words state none."""
+    """Return a name and the unit in its last words before the axis, or no unit if these words state none."""
     for count in (3, 2, 1):
         unit = unit_of(words[-count:]) if len(words) > count else None
         rest = "_".join([*words[:-count], *axis])

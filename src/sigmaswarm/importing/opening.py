@@ -44,7 +44,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Plan:
-    """The open logs of a request, the guess of each, and the recipe with which they become a drive."""
+    """The open logs of a request, the guess for each, and the recipe with which they become a drive."""
 
     request: Request
     logs: Mapping[Path, Log]
@@ -77,7 +77,7 @@ class Plan:
 
 
 def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
-    """Make a request from keywords that are fields of `Request` and `Recipe`; ``recipe`` may be a file."""
+    """Make a request from keywords that are fields of `Request` and `Recipe`. ``recipe`` may be a file."""
     settings = dict(settings)
     recipe = settings.pop("recipe", None)
     recipe = recipe if isinstance(recipe, Recipe) else Recipe.load(Path(recipe)) if recipe else Recipe()
@@ -100,7 +100,7 @@ def request_of(log: str | Path, settings: Mapping[str, Any]) -> Request:
 
 @contextmanager
 def opened(request: Request) -> Generator[Plan]:
-    """Open the logs of a request; the recipe is still that of the request."""
+    """Open the logs of a request. The recipe is still that of the request."""
     with ExitStack() as stack:
         logs: dict[Path, Log] = {}
         for path in dict.fromkeys(map(request.home, ROLES)):

@@ -75,7 +75,7 @@ def valid_positions(time: NDArray[np.int64], values: Values, role: str, say: Say
 
 
 def coarse_degrees(values: Values) -> str:
-    """Describe latitudes and longitudes with too few decimals, with the remedy; else "".
+    """Describe latitudes and longitudes with too few decimals, with the remedy; otherwise return "".
 
     If the values are whole degrees, other columns presumably contain the minutes.
     """
@@ -145,7 +145,7 @@ def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: st
 
 
 def first_place(values: Values) -> Origin:
-    """Return the first position as an origin; missing columns are 0."""
+    """Return the first position as an origin. Missing columns are 0."""
     lat, lon, alt = (float(values[name][0]) if name in values else 0.0 for name in ("lat", "lon", "alt"))
     return lat, lon, alt
 
@@ -157,7 +157,7 @@ def add_local_position(
     role: str,
     texts: Mapping[str, str] = MappingProxyType({}),
 ) -> Values:
-    """Add x and y, m, relative to an origin, from latitude and longitude, deg; ``texts``: their expressions."""
+    """Add x and y, m, relative to an origin, from latitude and longitude, deg. ``texts`` are their expressions."""
     for name, most in (("lat", 90.0), ("lon", 180.0)):
         wrong = values[name][np.abs(values[name]) > most]
         if len(wrong):
@@ -174,9 +174,9 @@ def add_local_position(
 def without_wrong_velocity(
     time: Array, values: Values, role: str, texts: Mapping[str, str], say: Say
 ) -> Values:
-    """Return the columns (n,); leave out speed and course if the positions x, y contradict one of them.
+    """Return the columns (n,). Speed and course are left out if the positions x, y contradict one of them.
 
-    ``texts``: expressions of the columns, which the messages quote. Rows with NaN are not compared.
+    ``texts`` are the expressions of the columns, which the messages quote. Rows with NaN are not compared.
     """
     recorded, compared = values, {name: c for name, c in values.items() if name in ("x", "y", *_SPEED)}
     known = np.all([np.isfinite(column) for column in compared.values()], axis=0)
@@ -204,12 +204,12 @@ def without_wrong_velocity(
         speed is not None
         and not 1 / MAX_SPEED_RATIO < (ratio := _ratio(time, values, speed, begin, end)) < MAX_SPEED_RATIO
     ):
-        wrong = f"the speed is {ratio:.3g} times the speed from the positions (median){_remedy(ratio, texts, role)}"
+        wrong = f"the speed is {ratio:.3g} times that computed from the positions (median){_remedy(ratio, texts, role)}"
     elif course is not None and len(begin) >= MIN_STRETCHES:
         dx, dy = (values[n][end] - values[n][begin] for n in ("x", "y"))
         apart = np.abs(wrap_angle(course[(begin + end) // 2] - np.arctan2(dy, dx)))
         if (middle := float(np.median(apart))) > MAX_COURSE_ERROR:
-            wrong = f"the course differs from the course between the positions by {np.degrees(middle):.0f} deg (median)"
+            wrong = f"the course differs from that computed from the positions by {np.degrees(middle):.0f} deg (median)"
     if not wrong:
         return recorded
     stated = ", ".join(f"{name}={text}" for name, text in texts.items())
@@ -221,7 +221,7 @@ def without_wrong_velocity(
 def _ratio(
     time: Array, values: Values, speed: Array, begin: NDArray[np.int64], end: NDArray[np.int64]
 ) -> float:
-    """Return the median ratio of the logged speed to the speed computed from the positions; 1 if it varies too much."""
+    """Return the median ratio of the logged speed to that computed from the positions, or 1 if it varies too much."""
     sums = np.concatenate([[0.0], np.cumsum(np.abs(speed))])
     stated = (sums[end + 1] - sums[begin]) / (end + 1 - begin)
     moved = np.hypot(*(values[n][end] - values[n][begin] for n in ("x", "y"))) / (time[end] - time[begin])
@@ -230,7 +230,7 @@ def _ratio(
 
 
 def _remedy(ratio: float, texts: dict[str, str], role: str) -> str:
-    """Propose the unit whose factor is nearest to a ratio, if they differ by less than 10%."""
+    """Propose the unit whose factor is nearest to a ratio, if the two differ by less than 10%."""
     unit = min(UNITS, key=lambda u: abs(np.log(ratio * factor_of(u))))
     speeds = {name: text for name, text in texts.items() if name != "course"}
     if abs(np.log(ratio * factor_of(unit))) > 0.1 or not speeds:

@@ -1,6 +1,6 @@
 """Propose mappings for unrecognized columns by their names, values and units.
 
-None of these states signs and units reliably, so a proposal is shown but never applied.
+None of these is reliable evidence of signs and units, so a proposal is shown but never applied.
 """
 
 import math
@@ -73,7 +73,7 @@ class _Sensor:
         return (self.log.path, self.table) == (other.log.path, other.table)
 
     def in_table(self, first: Beginnings) -> "_Sensor":
-        """Return the sensor in the only table of its log if the table is unknown, as for columns mapped by hand."""
+        """Return the sensor in the only table of its log if the table is unknown, as for columns mapped by the user."""
         tables = first[self.log.path]
         return self if self.table or len(tables) != 1 else replace(self, table=next(iter(tables)))
 
@@ -82,7 +82,7 @@ class _Sensor:
 
 
 def propose(plan: Plan, first: Beginnings) -> Proposal | None:
-    """Propose columns of IMU and fixes that the recipe lacks; None if there are none."""
+    """Propose columns of IMU and fixes that the recipe lacks. Return None if there are none."""
     imu, gps = (_with_columns("imu", plan, first), _with_columns("gps", plan, first))
     imu, gps = (_with_own_time(one, (imu, gps)) if one.proposed else one for one in (imu, gps))
     if time := _time_by_rows(imu, gps, first):
@@ -93,7 +93,7 @@ def propose(plan: Plan, first: Beginnings) -> Proposal | None:
 
 
 def _with_columns(role: Role, plan: Plan, first: Beginnings) -> _Sensor:
-    """Find columns by their values or names or, if the recipe has none of the role, by increments or units."""
+    """Find columns by names or, if the recipe has no columns of the role, also by values, increments or units."""
     log, parts = plan.log(role), plan.parts(role)
     there, known = first[log.path], texts_of(parts)
     frames = {table: there[table] for table in [p.table for p in parts if p.table in there] or there}
@@ -145,7 +145,7 @@ def _time_by_rows(imu: _Sensor, gps: _Sensor, first: Beginnings) -> str:
 
 
 def _time_of_fixes(log: Log, table: str, fixes: Log, places: str, time: str) -> str:
-    """Return the IMU's time as an expression of its row number, at the usual rate with the duration of the fixes."""
+    """Return the IMU's time as an expression of its row number, at a usual rate that fits the duration of the fixes."""
     if not time or not log.tables[table].columns:
         return ""
     count = sum(len(rows) for _, rows, _ in log.batches({table: log.tables[table].columns[:1]}))
@@ -165,7 +165,7 @@ def _key(texts: Mapping[str, str], columns: Sequence[str]) -> str:
 
 
 def _elsewhere(names: Mapping[str, Sequence[str]], table: str, known: Mapping[str, str]) -> dict[str, str]:
-    """Find missing IMU columns in another table; return {} if several tables have columns of these names."""
+    """Find missing IMU columns in another table. Return {} if several tables have columns of these names."""
     others = {other: columns for other, columns in names.items() if other != table}
     if {"ax", "ay", "gz"} <= known.keys() or (proposed := propose_columns(others, "imu", known)) is None:
         return {}

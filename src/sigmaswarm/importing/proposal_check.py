@@ -31,9 +31,9 @@ CHECKED_TIME = 900.0  # s, the longest part of a drive that is checked
 
 
 def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Proposal, str, bool]:
-    """Correct a proposal with the doctor's findings; return the proposal, the evidence, and True if it can be imported.
+    """Correct a proposal with the doctor's findings. Return the proposal, the evidence, and True if it can be imported.
 
-    ``make`` makes the drive. A proposal with unknown units counts as one that cannot be imported.
+    ``make`` makes the drive. A proposal with unknown units counts as a proposal that cannot be imported.
     """
 
     def made(proposal: Proposal) -> Drive:
@@ -103,7 +103,7 @@ def _with_shown_unit(proposal: Proposal, drive: Drive) -> Proposal:
 
 
 def _plausible(drive: Drive) -> Drive:
-    """Reject numbers that no sensor reports, since they would overflow the doctor's sums."""
+    """Refuse numbers that no sensor reports, since they would overflow the doctor's sums."""
     for table in (drive.imu, drive.gps):
         for name, values in vars(table).items():
             if name != "time" and values is not None and np.abs(values).max(initial=0.0) > MAX_VALUE:
@@ -120,7 +120,7 @@ def _faults(diagnosis: Diagnosis) -> tuple[int, int]:
 def _corrected(proposal: Proposal, drive: Drive, diagnosis: Diagnosis) -> Proposal:
     """Apply the doctor's repairs of signs, exchanged axes and factors to the expressions.
 
-    The repairs are applied to an IMU whose columns are unit vectors, which shows their effect on each column.
+    The repairs are first applied to an IMU whose columns are unit vectors, which shows their effect on each column.
     """
     units = dict(zip(AXES, np.eye(len(AXES)), strict=True))
     probe = replace(drive, imu=Imu(np.arange(len(AXES), dtype=np.float64), **units))

@@ -86,7 +86,10 @@ def gravity_columns(names: Sequence[str]) -> dict[str, str]:
 
 
 def with_gravity(columns: Columns) -> dict[str, dict[str, str]]:
-    """Add the columns of gravity to accelerations without gravity; return expression and note by axis, or {}."""
+    """Add the columns of gravity to accelerations without gravity.
+
+    Return the expression and the note by axis, or {}.
+    """
     axes = AXES[:3]
     parts = {a: read_name(n) for a, n in gravity_columns(columns.frame.columns).items()}
     units = {n.unit for n in (*parts.values(), *(columns.names[a] for a in axes if a in columns))}
@@ -104,7 +107,7 @@ def with_gravity(columns: Columns) -> dict[str, dict[str, str]]:
 def _without_unit(columns: Columns, what: str, role: Role) -> Conversion:
     """Read accelerations as g, mg or cm/s2 if their magnitude then equals gravity, and rates above 5 as deg/s.
 
-    Other values are read in SI units. Values that are too large for a car, and rates of whole numbers, are refused as
+    Other values are read in SI units. Values that are too large for a car, and rates in whole numbers, are refused as
     raw counts.
     """
     text, letter = columns.text(what), what[0]
@@ -138,7 +141,7 @@ def _without_unit(columns: Columns, what: str, role: Role) -> Conversion:
 
 
 def _mg_or_gal(columns: Columns, what: str, role: Role, axes: Sequence[str], gravity: float) -> Conversion:
-    """Read accelerations as mg or cm/s2, whichever is nearer to ``gravity``; refuse them halfway between."""
+    """Read accelerations as mg or cm/s2, whichever is nearer to ``gravity``. Values halfway between are refused."""
     forms = {"cm/s2": "{}*1e-2", "mg": "{}*0.00980665"}
     maps = {unit: map_options(columns, role, axes, form) for unit, form in forms.items()}
     seen = f"gravity has a value of about {gravity:.4g}"
@@ -192,7 +195,7 @@ def in_units(frame: pl.DataFrame, role: Role, texts: Mapping[str, str]) -> dict[
 
 
 def heading(columns: Columns, what: str, role: Role) -> Conversion:
-    """Convert a direction to rad counter-clockwise from east; bearings and courses in deg are clockwise from north."""
+    """Convert a direction to rad counter-clockwise from east. Bearings and courses in deg are clockwise from north."""
     name, text = columns.names[what], columns.text(what)
     if name.unit is not None and name.unit.dimension != "angle":
         return quantity(columns, what, role)

@@ -119,14 +119,14 @@ def _setting(value: Any, key: str, path: Path) -> Any:
     if kind is not str and sound:
         return tuple(map(float, values)) if isinstance(kind, int) else float(values[0])
     what = f"{kind} numbers" if isinstance(kind, int) else "text" if kind is str else "a number"
-    raise InputError(f"{path}: {key} = {printable_value(value)} can't be used; write {what}")
+    raise InputError(f"{path}: {key} = {printable_value(value)} is not valid; write {what}")
 
 
 def _parts(content: Any, role: Role, path: Path) -> Iterator[Part]:
     for entry in cast("list[Any]", content if isinstance(content, list) else [content]):
         if not isinstance(entry, dict):
             raise InputError(
-                f"{path}: {role} = {printable_value(entry)} can't be used; write [[{role}]] and its columns below"
+                f"{path}: {role} = {printable_value(entry)} is not valid; write [[{role}]] and its columns below"
             )
         cells = cast("dict[str, Any]", entry)
         columns = {str(k): v if isinstance(v, str) else printable_value(v) for k, v in cells.items()}
@@ -143,7 +143,7 @@ def with_maps(
 ) -> dict[Role, tuple[Part, ...]]:
     """Replace expressions by those of the user: ``ax=-acc_y*9.80665`` or ``gps.t=stamp``; "az=" omits a column.
 
-    ``times``: expressions of the times, by role, used unless the user maps the times of this role.
+    ``times`` contains expressions of the times by role, which are used unless the user maps the times of this role.
     """
     mapped: dict[Role, list[Part]] = {role: list(parts) for role, parts in roles.items()}
     timed: set[Role] = set()

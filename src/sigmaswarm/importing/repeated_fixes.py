@@ -35,7 +35,7 @@ def select(values: Values, rows: Any) -> Values:
 
 
 def finite(values: Values, count: int) -> NDArray[np.bool_]:
-    """Mark finite values, (columns, rows); return one row of True if there are no columns."""
+    """Mark finite values, (columns, rows). If there are no columns, return one row of True."""
     return np.array([np.isfinite(v) for v in values.values()] or [np.ones(count, bool)], bool)
 
 
@@ -68,7 +68,7 @@ def _separate_stamps(
     filled: NDArray[np.bool_],
     again: NDArray[np.bool_],
 ) -> tuple[Nanoseconds, NDArray[np.bool_], str]:
-    """Spread coarse time stamps that fixes share, or else add rows that repeat time and position to ``again``.
+    """Spread coarse time stamps that fixes share. Otherwise, add rows that repeat time and position to ``again``.
 
     Return times, marks, and a sentence if the times changed.
     """
@@ -85,7 +85,7 @@ def _separate_stamps(
 
 
 def _copies(time: Nanoseconds, values: Values) -> NDArray[np.bool_] | None:
-    """Mark rows that repeat an earlier row; return None if there are none, or if rows with equal times differ."""
+    """Mark rows that repeat an earlier row. Return None if there are none, or if rows with equal times differ."""
     times = np.unique(time)
     if len(times) == len(time):
         return None
@@ -103,8 +103,8 @@ def _same_position(values: Values) -> NDArray[np.bool_]:
 def _messages(time: Nanoseconds, values: Values) -> NDArray[np.bool_]:
     """Mark rows that are further messages of the previous fix: they repeat its position within a burst.
 
-    If rows have equal times but different filled cells, their positions may differ by rounding, or be missing in one of
-    them. No row is marked if the position often changes within bursts.
+    If rows have equal times but different filled cells, their positions may differ by rounding, or one of them may have
+    no position. No row is marked if the position often changes within bursts.
     """
     filled = np.array([np.isfinite(column) for column in values.values()], np.bool_).reshape(-1, len(time))
     other = (np.diff(time) == 0) & (np.diff(filled, axis=1).any(axis=0))

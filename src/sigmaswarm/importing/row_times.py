@@ -50,7 +50,8 @@ def gaps_by_clock(gathered: Mapping[Role, Sequence[PartColumns]]) -> list[str]:
 def _gaps_of(values: Array, time: Array) -> tuple[float, float, int] | None:
     """Return the unit of a clock (n,), s, the total length of its gaps, s, and the row before the largest gap.
 
-    A clock increases by a constant amount; return None for other columns. ``time`` (n,): times from row numbers.
+    A clock increases by a constant amount. Return None for other columns. ``time`` (n,) contains times from row
+    numbers.
     """
     new = np.flatnonzero(np.diff(values)) + 1
     if len(new) <= MIN_CLOCK_STEPS or not (np.diff(values) >= 0).all():

@@ -63,7 +63,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a log: its columns, its type in terms of the format, and its number of rows if known."""
+    """A table of a log: its columns, its kind in the terms of the format, and its number of rows if known."""
 
     columns: tuple[str, ...]
     kind: str = ""
@@ -95,7 +95,7 @@ class Fault:
 
 @dataclass(frozen=True)
 class Placement:
-    """Mounting of the IMU and lever arm that a log contains."""
+    """Mounting of the IMU, and lever arm, as stated in a log."""
 
     mount: str  # roll, pitch and yaw of the IMU in the vehicle, deg: see `parse_mount`
     lever_arm: tuple[float, float, float] | None  # m forward, left, up from IMU to antenna
@@ -114,7 +114,7 @@ class Placement:
 
 @dataclass(frozen=True)
 class TickRate:
-    """Rate of a counter, Hz, the expression of the clock from which the rate was computed, and the table of both."""
+    """Rate of a counter (Hz), the expression of the clock from which the rate was computed, and the table of both."""
 
     rate: float
     clock: str
@@ -123,7 +123,7 @@ class TickRate:
 
 @dataclass(frozen=True)
 class Guess:
-    """A reader's recipe for a log, and its assumptions."""
+    """The recipe that a reader guesses for a log, and its assumptions."""
 
     roles: Mapping[Role, tuple[Part, ...]]  # times are those of the first part; other parts are interpolated
     notes: tuple[str, ...] = ()  # sentences for the user
@@ -147,7 +147,7 @@ class Guess:
     def notes_on(self, read: Callable[[Role, str, str], bool]) -> Iterator[str]:
         """Yield the notes, without those on columns that are not read as guessed.
 
-        ``read`` receives role, column and guessed expression, and returns True for a column that is read in this way.
+        ``read`` receives role, column and guessed expression. It returns True if the column is read as guessed.
         """
         guessed = {role: texts_of(parts) for role, parts in self.roles.items()}
         for note in self.notes:
@@ -178,7 +178,7 @@ class Log:
         return Log(self.path, self.tables, self.batches, lambda _: guess, self.remarks, self.mixed)
 
     def first_rows(self, table: str) -> pl.DataFrame:
-        """Return the first batch of a table with all columns; an empty frame if the table has no rows."""
+        """Return the first batch of a table with all columns, or an empty frame if the table has no rows."""
         batches = self.batches({table: self.tables[table].columns})
         return next((rows for _, rows, _ in batches if len(rows)), pl.DataFrame())
 
@@ -203,7 +203,7 @@ def log_of_rows(
     guess: Guess,
     remarks: list[str],
 ) -> Log:
-    """Make a log of one table; ``read`` yields its rows, each with the fraction of the file that has been read."""
+    """Make a log of one table. ``read`` yields its rows, each with the fraction of the file that has been read."""
 
     def batches(wanted: Wanted) -> Iterator[Batch]:
         rows: list[tuple[float, ...]] = []
@@ -222,7 +222,7 @@ def log_of_rows(
 def roles_of(
     parts: Iterable[tuple[Role, str, Mapping[str, str | tuple[str, ...]]]], tables: Wanted
 ) -> dict[Role, tuple[Part, ...]]:
-    """Return the parts of existing tables, by role; of several expressions, use the first with existing columns."""
+    """Return the parts of existing tables, by role. Of several expressions, use the first whose columns exist."""
     roles: dict[Role, tuple[Part, ...]] = {}
     for role, table, columns in parts:
         if table in tables:

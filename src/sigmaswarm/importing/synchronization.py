@@ -120,7 +120,7 @@ def overlap_remedy(sensors: Sensors, seconds: Seconds, zero: int) -> str:
 def _as_digits(seconds: Seconds, sensors: Sensors) -> str:
     """Return a remedy if the times of one table are digits hhmmss that were read as seconds; otherwise "".
 
-    In this case the tables overlap in time only if the digits are converted to seconds.
+    In this case, the tables overlap in time only after the digits are converted to seconds.
     """
     for role, other in (_BOTH[::-1], _BOTH):
         text = sensors[role].clock.time if role in sensors else ""

@@ -1,4 +1,4 @@
-"""The columns of a table: their numbers without placeholders, and expressions of them."""
+"""The columns of a table: their numbers without placeholders, and expressions that contain them."""
 
 import math
 import re
@@ -16,7 +16,7 @@ from sigmaswarm.wording import quoted
 
 @dataclass(frozen=True)
 class Conversion:
-    """Expression of a column of a drive, with the assumption that it makes, or the reason not to use it."""
+    """Expression that computes a column of a drive, and its assumption, or the reason not to use the expression."""
 
     expression: str
     note: str = ""  # an assumption
@@ -56,7 +56,7 @@ def median_of(values: pl.Series) -> float:
 
 
 def unknown_unit(name: Name, column: str, dimension: str, role: Role, likely: str = "") -> str:
-    """Describe an unknown or wrong unit; ``likely``: the likely expression in SI units, for the remedy."""
+    """Describe an unknown or wrong unit. ``likely`` is the likely expression in SI units, for the remedy."""
     unit, text = name.unit or Unit("", None, 0.0), quoted_column(name.column)
     kind = f"a unit of {unit.dimension}, not of {dimension}" if unit.known else "not known"
     message = f"column {quoted(name.column)}: the unit {quoted(unit.text)} is {kind}"
@@ -175,9 +175,10 @@ class Columns:
         return f"where({text} > 32767, {text} - 65536, {text})" if self._is_unsigned(what) else text
 
     def _is_unsigned(self, what: str) -> bool:
-        """Return True for signed 16-bit words that were written without a sign: -1 is 65535.
+        """Return True for signed 16-bit words that were written without a sign (-1 is 65535).
 
-        One axis with values around 0 decides for all axes of a sensor; an axis along gravity has no values around 0.
+        One axis with values around 0 decides for all axes of a sensor, since an axis along gravity has no values around
+        0.
         """
         if what not in AXES or not self._is_word(what):
             return False

@@ -74,7 +74,7 @@ _DATES_S = (3e8, 4e9)  # range of dates, s since 1970: 1979 to 2096
 
 
 def step_of(values: pl.Series) -> float:
-    """Return the median forward step of a time, or the mean step if rows arrive in bursts.
+    """Return the median increment between the times of rows, or the mean increment if rows arrive in bursts.
 
     Rows with the same stamp count as one.
     """
@@ -119,7 +119,10 @@ def column_time(name: Name, frame: pl.DataFrame, role: Role) -> Conversion:
 
 
 def date_time(columns: Sequence[str], frame: pl.DataFrame) -> Conversion:
-    """Read dates in text by the format that fits most of them; refuse texts that fit two formats, or no format well."""
+    """Read dates in text by the format that fits most of them.
+
+    Texts that fit two formats, or no format well, are refused.
+    """
     texts = frame.select(as_text(columns).alias("date"))["date"].drop_nulls()
     texts = texts.filter(texts.str.contains(r"\d")).unique(maintain_order=True)  # a placeholder counts once
     sample = texts.gather_every(max(len(texts) // FORMAT_SAMPLE, 1))
@@ -148,7 +151,7 @@ def date_time(columns: Sequence[str], frame: pl.DataFrame) -> Conversion:
             f"column {quoted(columns[0])}: {quoted(left)} has a format different from that of {most} of "
             f"{len(texts)} texts"
         )
-        return refused(f'{message}; correct rows like this, or leave them out with --time "{whole}"')
+        return refused(f'{message}; correct rows like this, or omit them with --time "{whole}"')
     orders = [(word, f) for word in ("day", "month", "year") for f in fitting if f.startswith(f"%{word[0]}/")]
     if len(orders) > 1:
         options = (f"--time \"utc({called}, '{f}')\" if the {word} comes first" for word, f in orders)
@@ -165,7 +168,7 @@ def _fitting_counts(texts: pl.Series, forms: Iterable[str]) -> dict[str, int]:
 
 
 def _date_in(form: str) -> pl.Expr:
-    """Return an expression that parses the column ``date`` with the format ``form``, s; null for other texts."""
+    """Return an expression that parses the column ``date`` with the format ``form``, s. Other texts become null."""
     dates = pl.col("date")
     return parse_dates(dates if form else pl.when(dates.str.contains(r"^\d{4}-\d")).then(dates), form)
 
@@ -209,7 +212,7 @@ def time_of_numbers(values: pl.Series, text: str, role: Role) -> Conversion:
 
 
 def _too_short(numbers: pl.Series, text: str, column: str, step: float, role: Role) -> Conversion:
-    """Read numbers as fractions of a day, or refuse them, since their steps are too short for seconds."""
+    """Read numbers as fractions of a day. Refuse them if their steps are too short for seconds."""
     if MIN_STEP < step * 86400 < 4 * MAX_STEP[role] and numbers.is_between(1e-3, 1).all():
         return Conversion(f"{text}*86400", f"{column} is read as days (fractions of a day)")
     message = f'--time "{text}*86400" for days, *3600 for hours, *60 for minutes, *1 for seconds'
@@ -220,7 +223,7 @@ def _too_short(numbers: pl.Series, text: str, column: str, step: float, role: Ro
 def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
     """Describe the wrong unit of a time ``column`` or ``column*number``, with the remedy; otherwise return "".
 
-    The unit is wrong if no sensor has such steps and another unit makes them plausible.
+    The unit is wrong if no sensor has such steps, and if another unit makes the steps plausible.
     """
     column, scale = scaled_column(text) or ("", 1.0)
     name = column.strip("`")

@@ -68,10 +68,9 @@ MIN_DAY_ROUNDING, MAX_DAY_ROUNDING = 0.2, 0.5
 
 
 def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
-    """Convert times of day with digits hhmmss (115959.98) to seconds; return the times, and a sentence or "".
+    """Convert times of day with digits hhmmss (115959.98) to seconds. Return the times, and a sentence or "".
 
-    This format is recognized because the numbers, read as seconds, increase by an additional 40 at each change of the
-    minute (59 to 100).
+    In this format, the numbers, read as seconds, increase by an additional 40 at each change of the minute (59 to 100).
     """
     whole = time // SECOND
     if len(time) < 3 or int(whole.min()) < 10_000 or int(whole.max()) >= 240_000:
@@ -88,12 +87,12 @@ def from_digits(time: Nanoseconds) -> tuple[Nanoseconds, str]:
 def unwrap(
     time: Nanoseconds, tick: float = 0.0, where: str = "", *, parts: bool = False
 ) -> tuple[Nanoseconds, int, str]:
-    """Unwrap a counter that wrapped; return the times, its period, ns, and a sentence; 0 and "" for other clocks.
+    """Unwrap a counter that wrapped. Return the times, its period, ns, and a sentence; 0 and "" for other clocks.
 
-    ``tick``: unit of the counter, s; 0 if it is unknown. ``parts``: True if the user chose one of several recordings.
-    Recordings may have equal durations, so a clock that starts at 0 and goes back by a minute or by 10, 100, ... s is
-    then always taken as restarted, not as wrapped. Raise `InputError` if a counter with a period of 1, 10, 100, ... s
-    wraps after fewer than 15 of its usual steps.
+    ``tick`` is the unit of the counter, s, or 0 if it is unknown. ``parts`` is True if the user chose one of several
+    recordings. Recordings may have equal durations. A clock that starts at 0 and goes back by a minute or by 10, 100,
+    ... s is then always read as restarted, not as wrapped. Raises `InputError` if a counter with a period of 1, 10,
+    100, ... s wraps after fewer than 15 of its usual steps.
     """
     steps = np.diff(time)
     ahead = steps[steps > 0]
@@ -134,7 +133,7 @@ def unwrap(
 
 
 def require_unwrappable(time: Nanoseconds, tick: float, where: str) -> None:
-    """Refuse a counter that wraps too fast for the rate of the rows; ``tick``: its unit, s, or 0."""
+    """Refuse a counter that wraps too fast for the rate of the rows. ``tick`` is its unit, s, or 0."""
     backwards = float(np.mean(np.diff(time) < 0)) if len(time) > MIN_ROWS else 0.0
     span = int(np.ptp(time)) / SECOND if len(time) else 0.0
     period = next((2**bits * tick for bits in BITS if 0.9 < span / max(2**bits * tick, 1e-12) < 1.001), None)
@@ -143,7 +142,7 @@ def require_unwrappable(time: Nanoseconds, tick: float, where: str) -> None:
 
 
 def wraps_too_fast(period: float, where: str) -> InputError:
-    """Return the error of a counter that wraps too fast; ``period``: its period, s."""
+    """Return the error of a counter that wraps too fast. ``period`` is its period, s."""
     return InputError(
         f"{where}: the counter of the time wraps every {period:.3g} s, which is too fast for the rate of the rows, "
         "so their times are ambiguous; specify another time column"
@@ -151,7 +150,7 @@ def wraps_too_fast(period: float, where: str) -> InputError:
 
 
 def recordings(time: Nanoseconds, *, pauses: bool) -> list[slice]:
-    """Return the rows of each recording: the clock goes back between two of them, or jumps ahead if ``pauses``."""
+    """Return the rows of each recording. Between two recordings the clock goes back or, if ``pauses``, jumps ahead."""
     steps = np.diff(time)
     falls = np.flatnonzero((steps < 0) | ((steps > MAX_STEP_AHEAD) & pauses)) + 1
     whole = [slice(0, len(time))]
@@ -195,7 +194,7 @@ def _stray(time: Nanoseconds) -> NDArray[np.bool_]:
 
 
 def choose_part(time: Nanoseconds, part: int | None, role: Role, where: str) -> tuple[slice, str]:
-    """Return the rows of the chosen recording, and a sentence or ""; refuse several recordings if none is chosen."""
+    """Return the rows of the chosen recording, and a sentence or "". Refuse several recordings if none is chosen."""
     # a receiver may be without fixes for hours; after a jump ahead, the span of the IMU selects the fixes
     parts = recordings(time, pauses=role == "imu")
     if len(parts) == 1:
@@ -238,7 +237,7 @@ def same_time(role: Role, rows: str) -> str:
 def spread_stamps(
     time: Nanoseconds, role: Role, where: str, *, arrival: bool = True
 ) -> tuple[Nanoseconds, str]:
-    """Spread rows that share a stamp or arrive in bursts evenly; refuse shared stamps of rows without a constant rate.
+    """Spread rows that share a stamp or arrive in bursts evenly. Refuse shared stamps of rows without a constant rate.
 
     At a constant rate, the stamps minus a straight line over the rows are in a band. The times are at its upper edge
     for coarse stamps, which are rounded down, and at its lower edge for arrival times, which are late. Pairs of rows
@@ -256,7 +255,7 @@ def spread_stamps(
         seen = f"the times in days are rounded to {rounding / SECOND:.3g} s"
         if (even := _spread_days(time, rounding)) is not None:
             spread = f"rows are spread evenly at a constant rate of {SECOND / even[1]:.4g} Hz"
-            return even[0], f"{seen}; {spread} (if they were cut off instead of rounded, all are too early)"
+            return even[0], f"{seen}; {spread} (if they were truncated instead of rounded, all are too early)"
         if rounding > MAX_DAY_ROUNDING * step and shared < MIN_REFUSED_SHARE:
             raise InputError(
                 f"{where}: {seen}, but rows of the {role} are {step / SECOND:.3g} s apart, and their rate is not "
@@ -298,9 +297,9 @@ def spread_stamps(
 
 
 def _rounding_of_days(time: Nanoseconds, smallest: int) -> float:
-    """Return the last decimal of times in days, ns, if all times show it; otherwise 0.
+    """Return the last decimal of times in days, ns, if all times have this resolution; otherwise 0.
 
-    ``smallest``: smallest step between different times, ns.
+    ``smallest`` is the smallest step between different times, ns.
     """
     units = (unit for unit in DAY_DECIMALS if unit <= smallest + MAX_DEVIATION)
     passed = time - time[0]
@@ -308,7 +307,10 @@ def _rounding_of_days(time: Nanoseconds, smallest: int) -> float:
 
 
 def _spread_days(time: Nanoseconds, rounding: float) -> tuple[Nanoseconds, float] | None:
-    """Spread rows with rounded times in days evenly; return times and step, ns, or None if the rate is not constant."""
+    """Spread rows with rounded times in days evenly.
+
+    Return the times and the step, ns, or None if the rate is not constant.
+    """
     length = max(rounding, float(np.median(np.diff(time))))
     late, low, high, step = _bands(time, np.arange(len(time)), length)
     even = high - low <= MAX_BAND * rounding
@@ -319,7 +321,7 @@ def _spread_days(time: Nanoseconds, rounding: float) -> tuple[Nanoseconds, float
 
 
 def _lost(late: Array, apart: Nanoseconds, length: float) -> bool:
-    """Return True if rows are lost, which shows as a drift of ``late`` (m,): stamps minus a constant rate, in rows."""
+    """Return True if rows are lost. In this case ``late`` (m,), stamps minus a constant rate, in rows, drifts."""
     paused = np.append(0, np.cumsum(apart > MAX_PAUSE * length))
 
     def growth(k: int) -> float:
@@ -330,7 +332,7 @@ def _lost(late: Array, apart: Nanoseconds, length: float) -> bool:
 
 
 def _by_stamp(stamps: Nanoseconds, sizes: NDArray[np.intp]) -> Nanoseconds | None:
-    """Spread the rows of each stamp (m,) over its interval; return None if the numbers of rows are uneven."""
+    """Spread the rows of each stamp (m,) over its interval. Return None if the numbers of rows are uneven."""
     apart, usual = np.diff(stamps), float(np.median(sizes))
     length = int(np.median(apart))
     uneven = np.abs(apart - length) > MAX_LOST * length
@@ -349,9 +351,10 @@ def _by_stamp(stamps: Nanoseconds, sizes: NDArray[np.intp]) -> Nanoseconds | Non
 
 
 def _bands(time: Nanoseconds, known: NDArray[np.intp], length: float) -> tuple[Array, Array, Array, float]:
-    """Return stamps minus a straight line over the rows, the lower and upper edge of the band (n,), and the slope, ns.
+    """Return the stamps minus a line over the rows, the lower and upper edges of the band (n,), and the slope, ns.
 
-    ``known``: rows through which the line is fitted; ``length``: usual step between different stamps, ns.
+    ``known`` contains the rows through which the line is fitted. ``length`` is the usual step between different stamps,
+    ns.
     """
     steps = np.diff(time)
     pauses = np.where(steps > MAX_PAUSE * length, steps - round(length), 0)
@@ -400,7 +403,7 @@ def sorted_times(
 
 
 def require_likely(time: Nanoseconds, role: Role, where: str, text: str) -> None:
-    """Refuse times whose steps, read as seconds, are impossible for a car's sensor: their unit is not seconds."""
+    """Refuse times whose steps, read as seconds, are impossible for a car's sensor, since their unit is not seconds."""
     step = float(np.median(np.diff(time))) / SECOND if len(time) > 2 else MIN_STEP * 2
     if MIN_STEP / 2 < step < 4 * MAX_STEP[role]:
         return

@@ -68,9 +68,9 @@ def time_of_rows(
 ) -> Conversion | None:
     """Find the time of a role in a table whose rows contain only some of the sensors.
 
-    ``keys``: a column that is filled in the rows of each role; ``rows_of``: role whose usual rate determines the unit.
-    Header stamps have priority over a clock that is filled in the rows of all roles, if each role has one. Tables that
-    were pasted side by side have different numbers of rows, so each has its own time.
+    ``keys`` is a column that is filled in the rows of each role. ``rows_of`` is the role whose usual rate determines
+    the unit. Header stamps have priority over a clock that is filled in the rows of all roles, if each role has one.
+    Tables that were pasted side by side have different numbers of rows, so each has its own time.
     """
     known = frame.with_columns(pl.selectors.float().fill_nan(None))
     if role in keys and (pasted := _pasted(known, keys.values())):
@@ -90,9 +90,10 @@ def time_of_rows(
 
 
 def _pasted(frame: pl.DataFrame, keys: Collection[str]) -> dict[int, list[str]]:
-    """Return the columns of each table that was pasted next to others, by number of rows; {} for other tables.
+    """Find tables that were pasted next to each other: return the columns of each by its number of rows; otherwise {}.
 
-    Such a table fills the first rows of its columns, and has its own time column. ``keys``: a column of each role.
+    Such a table fills the first rows of its columns, and has its own time column. ``keys`` contains a column of each
+    role.
     """
     counts = {name: frame[name].count() for name in frame.columns}
     tables = {counts[key]: [n for n, count in counts.items() if count == counts[key]] for key in keys}
@@ -108,7 +109,7 @@ def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
 
 
 def sample_rate(frame: pl.DataFrame, time: str | None) -> float | None:
-    """Return the rate, Hz, from the median step of ``time`` or of a recognized time; None if there is no time."""
+    """Return the rate, Hz, from the median step of ``time`` or of a recognized time, or None if there is no time."""
     if len(frame) < 2 or (time := time or time_of(frame)) is None:
         return None
     steps = row_times(time, frame).diff().drop_nulls()
@@ -150,7 +151,7 @@ def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Con
 
 
 def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[Conversion | None, Sequence[Name]]:
-    """Find a date in six columns (year to second) and fractions in others; return the date and the used names."""
+    """Find a date in six columns (year to second) and fractions in others. Return the date and the used names."""
     parts = {**PARTS_OF_SECONDS, "milli": 1e-3, "micro": 1e-6, "nano": 1e-9}
     for begin in dict.fromkeys(name.words[:-1] for name in names):
         alike = {n.words[-1]: n for n in names if n.words and n.words[:-1] == begin}
@@ -192,7 +193,7 @@ def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> Conversion 
 
 
 def _words(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Conversion | None:
-    """Find a 64-bit time that is split into two 32-bit columns: time_hi and time_lo."""
+    """Find a 64-bit time that is split into two 32-bit columns, such as time_hi and time_lo."""
     for high, low in product(names, names):
         known = is_time("_".join(high.words[:-1])) and high.words[:-1] == low.words[:-1]
         if not known or high.words[-1:] not in _HIGH or low.words[-1:] not in _LOW:
@@ -256,7 +257,7 @@ def _prefixed(names: Sequence[Name], words: str) -> list[tuple[Name, str]]:
 
 
 def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Conversion | None:
-    """Find a column that is named like a time and is not always 0, preferably a changing one; else a running clock.
+    """Find a column that is named like a time and is not always 0, preferably a changing one, or a running clock.
 
     Dates of an unknown format are refused only if no other column is a time.
     """

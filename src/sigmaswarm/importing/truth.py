@@ -1,4 +1,4 @@
-"""Make the truth of a drive: its frame and clock are compared with those of the fixes; missing columns are computed."""
+"""Make the truth of a drive: compare its frame and clock with those of the fixes, and compute missing columns."""
 
 from collections.abc import Mapping
 
@@ -48,7 +48,7 @@ def made_truth(
     recipe: Recipe,
     say: Say,
 ) -> tuple[Truth, Origin | None]:
-    """Return the truth, and the origin of the local frame; by default, the origin is the truth's first position."""
+    """Return the truth, and the origin of the local frame. By default, the origin is the truth's first position."""
     time, texts = seconds["truth"], truth.texts
     placed, origin = _placed(truth.values, origin, gps, texts)
     message = require_same_axes(seconds, placed, gps, texts) if gps else ""
@@ -92,9 +92,9 @@ def require_same_axes(
 ) -> str:
     """Refuse truth whose x and y are not m east and north, but exchanged, rotated, or in another unit.
 
-    With fixes z and truth w, as complex numbers minus their means, wrong axes or units give z = a w with a factor a
-    other than 1, or z = a conj(w). If a clock offset explains the difference, return a message with the offset;
-    otherwise return "".
+    Let z be the fixes and w the truth, as complex numbers minus their means. Wrong axes or units give z = a w with a
+    factor a other than 1, or z = a conj(w). If a clock offset explains the difference, return a message with the
+    offset; otherwise return "".
     """
     places = [values["x"] + 1j * values["y"] for values in (gps, truth)]
     delay = truth_delay(seconds["gps"], places[0], seconds["truth"], places[1]) or 0.0
@@ -137,7 +137,7 @@ def require_same_axes(
     maps = " ".join(f'"truth.{n}={_combined(size, *row)}"' for n, row in zip("xy", rows, strict=True))
     seem = f" (their unit seems to be {unit})" if stretched and known else ""
     raise InputError(
-        f"the truth's x and y, read as m east and north, do not fit the track of the fixes{seem}; write --map {maps}"
+        f"the truth's x and y, read as m east and north, do not match the track of the fixes{seem}; write --map {maps}"
     )
 
 
@@ -196,7 +196,10 @@ def assumed_origin(seconds: Mapping[Role, Array], truth: Values, gps: Values, or
 
 
 def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
-    """Return the truth's columns; compute a missing velocity from speed or positions, and the heading from velocity."""
+    """Return the truth's columns.
+
+    A missing velocity is computed from speed or positions, and the heading from velocity.
+    """
     if "forward" in values and "theta" in values:
         body = values["forward"] + 1j * values.get("left", np.zeros(len(time)))
         east_north = body * np.exp(1j * values["theta"])
@@ -230,7 +233,7 @@ def _held_course(vx: Array, vy: Array) -> Array:
     """Return the course (n,), rad.
 
     A row below `MIN_SPEED` has the course of the last faster row before it or, if there is none, of the first faster
-    row; 0 if no row is faster.
+    row. If no row is faster, the course is 0.
     """
     moving = np.hypot(vx, vy) > MIN_SPEED
     if not moving.any():
@@ -245,7 +248,7 @@ def fixes_of_truth(truth: Truth, rate: float, noise: float) -> tuple[Array, Valu
     given = f"--gps-from-truth {rate:g},{noise:g}"
     if not (0 < rate <= 1000 and 0 <= noise < np.inf):
         raise InputError(
-            f"{given} can't be used; specify a rate of at most 1000 Hz and a standard deviation in m, for example 5,1"
+            f"{given} is not valid; specify a rate of at most 1000 Hz and a standard deviation in m, for example 5,1"
         )
     if not (truth.time[-1] - truth.time[0]) * rate <= MAX_FIXES:
         raise InputError(f"{given} would make more than {MAX_FIXES} fixes; check the truth's times")

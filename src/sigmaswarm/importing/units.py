@@ -123,7 +123,7 @@ _TOKEN = re.compile(r"(/|per\b)|([a-z]+)\s*((?:\^|\*\*)?\s*-?\s*\d)?|([*.\s])")
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit as written, its dimension, and its factor to SI units; None and 0 for an unknown unit."""
+    """A unit as written, its dimension, and its factor to SI units (None and 0 for an unknown unit)."""
 
     text: str
     dimension: UnitDimension | None
@@ -135,7 +135,7 @@ class Unit:
 
 
 def parse_unit(text: str) -> Unit | None:
-    """Parse a unit; return None if the text is no unit, and a `Unit` without dimension if it is not recognized."""
+    """Parse a unit. Return None if the text is no unit, and a `Unit` without dimension if it is not recognized."""
     plain = text.strip().lower().translate(_PLAIN)
     if plain in NOT_UNITS:
         return None
@@ -212,7 +212,7 @@ def scaled(text: str, factor: float) -> str:
 
 
 def _times(text: str, factor: float) -> str:
-    """Return ``text`` times ``factor``, written as ``*1eN`` or as a division by a short number; "" if inexact."""
+    """Return ``text`` times ``factor``, as ``*1eN`` or as a division by a short number; "" if this is inexact."""
     power, inverse = round(math.log10(factor)), 1 / factor
     if math.isclose(factor, 10.0**power, rel_tol=1e-12):
         return f"{text}*1e{power}"

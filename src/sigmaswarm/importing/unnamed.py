@@ -90,7 +90,7 @@ def _letters(frame: pl.DataFrame) -> dict[str, str]:
 
 
 def _times(frame: pl.DataFrame, role: Role, summed: Mapping[str, str]) -> Iterator[str]:
-    """Yield time expressions of texts, increasing columns and sums of columns in table order, row numbers last."""
+    """Yield time expressions in table order: texts, increasing columns and sums of columns; row numbers come last."""
     found: list[tuple[bool, str]] = []
     texts = {name: frame[name].drop_nulls() for name in frame.columns if frame.schema[name] == pl.String}
     for day, clock in pairwise(frame.columns):
@@ -113,7 +113,7 @@ def _times(frame: pl.DataFrame, role: Role, summed: Mapping[str, str]) -> Iterat
 
 
 def _summed(values: dict[str, Array]) -> dict[str, str]:
-    """Return the sum of whole seconds and their fractions in the next column, perhaps with a GPS week, by column."""
+    """Return, by column, the sum of whole seconds and their fractions in the next column, perhaps with a GPS week."""
     names = [*values]
     for week, name, rest in zip(["", *names], names, names[1:], strict=False):
         whole, seconds = values[name], quoted_column(name)
@@ -131,7 +131,7 @@ def _summed(values: dict[str, Array]) -> dict[str, str]:
 
 
 def _meters(values: dict[str, Array]) -> dict[str, str]:
-    """Return the first two columns of a matrix of positions, without a time before them; {} for degrees."""
+    """Return the first two columns of a matrix of positions that has no time before them; {} for degrees."""
     names = [name for name in values if POSITIONS.fullmatch(name)]
     if names and np.all(np.diff(values[names[0]]) > 0) and len(names) > 2:
         names = names[1:]
@@ -144,7 +144,7 @@ def _meters(values: dict[str, Array]) -> dict[str, str]:
 def _are_fractions(whole: Array, part: Array) -> bool:
     """Return True if numbers in [0, 1) rise within a second, fall at the next second, and make the time steps even.
 
-    Where a second has only one row, its fraction may also rise.
+    If a second has only one row, its fraction may also rise.
     """
     if not np.all((part >= 0) & (part < 1)):
         return False
@@ -157,7 +157,10 @@ def _are_fractions(whole: Array, part: Array) -> bool:
 
 
 def header_by_values(frame: pl.DataFrame) -> str:
-    """Return a header for a table without names: t, and the axes of one sensor or a position; "" if it has neither."""
+    """Return a header for a table without names: t, and the axes of one sensor or a position.
+
+    Return "" if it has neither.
+    """
     values = {
         n: frame[n].cast(pl.Float64, strict=False).to_numpy() for n in frame.columns if UNNAMED.fullmatch(n)
     }
@@ -214,7 +217,7 @@ def _turns(values: dict[str, Array], names: Sequence[str]) -> bool:
 
 
 def _median_ratio(values: dict[str, Array], names: Sequence[str]) -> float:
-    """Return the largest ratio of a column's median to its standard deviation; for rates this ratio is small."""
+    """Return the largest ratio of a column's median to its standard deviation, which is small for rates."""
     spread = [float(np.nanstd(values[n])) for n in names]
     return max(
         abs(float(np.nanmedian(values[n]))) / max(s, 1e-12) for n, s in zip(names, spread, strict=True)
@@ -222,7 +225,7 @@ def _median_ratio(values: dict[str, Array], names: Sequence[str]) -> float:
 
 
 def _place(values: dict[str, Array]) -> dict[str, str]:
-    """Find latitude and longitude in two columns; a column of a quiet accelerometer may look like one of them."""
+    """Find latitude and longitude in two columns. A column of a quiet accelerometer may look like one of them."""
     names = [*values]
     forces = [{*names[k : k + 3]} for k in _forces(values, names, (G,))]
     for lat, lon in pairwise(values):

@@ -63,7 +63,7 @@ class Meaning:
 
 
 def meaning_of(name: str) -> Meaning | None:
-    """Interpret the name of a column word by word; None if it means no column of a drive."""
+    """Interpret the name of a column word by word. Return None if it means no column of a drive."""
     bracketed = re.fullmatch(r"(.+?)\s*[\[(][^\[\]()]*[\])]\s*", name)  # a name and its unit
     unit = read_name(name).unit if bracketed else None
     unit = unit if unit and unit.known else None
@@ -121,7 +121,7 @@ def propose_columns(
 ) -> tuple[str, dict[str, str]] | None:
     """Return the table with the most columns of a role that are not ``known``, and these columns as expressions.
 
-    ``tables``: names of columns by table.
+    ``tables`` contains the names of columns by table.
     """
     best: tuple[str, dict[str, str]] | None = None
     for table, names in tables.items():

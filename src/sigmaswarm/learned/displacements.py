@@ -48,7 +48,7 @@ class Displacements:
         self._plus, self._minus = (tilted.plus, tilted.minus) if tilts else (np.add, np.subtract)
 
     def update(self, begin: DisplacementStart, rows: Array, stop: int, moved: Array, noise: Array) -> bool:
-        """Update with a displacement that ends before step ``stop``; return False if it was rejected.
+        """Update with a displacement that ends before step ``stop``. Return False if it was rejected.
 
         ``rows``, (N_KEPT, columns), is modified in place. ``moved``, (2,), m, is the displacement forward and left, in
         the body frame at its start; ``noise`` is its covariance, (2, 2), m2. A displacement is rejected if its NIS is

@@ -26,7 +26,7 @@ def _sigmoid(xp: Any, x: Any) -> Any:
 
 
 def lstm(xp: Any, weights: Weights, state: tuple[Any, Any], x: Any) -> tuple[Any, Any]:
-    """Run a step of a long short-term memory for the input x (..., features); return h and c, each (..., hidden units).
+    """Run a step of a long short-term memory for the input x (..., features). Return h and c, each (..., hidden units).
 
     Sources: S. Hochreiter and J. Schmidhuber, Neural Computation 9(8), 1997; F. Gers, J. Schmidhuber and F. Cummins,
     Neural Computation 12(10), 2000.
@@ -39,7 +39,7 @@ def lstm(xp: Any, weights: Weights, state: tuple[Any, Any], x: Any) -> tuple[Any
 
 
 def gru(xp: Any, weights: Weights, h: Any, x: Any) -> Any:
-    """Run a step of a gated recurrent unit (K. Cho et al., EMNLP 2014); return h (..., hidden units)."""
+    """Run a step of a gated recurrent unit (K. Cho et al., EMNLP 2014). Return h (..., hidden units)."""
     from_x = x @ weights["input"] + weights["bias"]
     from_h = h @ weights["hidden"]
     xr, xz, xn = xp.split(from_x, 3, axis=-1)
@@ -56,7 +56,7 @@ def head(weights: Weights, h: Any) -> Any:
 def new_weights(
     rng: np.random.Generator, gates: int, features: int, units: int, outputs: int
 ) -> dict[str, Array]:
-    """Draw initial weights; those of the output layer are zero, so that the outputs of a new network are 0.
+    """Draw initial weights. Those of the output layer are zero, so that the outputs of a new network are 0.
 
     Source: X. Glorot and Y. Bengio, AISTATS 2010. The forget gate of an LSTM is open at first (R. Jozefowicz, W.
     Zaremba and I. Sutskever, ICML 2015).
@@ -86,7 +86,7 @@ Loss = Callable[[Any, tuple[Any, ...]], Any]  # loss for weights and a batch
 Settings = Mapping[str, float]  # number of hidden units, window or segment (s), and learning rate
 WEIGHT_DECAY = 1e-4  # per step, relative to the learning rate: I. Loshchilov and F. Hutter, ICLR 2019
 MAX_GRADIENT_NORM = 1.0
-"""Largest norm of a gradient; a larger gradient is scaled down: R. Pascanu, T. Mikolov and Y. Bengio, ICML 2013."""
+"""Largest norm of a gradient. A larger gradient is scaled down (R. Pascanu, T. Mikolov and Y. Bengio, ICML 2013)."""
 # Fraction of a drive, at its end, that is validation data if there are no validation drives
 VALIDATION_SHARE = 0.25
 
@@ -104,7 +104,7 @@ class Examples:
 
 @dataclass(frozen=True, eq=False)
 class TrainingProblem:
-    """Loss, initial weights and examples of a training run; ``fixed``: weights that are not trained."""
+    """Loss, initial weights and examples of a training run. ``fixed`` contains weights that are not trained."""
 
     loss: Loss
     weights: Mapping[str, Array]
@@ -117,8 +117,8 @@ class TrainingProblem:
 class Schedule:
     """Options of a training run.
 
-    ``batch``: number of examples per step. ``patience``: number of epochs without a lower validation loss after which
-    the training stops.
+    ``batch`` is the number of examples per step. ``patience`` is the number of epochs without a lower validation loss
+    after which the training stops.
     """
 
     learning_rate: float
@@ -132,8 +132,8 @@ class Schedule:
 class TrainingResult:
     """Weights after the best epoch, and losses.
 
-    ``losses``, shape (epochs + 1, 2): mean over the training examples during each epoch (NaN in the first row), and
-    mean over the validation examples before the first epoch and after each epoch.
+    ``losses``, shape (epochs + 1, 2), contains the mean over the training examples during each epoch (NaN in the first
+    row), and the mean over the validation examples before the first epoch and after each epoch.
     """
 
     weights: dict[str, Array]
@@ -145,7 +145,7 @@ class TrainingResult:
 
 
 def double_precision() -> AbstractContextManager[Any]:
-    """Enable double precision of JAX in a ``with`` block; raise `InputError` if JAX or Optax is not installed."""
+    """Enable double precision of JAX in a ``with`` block. Raises `InputError` if JAX or Optax is not installed."""
     try:
         import jax
 
@@ -162,7 +162,7 @@ def fit(
     checkpoint: Path | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> TrainingResult:
-    """Minimize the loss by AdamW; return the weights with the lowest loss on the validation examples.
+    """Minimize the loss by AdamW. Return the weights with the lowest loss on the validation examples.
 
     A stopped training run continues from the file ``checkpoint``. After each epoch, ``progress`` is called with the
     number of finished epochs and the lowest validation loss so far.
@@ -203,7 +203,7 @@ def fit(
 
 @lru_cache(maxsize=4)
 def _compiled(loss: Loss, learning_rate: float) -> tuple[Any, Any, Any]:
-    """Return the optimizer, the compiled loss and the compiled epoch; cached by loss and learning rate."""
+    """Return the optimizer, the compiled loss and the compiled epoch. They are cached by loss and learning rate."""
     import jax
     import optax
 
@@ -251,7 +251,7 @@ class _State:
         return arrays | {"losses": self.losses}
 
     def restored(self, arrays: dict[str, Any]) -> "_State":
-        """Return a saved state; raise `LookupError` or `ValueError` for the state of another training run."""
+        """Return a saved state. Raises `LookupError` or `ValueError` for the state of another training run."""
         import jax
 
         for name, now in self.arrays().items():

@@ -102,7 +102,7 @@ def training_landmarks(folder: Path) -> list[Landmarks]:
 
 
 def load_learned(folder: Path) -> LearnedNetwork | None:
-    """Read the network of a folder; return None if it contains no network; raise `InputError` if a file is damaged."""
+    """Read the network of a folder. Return None if it contains no network. Raises `InputError` if a file is damaged."""
     folder = folder if folder.is_dir() else folder.parent
     file, weights = folder / LEARNED_FILE, folder / WEIGHTS_FILE
     if not file.exists():

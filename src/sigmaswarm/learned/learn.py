@@ -61,8 +61,9 @@ Learner = OutageLearner | NoiseLearner
 LEARNERS: Mapping[str, type[Learner]] = {outage_lstm.NAME: OutageLearner, noise_gru.NAME: NoiseLearner}
 """Learner of each type of network.
 
-``start``: settings of the first training. ``box``: logarithms (base 2) of the search's bounds. ``training_problem``
-prepares the input of `fit`. ``finish`` returns the weights of the best network, and further entries of its record.
+``start`` contains the settings of the first training, and ``box`` the logarithms (base 2) of the search's bounds.
+``training_problem`` prepares the input of `fit`. ``finish`` returns the weights of the best network, and further
+entries of its record.
 """
 
 
@@ -78,8 +79,8 @@ class LearnConfig:
     drives : sequence of Drive
         Training drives.
     validation : sequence of Drive
-        Drives for early stopping, and for the calibration of outage-lstm. The default is the last quarter of each
-        drive; for outage-lstm with three or more drives, the last third of the drives.
+        Drives for early stopping, and for the calibration of outage-lstm. The default is the last quarter of each drive
+        or, for outage-lstm with three or more drives, the last third of the drives.
     search : int
         Number of further combinations of settings (hidden units, window, learning rate) to try. The combination with
         the lowest loss on the validation data is used.
@@ -134,7 +135,7 @@ def learn(
     tuning : Path, optional
         The tuning.toml of the parameters; it is copied to ``out``.
     resume : bool
-        Continue an interrupted training; the result is the same as without interruption.
+        Continue an interrupted training. The result is the same as without interruption.
     progress : callable, optional
         Called after every epoch.
 

@@ -69,7 +69,7 @@ def _inverse(s: Any) -> Any:
 
 
 def _update(m: Any, c: Any, h: Any, nu: Any, noise: Any, use: Any) -> tuple[Any, Any]:
-    """Return mean and covariance after a measurement; unchanged if ``use`` is 0."""
+    """Return the mean and covariance after a measurement. They are unchanged if ``use`` is 0."""
     s = h @ c @ h.T + noise
     gain = use * (c @ h.T) @ (1.0 / s if len(nu) == 1 else _inverse(s))
     changed = c - gain @ h @ c
@@ -77,7 +77,7 @@ def _update(m: Any, c: Any, h: Any, nu: Any, noise: Any, use: Any) -> tuple[Any,
 
 
 def _predict(q: Array, m: Any, c: Any, u: Any, scale: Any) -> tuple[Any, Any]:
-    """Return mean and covariance after a step, with ``scale`` times Q."""
+    """Return the mean and covariance after a step, with ``scale`` times Q."""
     n = len(m)
     dt, gap = u[DT], u[GAP]
     cos, sin = jnp.cos(m[THETA]), jnp.sin(m[THETA])
@@ -118,7 +118,7 @@ def _weight(dof: float, observed: Any, noise: Any, nu: Any) -> Any:
 
 
 def _take_fix(settings: FilterConstants, state: tuple[Any, ...], u: Any, scale: Any) -> tuple[Any, ...]:
-    """Update mean, covariance and number of rejected fixes with a fix; ``scale``: logarithm of the factor on R.
+    """Update mean, covariance and number of rejected fixes with a fix. ``scale`` is the logarithm of the factor on R.
 
     Also return the innovation nu (m), and xx, xy and yy of its covariance S (m2), before the update.
     """

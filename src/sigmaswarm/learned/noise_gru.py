@@ -31,8 +31,8 @@ def log_scales(xp: Any, weights: Weights, h: Any) -> Any:
 def features_of(xp: Any, nu: Any, s: Any, theta: Any, since: Any) -> Any:
     """Return the inputs at a fix, (..., FEATURES).
 
-    ``nu``: innovation (..., 2), m east and north. ``s``: xx, xy and yy of its covariance (..., 3), m2. ``theta``:
-    heading at the next IMU sample, rad. ``since``: time since the previous fix, s.
+    ``nu`` is the innovation (..., 2), m east and north. ``s`` contains xx, xy and yy of its covariance (..., 3), m2.
+    ``theta`` is the heading at the next IMU sample, rad. ``since`` is the time since the previous fix, s.
     """
     n1, n2 = nu[..., 0], nu[..., 1]
     nis, _ = nis_of(nu, s)
@@ -54,7 +54,8 @@ def nis_of(nu: Any, s: Any) -> tuple[Any, Any]:
 class NoiseRun(InterruptibleRun):
     """Run of a filter over a drive with a network that scales Q and R.
 
-    ``scales``: factors on R and Q after each fix. With a new network, the results equal those of `FilterRun`.
+    ``scales`` contains the factors on R and Q after each fix. With a new network, the results equal those of
+    `FilterRun`.
     """
 
     def __init__(

@@ -44,7 +44,7 @@ def require_supported(p: FilterParameters) -> None:
 def segments_of(
     drives: Sequence[Drive], parameters: FilterParameters, length: float, validation: Sequence[Drive] = ()
 ) -> Examples:
-    """Cut drives into segments of ``length`` s; without ``validation``, the end of each drive is validation data.
+    """Cut drives into segments of ``length`` s. Without ``validation``, the end of each drive is validation data.
 
     The arrays of r segments are initial means (r, n) and covariances (r, n, n), steps (r, k, N_COLUMNS), Q (r, n), and
     lever arms (r, 2).

@@ -39,7 +39,7 @@ _VIBRATION_OFFSET = 1e-3  # m/s2, added to the standard deviation before the log
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Displacements in the outages of a drive, and inputs of the network; samples are IMU samples after the start."""
+    """Displacements in the outages of a drive, and inputs of the network. Samples are IMU samples after the start."""
 
     begin: Indices  # (k,), samples at the start of a displacement
     end: Indices  # (k,), samples at its end
@@ -51,7 +51,7 @@ class Windows:
 
 
 def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Windows:
-    """Divide the outages of a drive into windows of `HORIZON` s; hidden fixes do not end an outage.
+    """Divide the outages of a drive into windows of `HORIZON` s. Hidden fixes do not end an outage.
 
     An outage begins `OUTAGE_AFTER` s after a fix. Inputs are the ``axes`` of the IMU over ``window`` s.
     """
@@ -77,7 +77,7 @@ def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Win
 
 
 def pairs_of(time: Array, after: float, until: float, every: float) -> tuple[Indices, Indices]:
-    """Return the first and the second samples, (k,), of pairs `HORIZON` apart; a pair starts every ``every`` s."""
+    """Return the first and the second samples, (k,), of pairs `HORIZON` apart. A pair starts every ``every`` s."""
     first, stop = np.searchsorted(time, [after, until])
     grid = np.arange(float(time[first]), float(time[stop - 1]) + 1e-9, every) if stop > first else np.empty(0)
     at = np.searchsorted(time[:stop], grid - 1e-9)
@@ -143,7 +143,7 @@ class DisplacementForecast(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class OutageLstm:
-    """A trained network; its inputs are ``axes`` of the IMU over ``window`` s.
+    """A trained network. Its inputs are ``axes`` of the IMU over ``window`` s.
 
     - ``weights``: weights of `cells`; mean ``center`` and standard deviation ``spread`` (f,) of the features; mean
       ``usual`` and standard deviation ``scale`` (2,) of the displacements, m; ``kept`` (2,) and ``lasts`` (2,), s: the
@@ -175,7 +175,7 @@ class OutageLstm:
         return dict(zip(windows.end.tolist(), map(DisplacementForecast, *numbers, *outputs), strict=True))
 
     def corrected(self, forecast: DisplacementForecast, velocity: Array) -> tuple[Array, Array]:
-        """Subtract the error at the last fix, where the vehicle has ``velocity`` (2,), m/s in body axes.
+        """Subtract the error at the last fix, where the vehicle has the velocity ``velocity`` (2,), m/s in body axes.
 
         Return the displacement (2,), m, and its variance (2,), m2.
         """
@@ -185,7 +185,7 @@ class OutageLstm:
 
 
 def outputs_of(xp: Any, weights: Weights, features: Any) -> Any:
-    """Return displacements in units of ``scale``, and ln of their standard deviations, (k, 4); inputs (k, steps, f)."""
+    """Return displacements in units of ``scale`` and ln of their standard deviations, (k, 4); inputs (k, steps, f)."""
     inputs = (features - weights["center"]) / weights["spread"]
     units = weights["hidden"].shape[0]
     state = xp.zeros((len(inputs), units)), xp.zeros((len(inputs), units))
@@ -249,7 +249,7 @@ class OutageRun(InterruptibleRun):
         self._over = set() if windows is None else set(windows.over.tolist())
 
     def _at(self, sample: int, stop: int, record: Array, *, lost: bool) -> None:
-        """Update with the displacement that ends at a sample; store the state if a displacement begins there."""
+        """Update with the displacement that ends at a sample. Store the state if a displacement begins there."""
         forecast = self._forecasts.get(sample)
         if forecast is not None and not lost:
             velocity, begin = self._velocity.get(forecast.first), self._begin.pop(forecast.begin, None)

@@ -62,7 +62,7 @@ class Track:
 def tracks_of(
     drives: Sequence[Drive], parameters: FilterParameters, validation: Sequence[Drive] = ()
 ) -> list[Track]:
-    """Smooth drives for training; without ``validation`` drives, the end of each drive is validation data."""
+    """Smooth drives for training. Without ``validation`` drives, the end of each drive is validation data."""
     tracks: list[Track] = []
     for drive in (*drives, *validation):
         ready = PreparedDrive(drive)
@@ -78,7 +78,7 @@ def tracks_of(
 
 
 def cases_of(tracks: Sequence[Track], seed: int) -> list[tuple[FilterPass, float]]:
-    """Place sets of outages on the validation data; return passes, each with the start (s) of its validation data."""
+    """Place sets of outages on the validation data. Return passes, each with the start (s) of its validation data."""
     cases: list[tuple[FilterPass, float]] = []
     for number, track in enumerate(tracks):
         drive, initial = track.ready.drive, track.ready.initial
@@ -106,7 +106,10 @@ def _windows_of(track: Track, axes: Sequence[str], window: float) -> tuple[Array
 
 
 def examples_of(tracks: Sequence[Track], axes: Sequence[str], window: float) -> Examples:
-    """Make examples: inputs (k, WINDOW_STEPS, f) and displacements (k, 2), m; none in the `VALIDATION_GAP`."""
+    """Make examples: inputs (k, WINDOW_STEPS, f) and displacements (k, 2), m.
+
+    None of them is in the `VALIDATION_GAP`.
+    """
     parts: list[tuple[Array, Array, NDArray[np.bool_]]] = []
     for track in tracks:
         end, features, moved = _windows_of(track, axes, window)
@@ -237,7 +240,7 @@ def forecast_losses(
     windows: Sequence[Windows],
     parameters: FilterParameters,
 ) -> Array:
-    """Return the mean negative log-likelihood of each outage's hidden fixes, nats: see `Score.forecast_t`."""
+    """Return the mean negative log-likelihood of each outage's hidden fixes, nats (see `Score.forecast_t`)."""
     losses: list[float] = []
     for (drive_pass, held_back_from), known in zip(cases, windows, strict=True):
         line = drive_pass.timeline

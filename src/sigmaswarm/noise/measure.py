@@ -46,7 +46,7 @@ def imu_noise(log: Drive | Imu | str | Path, **settings: Any) -> Noise:
         A path may be a drive's folder, a folder with imu.csv alone, or any log that `import_log` reads. Fixes are not
         needed.
     **settings
-        Settings of the import: ``recipe``, ``maps``, ``time``, ``choice``; see `import_log`.
+        Settings of the import (see `import_log`): ``recipe``, ``maps``, ``time``, ``choice``.
 
     Returns
     -------
@@ -65,9 +65,7 @@ def imu_noise(log: Drive | Imu | str | Path, **settings: Any) -> Noise:
     folder = Path(log)
     if is_url(log) or (has_table(folder, "imu") and has_table(folder, "gps")):
         if settings:
-            raise InputError(
-                f"{log} is a drive; leave the import settings out, since they apply to logs only"
-            )
+            raise InputError(f"{log} is a drive; omit the import settings, since they apply to logs only")
         drive = read_with_warnings(log)[0]
         imu, gps, name = drive.imu, drive.gps, drive.name
     else:

@@ -51,7 +51,7 @@ class AxisNoise:
     drift : float
         Trend, unit/s; 0 if the other terms explain it.
     tau, deviation : array (n,)
-        Overlapping Allan deviation, s and unit.
+        Overlapping Allan deviation: averaging time, s, and deviation in the unit of the axis.
     """
 
     axis: str
@@ -68,11 +68,12 @@ class AxisNoise:
         return {"white": self.white, "instability": self.instability, "walk": self.walk}
 
     def bias(self, longest: float) -> tuple[float, float]:
-        """Return standard deviation (unit) and correlation time (s) of the bias as a Gauss-Markov process.
+        """Return the standard deviation (unit) and correlation time (s) of the bias as a Gauss-Markov process.
 
-        ``longest``: length (s) of the longest stretch at rest, which replaces an infinite correlation time. Flicker
-        noise adds the variance of a Gauss-Markov process whose largest Allan variance equals that of the flicker noise.
-        If the log shows neither flicker noise nor a random walk, the upper end of the interval of ``walk`` is used.
+        ``longest`` is the length (s) of the longest stretch at rest, which replaces an infinite correlation time.
+        Flicker noise adds the variance of a Gauss-Markov process whose largest Allan variance equals that of the
+        flicker noise. If the log shows neither flicker noise nor a random walk, the upper end of the interval of
+        ``walk`` is used.
         """
         time = self.correlation_time if math.isfinite(self.correlation_time) else longest
         nothing = self.walk.value == 0 and self.instability.value == 0

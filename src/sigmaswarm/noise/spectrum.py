@@ -74,7 +74,8 @@ def _squares(phase: Array, m: int) -> float:
 def model_parts(tau: Array, white: float, instability: float, walk: float, time: float) -> tuple[Array, ...]:
     """Return the Allan deviations (m,) of white noise, of flicker noise, and of a bias.
 
-    ``walk``: rate random walk of the bias, unit/sqrt(s); ``time``: its correlation time, s (inf: a random walk).
+    ``walk`` is the rate random walk of the bias, unit/sqrt(s), and ``time`` is its correlation time, s (inf for a
+    random walk).
     """
     r = tau / time
     if math.isinf(time):
@@ -119,7 +120,7 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class Interval:
-    """A value with its 95% interval; ``low`` is 0 if the log does not show that the value exceeds 0."""
+    """A value with its 95% interval. ``low`` is 0 if the log does not show that the value exceeds 0."""
 
     value: float
     low: float
@@ -162,7 +163,7 @@ def spectrum_of(parts: Sequence[Array], interval: float) -> Spectrum:
 
 
 def fit(spectrum: Spectrum, duration: float) -> NoiseFit:
-    """Fit the noise model to a spectrum; ``duration`` (s), the longest stretch, limits the correlation time."""
+    """Fit the noise model to a spectrum. ``duration`` (s), the longest stretch, limits the correlation time."""
     s, angle = spectrum, 2 * np.pi * spectrum.frequency * spectrum.interval
     tried = N_TIMES if duration > 2 * MIN_CORRELATION_TIME else 0
     times = np.geomspace(MIN_CORRELATION_TIME, duration, tried)
@@ -177,7 +178,10 @@ def fit(spectrum: Spectrum, duration: float) -> NoiseFit:
 
 
 def _walk(angle: Array, interval: float, rate: float) -> Array:
-    """Return the density of a sampled Gauss-Markov bias with K = 1; ``angle`` (n,), rad/sample, ``rate`` 1/T, 1/s."""
+    """Return the density of a sampled Gauss-Markov bias with K = 1.
+
+    ``angle`` (n,) is in rad/sample, ``rate`` is 1/T in 1/s.
+    """
     keep = math.exp(-rate * interval)
     return interval**2 / ((1 - keep) ** 2 + 4 * keep * np.sin(angle / 2) ** 2)
 

@@ -56,7 +56,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
             f"or its times do not increase; record at least {MIN_DURATION:g} s"
         )
     if wrong := [axis for axis in imu.axes if not np.isfinite(getattr(imu, axis)).all()]:
-        raise InputError(f"{wrong[0]} has values that are not finite numbers; leave these samples out")
+        raise InputError(f"{wrong[0]} has values that are not finite numbers; omit these samples")
     interval = float(np.median(steps))
     size = max(round(BLOCK / interval), MIN_BLOCK_SAMPLES)
     gap = max(gaps.MANY * interval, gaps.SHORTEST)
@@ -86,7 +86,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
 
 
 def _calm_blocks(imu: Imu, starts: NDArray[np.int_], size: int, fresh: Mask) -> Mask:
-    """Return a mask of blocks at rest: their standard deviations are small, and their means like those of neighbors."""
+    """Return a mask of blocks at rest. Their standard deviations are small, and their means like those of neighbors."""
     calm = np.ones(len(starts), np.bool_)
     for axis in imu.axes if len(starts) else ():
         values = getattr(imu, axis)
@@ -217,13 +217,16 @@ def on_trend(axis: str, trend: float) -> Iterator[str]:
     scale, unit = (DEG_PER_HOUR, "deg/h") if axis[0] == "g" else (MGAL, "mGal")
     if trend:
         yield (
-            f"{axis} drifts by {scale * trend * HOUR:.3g} {unit} per hour, more than its noise explains, as during "
-            "warm-up: start the log half an hour after switching the sensor on"
+            f"{axis} drifts by {scale * trend * HOUR:.3g} {unit} per hour, which its noise does not explain. "
+            "Sensors drift during warm-up: start the log half an hour after the sensor is switched on"
         )
 
 
 def on_misfit(axes: Sequence[AxisNoise], duration: float) -> Iterator[str]:
-    """Remark on axes whose Allan deviation differs from that of the model; ``duration``: longest time at rest, s."""
+    """Remark on axes whose Allan deviation differs from that of the model.
+
+    ``duration`` is the longest time at rest, s.
+    """
     misfits: list[str] = []
     for a in axes:
         parts = model_parts(a.tau, a.white.value, a.instability.value, a.walk.value, a.correlation_time)
@@ -242,7 +245,7 @@ def on_misfit(axes: Sequence[AxisNoise], duration: float) -> Iterator[str]:
 
 
 def trend_of(values: Array, interval: float, noise: NoiseFit) -> float:
-    """Return the least-squares trend, unit/s; 0 if the fitted processes explain it."""
+    """Return the least-squares trend, unit/s, or 0 if the fitted processes explain it."""
     n = len(values)
     duration = n * interval
     if duration < MIN_TREND_DURATION:

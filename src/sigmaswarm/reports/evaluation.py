@@ -216,7 +216,7 @@ def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:
 
 
 def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
-    """Draw position and heading error over time with 3-sigma bounds; return None if there is no truth."""
+    """Draw the position and heading errors over time with 3-sigma bounds; return None if there is no truth."""
     series = picture.whole.series
     if "position_error" not in series["tuned"]:
         return None

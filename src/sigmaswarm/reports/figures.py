@@ -107,8 +107,8 @@ def figure_of(
 ) -> Figure:
     """Draw charts on a figure, in rows of ``columns`` charts (by default one row); ``size`` is in inches.
 
-    A legend "below" the charts contains only the names of the first chart. ``shared``: ``sharex`` and ``sharey`` of
-    matplotlib.
+    A legend "below" the charts contains only the names of the first chart. ``shared`` contains the values of
+    matplotlib's ``sharex`` and ``sharey``.
     """
     columns = columns or len(charts)
     figure = Figure(figsize=size, layout="constrained")

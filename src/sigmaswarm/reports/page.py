@@ -154,7 +154,7 @@ def _view(view: TrackView) -> dict[str, Any]:
 
 
 def _tracks(tracks: Tracks, share: float) -> dict[str, Any]:
-    """Thin the tracks, and round them to mm and ms; large times are stored relative to the start of the drive."""
+    """Thin the tracks, and round them to mm and ms. Large times are stored relative to the start of the drive."""
     first = min(float(columns["time"][0]) for columns in tracks.series.values())
     origin = first if abs(first) > 1000 else 0.0
     series: dict[str, Any] = {}

@@ -19,7 +19,7 @@ REPORTS: dict[str, Callable[[Path], Report]] = {
 
 
 def read_report(folder: Path) -> Report:
-    """Read a folder of results; raise `InputError` if there are no results, or a file is missing or damaged."""
+    """Read a folder of results. Raises `InputError` if there are no results, or a file is missing or damaged."""
     if not folder.is_dir():
         wrong = "is a file" if folder.exists() else "no such folder"
         raise InputError(f"{folder}: {wrong}; name a folder that tune, evaluate or study wrote")
@@ -37,7 +37,7 @@ def read_report(folder: Path) -> Report:
 
 
 def save_page(folder: Path, out: Path | None = None) -> Path:
-    """Write the page of a folder of results, by default page.html in this folder; return the path."""
+    """Write the page of a folder of results, by default page.html in this folder. Return the path."""
     if out is not None:
         check_file(out, ".html")
     read, file = read_report(folder), out or folder / "page.html"

@@ -51,7 +51,8 @@ def means_chart(
 ) -> Chart | None:
     """Draw the mean of every method with two intervals, on a logarithmic scale up to ``reach`` times the lowest mean.
 
-    A mean beyond the scale is drawn as an arrow with a number and without intervals. ``mark``: value marked by a line.
+    A mean beyond the scale is drawn as an arrow with a number and without intervals. ``mark`` is a value that a line
+    marks.
     """
     rows = [(row, row.mean) for row in results.means(measure) if row.mean]
     if not rows:
@@ -164,7 +165,7 @@ def convergence_chart(
 
 
 def _draw_course(ax: Axes, results: Results, course: Convergence, *, alone: bool) -> None:
-    """Draw the median and the middle 80% of the trials; mark the generation `Convergence.stable`."""
+    """Draw the median and the middle 80% of the trials, and mark the generation `Convergence.stable`."""
     key = f"{course.protocol}-{course.method}"
     color = STUDY_STYLES[key].color if key in STUDY_STYLES else GREEN
     whole, settles = course.group == ALL, course.stable

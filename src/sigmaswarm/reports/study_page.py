@@ -184,7 +184,7 @@ def _quantiles(record: StudyRecord) -> Section:
     text = (
         "Each drive has one value, the mean over its trials. Box: quartiles. Whiskers: 5 to 95% of the drives.",
         "The mean NIS of a consistent filter is 2. A filter with a larger value is overconfident, a filter with a "
-        "smaller value underconfident. A tuning by position errors alone does not determine the scale of the "
+        "smaller value underconfident. Tuning by position errors alone does not determine the scale of the "
         "covariances.",
     )
     shown = (tables.consistency_table(results),)

@@ -66,7 +66,7 @@ Row = tuple[Cell, ...]
 
 
 def _figures(title: str, digits: int = 2, **more: Any) -> Column:
-    """Make a column of numbers in the format of the paper; numbers of 100 or more have no decimals."""
+    """Make a column of numbers in the format of the paper. Numbers of 100 or more have no decimals."""
 
     def printed(value: float) -> str:
         return f"{value:.{digits}f}" if abs(value) < 100 else f"{value:,.0f}"
@@ -408,7 +408,7 @@ def _curve_table(results: Results, rivals: RivalResults) -> Table:
             row += [point.mean, point.interval] if point else [None, None]
         rows.append(tuple(row))
     note = (
-        "Results of the first trial on its held-out drives; 0 minutes: the filter without a network. 95% intervals: "
-        "bootstrap over drives, without the variation between training runs."
+        "Results of the first trial on its held-out drives. Rows with 0 minutes: the filter without a network. The 95% "
+        "intervals are computed by bootstrap over drives, and do not contain the variation between training runs."
     )
     return _table("Learning curves", columns, rows, results, note)

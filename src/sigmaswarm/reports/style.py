@@ -10,7 +10,7 @@ from sigmaswarm.scoring.methods import AGAINST, BASELINE, FIXES, METHODS, OPTION
 class Look:
     """Style of a line, with line style and marker of matplotlib; sizes are in points.
 
-    ``visible``: True if static plots contain the line and a page shows it initially.
+    ``visible`` is True if static plots contain the line and a page shows it initially.
     """
 
     color: str
@@ -63,6 +63,6 @@ LABELS = {"truth": "truth", **method_names(also=(AGAINST, *OPTIONAL_METHODS)), *
 
 
 def many_styles(n: int, width: float) -> list[Look]:
-    """Return ``n`` styles; line styles distinguish lines of equal color."""
+    """Return ``n`` styles. Line styles distinguish lines of equal color."""
     colors, styles = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, BLACK), ("-", "--", ":", "-.")
     return [Look(colors[i % 7], width, styles[i // 7 % 4]) for i in range(n)]

@@ -35,7 +35,7 @@ TUNE_DEFAULTS = {name: field.default for name, field in TuneConfig.model_fields.
 
 
 def save_tuning_figures(tuning: Tuning, track: Picture, folder: Path) -> list[Path]:
-    """Write convergence.csv and the figures of a tuning into its folder; return the paths of the pictures.
+    """Write convergence.csv and the figures of a tuning into its folder. Return the paths of the pictures.
 
     ``track`` is a track on a training drive (`scoring.tracks.first_track`).
     """
@@ -77,7 +77,7 @@ def _convergence_chart(history: pl.DataFrame, best_trial: int, objective: str) -
 
 
 def tuning_report(record: TuningRecord, history: pl.DataFrame | None = None) -> Report:
-    """Return the page of a tuning; ``history``: the table of convergence.csv."""
+    """Return the page of a tuning. ``history`` is the table of convergence.csv."""
     result = record.result
     if result is None:
         raise InputError("the tuning has no [result] table; name a folder that `sigmaswarm tune` wrote")
@@ -114,7 +114,7 @@ def parameters_section(record: TuningRecord) -> Section:
 
 
 def read_tuning(folder: Path) -> tuple[TuningRecord, pl.DataFrame | None]:
-    """Read tuning.toml and, if it exists, convergence.csv of a folder; raise `InputError` if they do not match."""
+    """Read tuning.toml and, if it exists, convergence.csv of a folder. Raises `InputError` if they do not match."""
     record, path = TuningRecord.read(folder), folder / HISTORY_FILE
     if not path.exists() or record.result is None:
         return record, None
@@ -169,7 +169,7 @@ def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
 
 
 def shown_config(config: dict[str, Any]) -> dict[str, Any]:
-    """Return the configuration of the search; omit the coefficients of pso if the optimizer is not pso.
+    """Return the configuration of the search, without the coefficients of pso for other optimizers.
 
     The entry of a custom model contains only the name and the fingerprint of the model.
     """
@@ -184,7 +184,7 @@ def shown_config(config: dict[str, Any]) -> dict[str, Any]:
 def tune_command(
     config: Mapping[str, Any], drives: Sequence[str], validation: Sequence[str]
 ) -> tuple[str, str]:
-    """Return the command of a tuning run and a note; the command is empty for a custom model."""
+    """Return the command of a tuning run and a note. The command is empty for a custom model."""
     if isinstance(config.get("model"), dict):
         return "", "The tuning has a custom model: repeat it in Python with sigmaswarm.tune."
     config = {RENAMED.get(name, name): value for name, value in config.items()}

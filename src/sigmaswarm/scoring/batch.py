@@ -47,7 +47,7 @@ class Job:
 
 
 def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, kernel: str, workers: int) -> list[Job]:
-    """Divide a batch into jobs; ``steps`` contains the number of steps on each drive, by pass."""
+    """Divide a batch into jobs. ``steps`` contains the number of steps on each drive, by pass."""
     total = sum(map(sum, steps.values()))
     parts = list(_parts(steps, total if workers == 1 else min(MIN_JOB_STEPS, total / workers)))
     most = MAX_SETS if workers == 1 else most_lanes(kernel)
@@ -64,7 +64,7 @@ def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, kernel: str, worke
 
 
 def _parts(steps: Mapping[str, Sequence[int]], least: float) -> Iterator[Job]:
-    """Group consecutive drives of each pass into parts of at least ``least`` steps; the last part may be shorter."""
+    """Group consecutive drives of each pass into parts of at least ``least`` steps. The last part may be shorter."""
     for name, lengths in steps.items():
         first, total = 0, 0
         for last, length in enumerate(lengths):
@@ -115,8 +115,8 @@ NAMES = tuple(each.name for each in fields(Score))  # the last one is "failed"
 class Scores:
     """Scores of every parameter set on every drive.
 
-    ``numbers``: (n_scores, n_sets, n_drives), in the order of the fields of `Score`; undefined scores are NaN. Each
-    score is also an attribute, (n_sets, n_drives): ``scores.position_rmse``.
+    ``numbers`` has the shape (n_scores, n_sets, n_drives), in the order of the fields of `Score`. Undefined scores are
+    NaN. Each score is also an attribute, (n_sets, n_drives): ``scores.position_rmse``.
     """
 
     numbers: Array
@@ -142,7 +142,7 @@ class PassOptions:
     - ``outages``: a pass with outages of ``outage_length`` s.
     - ``forecasts``: a pass in which fixes are hidden in windows of 3 to 5 s.
 
-    ``as_recorded``: see `PreparedDrive`; has no effect on drives that are already prepared.
+    For ``as_recorded`` see `PreparedDrive`. It has no effect on drives that are already prepared.
     """
 
     outages: bool = False
@@ -218,7 +218,7 @@ class BatchScorer:
         return {}
 
     def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
-        """Return the scores of the parameter sets; the scores do not depend on the executor."""
+        """Return the scores of the parameter sets. The scores do not depend on the executor."""
         if not parameter_sets or not self.drives:
             return Scores(_no_numbers(len(self.drives), len(parameter_sets)))
         return _scores_by(self._divisors, self._run(parameter_sets, executor))
@@ -265,7 +265,7 @@ def scores_from_sums(passes: Mapping[str, Sequence[FilterPass]], sums: Mapping[s
 
 
 def _divisors_of(replays: Sequence[FilterPass]) -> Array:
-    """Return the divisors of the sums of a pass over each drive, shape (5, n_drives, 1); NaN replaces 0.
+    """Return the divisors of the sums of a pass over each drive, shape (5, n_drives, 1). NaN replaces 0.
 
     The order of the divisors is: number of positions, total weight of positions, total weight of headings, number of
     fixes, number of hidden fixes.
@@ -291,7 +291,10 @@ def _scores_by(divisors: Mapping[str, Array], sums: Mapping[str, KernelSums]) ->
 
 
 def _no_numbers(n_drives: int, n_sets: int) -> Array:
-    """Return undefined scores. The sets of a drive are adjacent in memory, which affects the rounding of sums."""
+    """Return an array of undefined scores.
+
+    The sets of a drive are adjacent in memory, which affects the rounding of sums.
+    """
     numbers = np.full((len(NAMES), n_drives, n_sets), np.nan).swapaxes(1, 2)
     numbers[-1] = 0.0
     return numbers

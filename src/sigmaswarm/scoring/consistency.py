@@ -3,7 +3,7 @@
 Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications to Tracking and Navigation, Wiley 2001, section
 5.4.
 
-The radius is that within which a position error lies with a given probability. The filter's covariance does not always
+A position error lies within the radius with a given probability. The filter's covariance does not always
 include the variance of correlated fix errors, which do not average out. The total variance per axis is estimated as
 
     sigma^2 = P + max(s^2 - w^2 - min(g s^2, P), 0)
@@ -99,9 +99,9 @@ class Consistency(BaseModel):
 def consistency(
     drive: Drive | PreparedDrive, parameters: FilterParameters, mean_nees: float = math.nan
 ) -> Consistency | None:
-    """Compute a filter's consistency over a drive; None if the filter failed or had too few fixes.
+    """Compute a filter's consistency over a drive. Return None if the filter failed or had too few fixes.
 
-    ``mean_nees`` is stored in the result; this function does not compute it.
+    ``mean_nees`` is stored in the result, but not computed here.
     """
     return consistency_of(run_innovations(drive, parameters), mean_nees)
 
@@ -109,7 +109,10 @@ def consistency(
 def consistency_of(
     innovations: Innovations, mean_nees: float = math.nan, own_sigma: float = math.nan
 ) -> Consistency | None:
-    """Compute consistency from innovations; return None for at most 2 LAGS innovations, or an invalid covariance."""
+    """Compute the consistency from innovations.
+
+    Return None for at most 2 LAGS innovations, or an invalid covariance.
+    """
     n, s = len(innovations.time), innovations.covariance
     if n <= 2 * LAGS or not np.isfinite(s).all():
         return None
@@ -248,9 +251,9 @@ MIN_COVERAGE = 0.85  # fraction of errors inside the 95% radius below which a wa
 class RadiusRecord(BaseModel):
     """Median radii of a filter's position on a drive, and the fraction of errors inside the radii.
 
-    ``n``: number of errors; if there is no truth, number of estimates. ``sigma_ratio``: RMS of the filter's standard
-    deviation divided by the RMS error, per axis. ``lasting_m``: RMS of the correlated fix errors that the filter's
-    covariance does not include, m per axis.
+    ``n`` is the number of errors or, without truth, the number of estimates. ``sigma_ratio`` is the RMS of the filter's
+    standard deviation divided by the RMS error, per axis. ``lasting_m`` is the RMS of the correlated fix errors that
+    the filter's covariance does not include, m per axis.
     """
 
     n: int
@@ -263,7 +266,7 @@ class RadiusRecord(BaseModel):
 
 
 def factor_of(level: float) -> float:
-    """Return the ratio of the radius for a probability ``level`` to sigma per axis."""
+    """Return the radius, in sigmas per axis, that contains the error with the probability ``level``."""
     return math.sqrt(DOF * ((1.0 - level) ** (-2.0 / DOF) - 1.0))
 
 
@@ -286,7 +289,7 @@ def lasting_variance(drive: Drive, parameters: FilterParameters, time: Array, va
 def stated_radius(
     drive: Drive, parameters: FilterParameters, stated: tuple[Array, Array, Array | None]
 ) -> RadiusRecord | None:
-    """Return the radii of a filter from times (s), variances (m2) and errors (m): see `Tracker.stated`."""
+    """Return the radii of a filter from times (s), variances (m2) and errors (m) (see `Tracker.stated`)."""
     time, variance, error = stated
     lasting = lasting_variance(drive, parameters, time, variance)
     return radius_record(variance, lasting, None if drive.truth is None else error)

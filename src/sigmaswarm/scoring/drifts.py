@@ -30,8 +30,8 @@ RunFactories = Mapping[str, Callable[[FilterPass], Run]]
 class OutageDrifts:
     """Outages of one length on a drive, in several random placements, and the drift of each method.
 
-    ``seeds``: one seed per placement; empty if the drive is too short for an outage. ``failed``: methods that failed
-    in at least one placement.
+    ``seeds`` contains one seed per placement, and is empty if the drive is too short for an outage. ``failed`` contains
+    the methods that failed in at least one placement.
     """
 
     def __init__(self, ready: PreparedDrive, *, length: float, seed: int, most: int | None = None) -> None:
@@ -47,7 +47,7 @@ class OutageDrifts:
 
     @property
     def stated(self) -> tuple[Array, Array, Array]:
-        """Ends of the outages (s); position variances (m2 per axis) and errors (m) of the tuned filter at the ends."""
+        """Ends of the outages (s), with the tuned filter's position variances (m2 per axis) and errors (m)."""
         return tuple(np.hstack([np.empty((3, 0)), *self._stated]))
 
     def add_estimate(self, method: str, estimate: Estimate) -> None:
@@ -63,7 +63,7 @@ class OutageDrifts:
         """Run methods over the drive with the outages, without storing the estimates.
 
         If ``monitored`` is True, a filter is reset after divergence. Otherwise all ``filters`` run as one batch.
-        ``also``: functions that run further methods.
+        ``also`` contains functions that run further methods.
         """
         for seed in self.seeds:
             self._ready.forget()
@@ -73,7 +73,7 @@ class OutageDrifts:
     def _run_placed(
         self, seed: Seed, filters: Mapping[str, FilterParameters], also: RunFactories, *, monitored: bool
     ) -> None:
-        """Run methods with one placement; when this function returns, its memory is freed for the next placement."""
+        """Run methods with one placement. When this function returns, its memory is freed for the next placement."""
         outages = outage_pass(self._ready, length=self._length, seed=seed)
         ends = self._ends[self.seeds.index(seed)]
         if monitored:
@@ -91,7 +91,7 @@ class OutageDrifts:
     def _recorded(
         self, method: str, outages: FilterPass, parameters: FilterParameters, ends: Array
     ) -> FilterRun:
-        """Run a filter; for the tuned filter, store variances and errors at the ends of the outages."""
+        """Run a filter. For the tuned filter, store variances and errors at the ends of the outages."""
         recording = FilterRun(outages, parameters, recover=True)
         if method != "tuned":
             return recording.finished()
@@ -106,7 +106,7 @@ class OutageDrifts:
             self.failed.add(method)
 
     def drift(self, method: str) -> float:
-        """Return the RMS drift over all placements, m; NaN if there is no outage or the method failed."""
+        """Return the RMS drift over all placements, m, or NaN if there is no outage or the method failed."""
         if not self.seeds or method in self.failed:
             return float("nan")
         counts = [len(ends) for ends in self._ends]
@@ -136,5 +136,5 @@ def _errors(ready: PreparedDrive, time: Array, positions: Array) -> Array:
 
 
 def _rows_at(ends: Array, piece: EstimateChunk) -> Indices:
-    """Return the rows of a piece at the ends of outages; each end is the time of an IMU sample."""
+    """Return the rows of a piece at the ends of outages, each of which is the time of an IMU sample."""
     return np.searchsorted(piece.time, ends[(ends >= piece.time[0]) & (ends <= piece.time[-1])])

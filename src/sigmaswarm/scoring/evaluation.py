@@ -88,15 +88,15 @@ class EvaluationOptions:
     outage_length : float
         Length of the medium outages, s. The short and the long outages last 1 s and 30 s.
     outage_seed : int
-        Seed of the outages; all methods have the same outages.
+        Seed of the outages. All methods have the same outages.
     as_recorded : bool
         Run without preprocessing, for diagnosis: use stale fixes, and treat IMU gaps as ordinary steps.
     smooth : bool
-        Also evaluate the smoothed estimates, which use fixes after an outage: see `sigmaswarm.smooth`.
+        Also evaluate the smoothed estimates, which use fixes after an outage (see `sigmaswarm.smooth`).
     bank : bool
-        Also evaluate a filter bank: see `sigmaswarm.LiveFilterBank`.
+        Also evaluate a filter bank (see `sigmaswarm.LiveFilterBank`).
     more : mapping of str to callable
-        Functions that run further methods, such as a trained network, over a `FilterPass`; keys from
+        Functions that run further methods, such as a trained network, over a `FilterPass`. Keys are from
         `OPTIONAL_METHODS`.
     fixes_alone : MotionNoise, optional
         Noise parameters of the filter that uses only the fixes, as in ``tuning.fixes_alone``. By default, they are
@@ -128,8 +128,8 @@ class EvaluationOptions:
 class DriveResult:
     """Results of all methods on a drive.
 
-    ``restarts``: times of resets (s) by method. ``drifts``: drift records by measure. ``consistency`` and
-    ``innovations`` belong to the tuned filter. ``picture`` contains more points than ``tracks``.
+    ``restarts`` contains times of resets (s) by method, and ``drifts`` contains drift records by measure.
+    ``consistency`` and ``innovations`` belong to the tuned filter. ``picture`` contains more points than ``tracks``.
     """
 
     scores: Mapping[str, Score]
@@ -208,7 +208,7 @@ class Evaluation:
         return float(np.mean(known)) if known else None
 
     def value(self, drive: str, method: str, measure: str) -> float | None:
-        """Return one score, or None if it is unknown; ``method`` as in `mean`."""
+        """Return one score, or None if it is unknown. ``method`` is as in `mean`."""
         value = MEASURES[measure].of(self.drives[drive].scores[self._key(method)])
         return float(value) if np.isfinite(value) else None
 
@@ -216,13 +216,16 @@ class Evaluation:
         return next((key for key, name in self.names.items() if name == method), method)
 
     def improvement(self, over: str = BASELINE, measure: str = "position_rmse_m") -> float | None:
-        """Return the improvement over a method, %: 100 (method - tuned) / method, of the means (the paper's eq. 5)."""
+        """Return the improvement over a method, %: 100 (method - tuned) / method, from the means (the paper's eq.
+
+        5).
+        """
         other, tuned = self.mean(over, measure), self.mean("tuned", measure)
         return None if not other or tuned is None else 100 * (other - tuned) / other
 
     @property
     def measures(self) -> Mapping[str, Measure]:
-        """The `measures`, with the outage length of this evaluation in the titles."""
+        """The `measures`, whose titles contain the outage length of this evaluation."""
         return measures(self.outage_length)
 
     @property
@@ -281,7 +284,7 @@ class Evaluation:
         return EvaluationView(self.record, self.setup, self.names)
 
     def to_frame(self) -> pl.DataFrame:
-        """Return one row per drive and method; methods have their display names."""
+        """Return one row per drive and method. Methods have their display names."""
         return self._frame(self.names)
 
     def _frame(self, names: Mapping[str, str]) -> pl.DataFrame:
@@ -303,7 +306,7 @@ class Evaluation:
         return self.view.to_html()
 
     def save(self, folder: str | Path) -> list[Path]:
-        """Write scores.json, scores.csv, evaluation.json, tracks.npz and, if known, ``against``; return the paths."""
+        """Write scores.json, scores.csv, evaluation.json, tracks.npz and, if known, ``against``. Return the paths."""
         folder = Path(folder)
         paths = [folder / name for name in (SCORES_FILE, "scores.csv", EVALUATION_FILE, TRACKS_FILE)]
         write_json(paths[0], self.to_dict())
@@ -324,12 +327,11 @@ def evaluate(
     cluster: "Client | None" = None,
     **options: Any,
 ) -> Evaluation:
-    """Compare a tuned filter with the baseline, raw GPS, fixes alone and IMU only: see `sigmaswarm.evaluate`.
+    """Compare a tuned filter with the baseline, raw GPS, fixes alone and IMU only (see `sigmaswarm.evaluate`).
 
-    ``seen``: positions and yaw rates of the training drives (see `drives.overlap`), by which these drives, their copies
-    and their parts are recognized.
-    ``cluster``: Dask cluster whose workers read the drives and run the filters; ``drives`` may then be paths or URLs.
-    ``options``: attributes of `EvaluationOptions`.
+    ``seen`` contains positions and yaw rates of the training drives (see `drives.overlap`), by which these drives,
+    their copies and their parts are recognized. ``cluster`` is a Dask cluster whose workers read the drives and run the
+    filters; ``drives`` may then be paths or URLs. ``options`` are attributes of `EvaluationOptions`.
     """
     (dataset,) = make_datasets(drives, cluster=cluster)
     if not len(dataset):
@@ -368,7 +370,7 @@ def evaluate(
 def _evaluated(
     drive: Drive, parameters: FilterParameters, options: EvaluationOptions, marked: bool
 ) -> tuple[str, DriveResult, Landmarks | None]:
-    """Run every method over a drive; return the drive's name, the results and, if ``marked``, the landmarks."""
+    """Run every method over a drive. Return the drive's name, the results and, if ``marked``, the landmarks."""
     marks = landmarks(drive) if marked else None
     own = {} if options.against is None else {AGAINST: options.against}
     filters = compared(drive, parameters, options.shown_std) | own
@@ -428,7 +430,7 @@ def _tracked(
     filters: Mapping[str, FilterParameters],
     options: EvaluationOptions,
 ) -> tuple[DriveResult, RunFactories]:
-    """Run every method with all fixes; return the results, and functions that run methods other than single filters.
+    """Run every method with all fixes. Return the results, and functions that run methods other than single filters.
 
     This is a separate function, so that its memory is freed before the next pass.
     """

@@ -49,8 +49,8 @@ def method_names(
 ) -> dict[str, str]:
     """Return the display names of the methods.
 
-    ``also``: optional rows from `OPTIONAL_METHODS`; `AGAINST` adds the row of another filter. ``against``: description
-    of this other filter, if known.
+    ``also`` contains optional rows from `OPTIONAL_METHODS`; `AGAINST` adds the row of another filter. ``against`` is
+    the description of this other filter, if known.
     """
     first = {AGAINST: f"other {against or 'filter'}"} if AGAINST in also else {}
     first |= {"tuned": f"tuned {filter_called(kind, model)}"}
@@ -89,7 +89,7 @@ class Measure:
 
 
 def measures(outage_length: float = OUTAGE_LENGTH) -> dict[str, Measure]:
-    """Return the measures in display units; ``outage_length`` (s): length of the medium outages.
+    """Return the measures in display units. ``outage_length`` is the length of the medium outages, s.
 
     The measure of short or long outages is left out if the medium outages have the same length.
     """
@@ -121,5 +121,5 @@ POSITION_MEASURES = {"position_rmse_m": "RMSE", "position_median_m": "50%", "pos
 
 
 def with_outages(method: str, values: Mapping[str, float | None]) -> dict[str, float | None]:
-    """Return a method's values by measure; omit the drifts of a method in `NO_OUTAGES`."""
+    """Return a method's values by measure, without the drifts of a method in `NO_OUTAGES`."""
     return {m: v for m, v in values.items() if method not in NO_OUTAGES or m not in DRIFTS}

@@ -29,7 +29,7 @@ class DriftRecord(BaseModel):
     each: dict[str, list[float | None]]
 
     def drift_range(self, method: str) -> tuple[float, float] | None:
-        """Return the lowest and the highest drift of a single placement, m."""
+        """Return the lowest and the highest drift over the placements of the outages, m."""
         known = [v for v in self.each.get(method, []) if v is not None]
         return (min(known), max(known)) if known else None
 
@@ -50,7 +50,7 @@ class ScoresRecord(BaseModel):
     stale_fixes: dict[str, int] = Field(default_factory=dict)
 
     def describe_drift(self, measure: str) -> str:
-        """Describe the outages, and the range of the tuned filter's drift over placements; return "" if unknown."""
+        """Describe the outages, and the range of the tuned filter's drift over their placements; "" if unknown."""
         drifts = [by_measure[measure] for by_measure in self.drifts.values() if measure in by_measure]
         drawn = [one.each.get("tuned", []) for one in drifts]
         count = min(map(len, drawn), default=0)
@@ -86,7 +86,7 @@ class AgainstRecord(BaseModel):  # another filter in the comparison
 
     @classmethod
     def of(cls, other: FilterParameters, given: FilterParameters | str | Path | None) -> Self:
-        """Record a filter; ``given``: its path or its parameters."""
+        """Record a filter. ``given`` is its path or its parameters."""
         source = "" if given is None or isinstance(given, FilterParameters) else str(given)
         return cls(kind=other.kind, model=other.model, source=source)
 
@@ -97,7 +97,7 @@ class AgainstRecord(BaseModel):  # another filter in the comparison
 
 
 class EvaluationRecord(BaseModel):
-    """evaluation.json: the options and the drives; the parameters of ``against`` are in against.toml."""
+    """evaluation.json: the options and the drives. The parameters of ``against`` are in against.toml."""
 
     outage_length_s: float
     outage_seed: int

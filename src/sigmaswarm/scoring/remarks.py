@@ -109,7 +109,7 @@ def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
 
 
 def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> dict[str, str]:
-    """Return a message for each method without tuning that is more accurate in some measures."""
+    """Return a message for each method without tuning that is more accurate than the tuned filter in some measures."""
     messages: dict[str, str] = {}
     for method in (BASELINE, FIXES):
         name = in_sentence(method, METHODS[method])
@@ -181,9 +181,9 @@ def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
     """Describe a filter's position error on a drive without truth: an estimate, followed by the evidence.
 
     The estimate is the RMS of the filter's position standard deviations. If the innovations are far smaller than
-    expected, or smaller and correlated, the error is unknown. It may be as large as an innovation that the filter
-    expects, or as the errors that consecutive fixes have in common, which innovations do not show. ``lasting`` is the
-    RMS of these common errors (m per axis), which the covariance does not include.
+    expected, or smaller and correlated, the error is unknown. In this case, the error may be as large as an innovation
+    that the filter expects, or as the errors that consecutive fixes have in common, which innovations do not show.
+    ``lasting`` is the RMS of these common errors (m per axis), which the covariance does not include.
     """
     own, missed = consistency.own_sigma or 0.0, consistency.missed or 0.0
     (low, high), nis = consistency.nis_band, f"mean NIS {consistency.mean_nis:.2g}, should be 2"
@@ -200,9 +200,9 @@ def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
                 "filter expects"
             )
         return (
-            f"unknown, since there is no truth{guess}. The filter's covariance gives {own:.2g} m RMS, but it is not "
-            f"reliable: the innovations are smaller than expected ({nis}). The receiver smooths its fixes, or their "
-            "errors are correlated"
+            f"unknown, since there is no truth{guess}. The filter's covariance corresponds to {own:.2g} m RMS, but it "
+            f"is not reliable: the innovations are smaller than expected ({nis}). The receiver smooths its fixes, or "
+            "their errors are correlated"
         )
     size, source = f"{own:.2g} m RMS", "estimated by the filter, since there is no truth"
     included = f"The fixes, with their own errors, differ from the predictions by {missed:.2g} m RMS"

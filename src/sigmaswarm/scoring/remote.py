@@ -25,7 +25,7 @@ DriveCheck = Callable[[BatchScorer], None]
 
 
 def make_scorer(dataset: Dataset, passes: PassOptions, check: DriveCheck) -> "AnyBatchScorer":
-    """Prepare the drives of a local or remote dataset; ``check`` rejects unusable drives."""
+    """Prepare the drives of a local or remote dataset. ``check`` refuses unusable drives."""
     if isinstance(dataset, RemoteDataset):
         results_in_order(dataset.call(apply_to_each, partial(_checked, passes=passes, check=check)))
         return RemoteBatchScorer(dataset, passes)
@@ -61,7 +61,7 @@ class RemoteBatchScorer:
         parameter_sets: Sequence[FilterParameters],
         executor: Executor | None = None,
     ) -> Array:
-        """Score the sets and apply ``take`` on the workers; return an array of shape (..., n_sets, n_drives)."""
+        """Score the sets and apply ``take`` on the workers. Return an array of shape (..., n_sets, n_drives)."""
         sets = parameter_sets if isinstance(parameter_sets, ParameterTable) else tuple(parameter_sets)
         answers = self.dataset.call(_taken, self.passes, take, sets)
         *more, n_sets, _ = answers[0][1].shape

@@ -1,8 +1,8 @@
 """Compute the errors of one estimate against truth: the reference definitions in NumPy.
 
 error = estimate - truth, at truth times from the common start of all methods to the last IMU sample. The estimate is
-interpolated linearly. If the truth has standard deviations, errors are weighted. Also detect a constant offset between
-truth and fixes.
+interpolated linearly. If the truth has standard deviations, errors are weighted. This module also detects a constant
+offset between truth and fixes.
 """
 
 import math
@@ -22,8 +22,8 @@ from sigmaswarm.geodesy import wrap_angle
 POSITION_FLOOR = 0.3
 """Standard deviation of truth, m per axis, below which the weight hardly increases.
 
-The value is the accuracy of the best filters with cheap receivers. Without this limit, parts under open sky, where
-every filter is accurate, would have nearly all of the weight.
+The value is the accuracy of the best filters with cheap receivers. Without this limit, the parts of a drive under open
+sky, where every filter is accurate, would have nearly all of the weight.
 """
 HEADING_FLOOR = math.radians(0.3)  # rad, the same limit for the true heading
 N_BLOCKS = 8  # parts of a drive; the spread of the offset over them shows the effect of correlated errors
@@ -32,7 +32,7 @@ MIN_OFFSET = 0.3, 0.3  # smallest reported offset: m, and as a fraction of the s
 
 
 def weights_at(truth: Truth, time: Array) -> Array | None:
-    """Return the weights floor^2 / (sigma^2 + floor^2) of squared position errors at ``time``, s; None if all are 1.
+    """Return the weights floor^2 / (sigma^2 + floor^2) of squared position errors at ``time``, s, or None if all are 1.
 
     sigma^2 is the mean variance of both axes.
     """

@@ -46,7 +46,7 @@ def outage_pass(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: Se
 
 
 def drift_reference(ready: PreparedDrive) -> Gps | Truth:
-    """Return the truth; if there is none, return the fixes that are not stale."""
+    """Return the truth or, without truth, the fixes that are not stale."""
     drive = ready.drive
     return drive.gps.select(~ready.stale) if drive.truth is None else drive.truth
 

@@ -40,7 +40,8 @@ class ThinnedSeries:
     """A limited number of rows of a series, including the peaks of the position error or of the NIS.
 
     The first and the last row are kept. The rows in between are divided into equal parts. In each part, the rows with
-    the smallest and the largest error or NIS are kept; for a series with neither, the first and the last row.
+    the smallest and the largest error or NIS are kept. For a series with neither, the first and the last row of each
+    part are kept.
     """
 
     def __init__(self, n: int, most: int) -> None:
@@ -70,7 +71,7 @@ class ThinnedSeries:
 
     @property
     def columns(self) -> Columns:
-        """Kept rows; complete after the last piece."""
+        """Rows that were kept; complete after the last piece."""
         if not self._kept:
             return {"time": np.empty(0)}
         return {name: np.concatenate([part[name] for part in self._kept]) for name in self._kept[0]}
@@ -160,9 +161,9 @@ def compared(
 class Tracker:
     """Recorder of thinned tracks of methods that run over a drive; complete estimates are not stored.
 
-    ``own_sigma``: RMS of each filter's position standard deviation, m. ``stated``: times of truth (s), and the tuned
-    filter's position variances per axis (m2) and errors (m) at these times; without truth, times and variances of all
-    estimates. If ``picture`` is True, the data of a static plot are also recorded.
+    ``own_sigma`` is the RMS of each filter's position standard deviation, m. ``stated`` contains times of truth (s),
+    and the tuned filter's position variances per axis (m2) and errors (m) at these times; without truth, it contains
+    times and variances of all estimates. If ``picture`` is True, the data of a static plot are also recorded.
     """
 
     def __init__(self, ready: PreparedDrive, most_points: int = MAX_POINTS, *, picture: bool = False) -> None:
@@ -281,7 +282,7 @@ class Tracker:
 class FirstTrack:
     """Result of a tuned filter on a training drive.
 
-    ``position_rmse``: values for the tuned filter, the baseline and the raw fixes, m; NaN if there is no truth.
+    ``position_rmse`` contains values for the tuned filter, the baseline and the raw fixes, m; NaN if there is no truth.
     """
 
     picture: Picture
@@ -307,7 +308,7 @@ def first_track(
 
 
 def sharpest_turn(ready: PreparedDrive) -> Array:
-    """Return the position of the largest turn within 4 s, m east and north: the median of the five nearest fixes."""
+    """Return the position of the largest turn within 4 s, m east and north, as the median of the five nearest fixes."""
     imu, gps = ready.drive.imu, ready.drive.gps
     turned = np.concatenate([[0.0], np.cumsum(imu.gz[1:] * np.diff(imu.time))])
     t = imu.time[imu.time > ready.initial.time]

@@ -22,8 +22,8 @@ MAX_ERROR_RATIO = 1.05
 """Largest accepted ratio (after / before) of forecast errors.
 
 If the repair is only a rotation of the axes, the limit applies to the geometric mean of four ratios. For a log of a
-tilted phone, such a repair increased one error of planar8, which does not model tilt, by 10%. It reduced the three
-other errors by 28 to 58%.
+tilted phone, such a repair increased one error of planar8, which does not model tilt, by 10%, but reduced the other
+three errors by 28 to 58%.
 """
 DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
 """Noise densities of planar8's states, unit of the state per sqrt(s).
@@ -52,9 +52,9 @@ def checking_filter(drive: Drive) -> FilterParameters:
 
 
 def repair(drive: Drive, diagnosis: Diagnosis, *, only: Collection[str] | None = None) -> Drive:
-    """Return a repaired copy of the drive; reject repairs that increase prediction errors.
+    """Return a repaired copy of the drive, without repairs that increase prediction errors.
 
-    A filter with fixed noise runs over the drive before and after the repairs; for clocks and rotations, the baseline
+    A filter with fixed noise runs over the drive before and after the repairs. For clocks and rotations, the baseline
     of the default filter also runs. These filters forecast the next fix, and fixes that are hidden for 3 to 5 s. If the
     RMS of a forecast error increases by more than 5%, the responsible repair of axes, signs, units or clocks is
     rejected. A rotation that is the only such repair is rejected if the geometric mean of these errors increases by

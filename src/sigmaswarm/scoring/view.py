@@ -55,7 +55,7 @@ NO_TRUTH = (
 
 @dataclass(frozen=True, eq=False)
 class EvaluationView:
-    """Tables and sentences of an evaluation; ``names``: display names of the methods, in order."""
+    """Tables and sentences of an evaluation. ``names`` are the display names of the methods, in order."""
 
     scores: ScoresRecord
     setup: EvaluationRecord
@@ -289,7 +289,7 @@ class EvaluationView:
         )
 
     def sentences(self, added: Iterable[str] = ()) -> tuple[str, ...]:
-        """Return the sentences below a table, the most important first; the sentences ``added`` follow the verdicts."""
+        """Return the sentences below a table, the most important first. The sentences ``added`` follow the verdicts."""
         positions = map(as_sentence, estimate_position_errors(self.scores, self.setup.data))
         one_drive = self._one_drive()
         first = (
@@ -305,7 +305,7 @@ class EvaluationView:
         return tuple(dict.fromkeys((*first, *second)))
 
     def outage_lengths(self) -> set[float]:
-        """Return the lengths, s, of the outages in which the tuned filter was measured."""
+        """Return the lengths, s, of the outages that the evaluation of the tuned filter contains."""
         lengths = SHORT_OUTAGE_LENGTH, self.setup.outage_length_s, LONG_OUTAGE_LENGTH
         known = zip(DRIFTS, lengths, strict=True)
         return {length for m, length in known if self.scores.mean_of("tuned", m) is not None}

@@ -188,7 +188,10 @@ def _spin_up(
 def _wheel(
     i: int, s: Array, rate: Array, load: float, shared: Drivetrain, car: Vehicle
 ) -> tuple[float, float, float]:
-    """Return the force (N, in body axes) and the moment (N m) of wheel i; fill the rates of the wheel's states."""
+    """Return the force (N, in body axes) and the moment (N m) of wheel i.
+
+    The rates of the wheel's states are filled.
+    """
     at_front = i < 2
     axle_x = car.front if at_front else -car.rear
     across = 0.5 * car.track if i % 2 == 0 else -0.5 * car.track
@@ -242,7 +245,7 @@ def _derivative(
 ) -> tuple[float, float, float]:
     """Fill `rate` with the derivative of the state under the desired steering (rad) and pedal.
 
-    Return the acceleration of the center of gravity in body axes (m/s2) and total tire force / (friction x weight).
+    Return the acceleration of the center of gravity in body axes (m/s2), and total tire force / (friction x weight).
     """
     vx, vy, yaw_rate = s[VX], s[VY], s[YAW_RATE]
     # The springs and dampers transmit the load transfer.
@@ -297,7 +300,7 @@ def _record(row: Array, s: Array, rate: Array, ax: float, ay: float, use: float)
 def _advance(
     s: Array, k: Array, row: Array, steer: float, pedal: float, friction: float, car: Vehicle
 ) -> None:
-    """Do one Runge-Kutta step in place; `row` records the state before the step, `k` (5, states) is work space."""
+    """Do one Runge-Kutta step in place. `row` records the state before the step, and `k` (5, states) is work space."""
     trial = k[4]
     ax, ay, use = _derivative(s, k[0], steer, pedal, friction, car)
     _record(row, s, k[0], ax, ay, use)
@@ -388,9 +391,9 @@ def run_closed_loop(
 ) -> Array:
     """Let the driver follow a path and a plan from a `start_state`; return the record (10 k, 21), one row per ms.
 
-    ``path`` (p, 4): m east, m north, heading (rad, not wrapped) and curvature (1/m) every ``spacing`` m.
+    ``path`` (p, 4) contains, every ``spacing`` m, east (m), north (m), heading (rad, not wrapped) and curvature (1/m).
 
-    ``plan`` (k, 3): speed (m/s), acceleration (m/s2) and distance along the path (m) every 10 ms.
+    ``plan`` (k, 3) contains, every 10 ms, speed (m/s), acceleration (m/s2) and distance along the path (m).
     """
     record = np.empty((len(plan) * STEPS_PER_DRIVER_STEP, RECORDED))
     k, s, nearest = np.zeros((5, STATES)), start.copy(), 0

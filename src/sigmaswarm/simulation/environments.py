@@ -71,7 +71,7 @@ ENVIRONMENTS = by_name(
 
 
 def lookup(value: str | T, table: dict[str, T], what: str) -> T:
-    """Look up a name in a table, or return a record unchanged; raise `InputError` for an unknown name."""
+    """Look up a name in a table, or return a record unchanged. Raises `InputError` for an unknown name."""
     if not isinstance(value, str):
         return value
     if value not in table:

@@ -54,7 +54,8 @@ class GpsGrade(ErrorGrade):
     velocity_std : float or None
         Standard deviation of the velocity per axis, m/s; None if the receiver reports neither speed nor course.
     latency : float
-        Age of a fix at its time stamp, s. It is 0 in all grades, since loggers stamp fixes with their time of validity.
+        Delay of a fix relative to its time stamp, s. It is 0 in all grades, since loggers stamp fixes with their time
+        of validity.
     lever_arm : tuple of float
         Vector from the IMU to the antenna, m forward, left, up.
     stated_factor : float
@@ -129,7 +130,7 @@ HEADING_GRADES = by_name(
 
 
 def with_heading(fixes: Gps, time: Array, yaw: Array, grade: HeadingGrade, rng: np.random.Generator) -> Gps:
-    """Add headings to fixes; ``yaw`` (n,), rad, is the true heading at ``time`` (n,), s."""
+    """Add headings to fixes. ``yaw`` (n,), rad, is the true heading at ``time`` (n,), s."""
     white, markov = grade.draw(rng, time, 1)
     theta = (yaw + grade.mounting + (white + markov)[:, 0])[np.searchsorted(time, fixes.time)]
     stated = np.full(len(theta), grade.std) if grade.std > 0 else None
@@ -196,7 +197,7 @@ def with_outliers(
     rng : numpy.random.Generator
         Generator that draws the first fix, the length and the direction of each burst from uniform distributions.
     share : float
-        Minimum fraction of outliers among the fixes, in [0, 0.5]; with the last burst the fraction may exceed this
+        Minimum fraction of outliers among the fixes, in [0, 0.5]. The last burst may raise the fraction above this
         minimum.
     offset : float
         Size of the error, m.

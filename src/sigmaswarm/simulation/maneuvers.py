@@ -141,7 +141,7 @@ def outages(road: AccelerationLimits, rng: np.random.Generator) -> Maneuver:
 
 
 def urban(road: AccelerationLimits, rng: np.random.Generator, duration: float = 180.0) -> Maneuver:
-    """(vi) Minutes of mixed driving: streets, bends, intersections, lane changes, stops; `duration` in s."""
+    """(vi) Minutes of mixed driving: streets, bends, intersections, lane changes, stops. `duration` is in s."""
     legs = warm_up(road, 40.0)
     first, spent = len(legs), 12.0
     while spent < duration + 20.0:
@@ -207,7 +207,7 @@ def drive_maneuver(
     duration: float | None = None,
     warm_up: bool = True,
 ) -> Journey:
-    """Draw a maneuver and drive it; parameters are as in `simulate`."""
+    """Draw a maneuver and drive it. Parameters are as in `simulate`."""
     road = AccelerationLimits(where.friction)
     seconds = URBAN_DURATION if duration is None else duration
     drawn = urban(road, rng, seconds) if name == "urban" else lookup(name, MANEUVERS, "maneuver")(road, rng)
@@ -238,7 +238,7 @@ def time_between(speed: Array, slow: float, fast: float, rising: bool) -> float:
 
 
 def achieved_figures(name: str, journey: Journey, fixes: Array) -> dict[str, float]:
-    """Return the achieved values under the names of the targets; ``fixes`` (m,): times of the fixes, s."""
+    """Return the achieved values under the names of the targets. ``fixes`` (m,) contains the times of the fixes, s."""
     record, first = journey.record, int(journey.start / STEP)
     along, across = np.abs(record[:, [dynamics.AX, dynamics.AY]]).T
     speed = np.hypot(record[:, dynamics.VX], record[:, dynamics.VY])

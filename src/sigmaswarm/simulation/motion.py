@@ -142,7 +142,7 @@ def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm | Array) -> Mot
 
 
 def vibrate(motion: Motion, rate: float, strength: float, rng: np.random.Generator) -> Motion:
-    """Add vibration to specific force and angular rate, sampled at ``rate`` Hz; strength 1 is that of real cars."""
+    """Add vibration to specific force and angular rate, sampled at ``rate`` Hz. Strength 1 is that of real cars."""
     speed = np.linalg.norm(motion.velocity, axis=1, keepdims=True)
     level = strength * np.sqrt(rate) * np.minimum(speed / FULL_SPEED, 1.0)
     shaking = rng.standard_normal((2, *motion.specific_force.shape)) * level
@@ -175,7 +175,7 @@ class Terrain(Named):
     bank_std, bank_length, bank_limit : float
         Standard deviation, correlation length and bound of the slope across the road.
     crossfall : float
-        Mean slope down to the right, for drainage.
+        Mean downward slope to the right, which drains the road.
     superelevation : float
         Largest slope in bends, at the radius `banked_radius` (m). Wider and sharper bends have smaller slopes.
     """
@@ -248,7 +248,7 @@ def _wander(rng: np.random.Generator, count: int, std: float, length: float, lim
 
 
 def build_road_profile(curvature: Array, terrain: Terrain, rng: np.random.Generator) -> RoadProfile:
-    """Draw the slopes of a road; ``curvature`` (p,), 1/m, is the curvature of the path at each `SPACING` m."""
+    """Draw the slopes of a road. ``curvature`` (p,), 1/m, is the curvature of the path at each `SPACING` m."""
     length = len(curvature) * SPACING
     at = np.arange(-_PROFILE_MARGIN, length + _PROFILE_MARGIN, _KNOT_SPACING)
     grade = _wander(rng, len(at), terrain.grade_std, terrain.grade_length, terrain.grade_limit)

@@ -83,7 +83,8 @@ def build_path(legs: Sequence[Leg], heading: float, sway: Sway) -> Array:
 def _reachable(squared: Array, gain: Array, fading: Array, loss: Array) -> None:
     """Reduce squared speeds (n,), m2/s2, in place until acceleration and braking can follow them.
 
-    ``gain`` and ``loss`` (n,): largest increase and decrease between neighboring points, m2/s2. ``fading``: see `Leg`.
+    ``gain`` and ``loss`` (n,) are the largest increase and decrease between neighboring points, m2/s2. For ``fading``
+    see `Leg`.
     """
     for i in range(1, len(squared)):
         rest = max(1.0 - fading[i - 1] * np.sqrt(squared[i - 1]), 0.1)
@@ -95,7 +96,7 @@ def _reachable(squared: Array, gain: Array, fading: Array, loss: Array) -> None:
 def plan_speed(legs: Sequence[Leg], sway: Sway, stand: float | None) -> Array:
     """Return the fastest plan within all limits, (m, 3): speed m/s, acceleration m/s2, distance m, every `DRIVER_STEP`.
 
-    The car first stands for ``stand`` s; if ``stand`` is None, the car starts at the speed of the first leg.
+    The car is first stationary for ``stand`` s; if ``stand`` is None, the car starts at the speed of the first leg.
     """
     ends = np.cumsum([0.0, *(leg.length for leg in legs)])
     distance = np.arange(0.0, ends[-1] + SPACING / 2, SPACING)

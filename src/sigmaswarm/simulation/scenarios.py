@@ -215,7 +215,7 @@ def check_duration(maneuver: str, duration: float | None) -> None:
         return
     if maneuver != "urban":
         raise InputError(
-            f"duration is {duration:g} s for {maneuver!r}; only 'urban' takes a duration; leave it out"
+            f"duration is {duration:g} s for {maneuver!r}; only 'urban' takes a duration; omit it"
         )
     if not 30 <= duration < math.inf:
         raise InputError(f"duration is {duration:g} s; choose 30 s or more")
@@ -336,7 +336,7 @@ def simulate_many(
     leave_out : container of str
         Names of drives to skip, for example after an interruption.
     **options
-        Options of `simulate`; ``duration`` applies to "urban" only.
+        Options of `simulate`. ``duration`` applies to "urban" only.
 
     Yields
     ------

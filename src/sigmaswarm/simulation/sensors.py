@@ -1,4 +1,4 @@
-"""Simulate an IMU, and an odometer that counts pulses of the rear wheels: grades and errors. `gps` simulates receivers.
+"""Simulate IMUs of several grades, and odometers that count pulses of the rear wheels. `gps` simulates receivers.
 
 Sources: [T] data sheet of the chip. [L] the CARLA Leaderboard's sensor set-up. [R] from memory, not verified.
 """
@@ -124,7 +124,7 @@ IMU_GRADES = by_name(
 def gauss_markov(rng: np.random.Generator, count: int, axes: int, ratio: float) -> Array:
     """Draw stationary first-order Gauss-Markov sequences (count, axes) of unit variance.
 
-    ``ratio``: sampling interval / correlation time.
+    ``ratio`` is the sampling interval divided by the correlation time.
     """
     shocks = rng.standard_normal((count, axes))
     keep = math.exp(-ratio)
@@ -135,7 +135,7 @@ def gauss_markov(rng: np.random.Generator, count: int, axes: int, ratio: float) 
 def _add_errors(
     true: Array, triad: Triad, interval: float, bias_time: float, rng: np.random.Generator
 ) -> Array:
-    """Add the errors of a triad to true values (n, 3); the number of random numbers does not depend on the grade."""
+    """Add the errors of a triad to true values (n, 3). The number of random numbers does not depend on the grade."""
     turn_on = triad.turn_on * rng.uniform(-1, 1, 3)
     mixing = triad.misalignment * rng.uniform(-1, 1, (3, 3))
     np.fill_diagonal(mixing, 1 + triad.scale * rng.uniform(-1, 1, 3))
@@ -146,7 +146,7 @@ def _add_errors(
 
 
 def measure_imu(times: Array, motion: Motion, grade: ImuGrade, rng: np.random.Generator) -> Imu:
-    """Measure the motion of the IMU at ``times`` (n,), s; with a `carla` grade, the first two samples are missing."""
+    """Measure the motion of the IMU at ``times`` (n,), s. With a `carla` grade, the first two samples are missing."""
     force, rate = motion.specific_force, motion.angular_rate
     if grade.carla:
         force, rate, times = carla_force(times, motion), rate[2:], times[2:]
@@ -179,7 +179,7 @@ class OdometerGrade(Named):
     rate : float
         Rate of the readings, Hz.
     window : float
-        Length of the counting window before a reading, s. The age of a reading is half of this length.
+        Length of the counting window before a reading, s. The delay of a reading is half of this length.
     teeth : int
         Pulses of both rear wheels together per revolution.
     scale_std : float
@@ -218,15 +218,15 @@ ODOMETER_GRADES = by_name(
 )
 """Grades by name.
 
-The standard deviation of the scale error (wear and pressure of tires), 1%, is from the author's memory. The odometer of
-comma2k19's car reads 0.8% too low.
+The standard deviation of the scale error, 1%, is a typical value for the wear and pressure of tires, not verified. The
+odometer of comma2k19's car reads 0.8% too low.
 """
 
 
 def measure_odometer(
     record: Array, car: Vehicle, grade: OdometerGrade, rng: np.random.Generator
 ) -> tuple[Odometer, float]:
-    """Measure the wheel speed in a record (n, 21 or more) of the car; return the readings and the drawn scale."""
+    """Measure the wheel speed in a record (n, 21 or more) of the car. Return the readings and the drawn scale."""
     scale = 1.0 + grade.scale_std * rng.standard_normal()
     phase, tooth = rng.uniform(0.0, 1.0, 2)
     time = np.arange(grade.window + phase / grade.rate, (len(record) - 1) * STEP, 1 / grade.rate)

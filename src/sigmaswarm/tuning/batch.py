@@ -36,7 +36,7 @@ class BatchResult:
     costs : ndarray, shape (n_sets,)
         Values of the objective; ``inf`` for a set that failed on any drive.
     scores : tuple of tuple of Score
-        ``scores[i][j]``: set i on drive j.
+        ``scores[i][j]`` is the score of set i on drive j.
     failed : ndarray of bool, shape (n_sets,)
         True for a set with which, on any drive, a covariance became indefinite or a value was not finite.
     """
@@ -65,8 +65,8 @@ def run_batch(
     objective : str
         A name in `OBJECTIVES`, or a weighted sum of such names.
     worst : float
-        The cost of a set is averaged over this fraction of the drives, those with the highest costs of the set. 1 means
-        all drives.
+        The cost of a set is the mean over this fraction of the drives, namely those with the highest costs of the set.
+        1 means all drives.
     outage_seed : int
         Seed of the outages, for objectives that hide fixes.
     as_recorded : bool
@@ -91,7 +91,7 @@ def run_batch(
     if given is not None and not isinstance(given, Executor):
         raise InputError(
             f"executor = {printable(given)} is not an executor; use concurrent.futures.ThreadPoolExecutor(2), or "
-            "leave executor out"
+            "omit executor"
         )
     goal = parse_objective(objective)
     check_drives(dataset.map(log_properties), goal)
@@ -121,7 +121,7 @@ def scorer_for(objective: Objective, dataset: Dataset, seed: int, *, as_recorded
 
 
 def require_fit(scorer: BatchScorer, objective: str, seed: int) -> None:
-    """Raise `InputError` if a drive has no data that the objective needs after the start of a filter."""
+    """Raise `InputError` if a drive has no data after the start of the filter that the objective needs."""
     needs_truth = parse_objective(objective).needs_truth
     for i, (drive, initial) in enumerate(zip(scorer.drives, scorer.initial, strict=True)):
         span, truth = f"a filter runs from {initial.time:g} to {drive.imu.time[-1]:g} s", drive.truth

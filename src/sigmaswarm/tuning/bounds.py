@@ -18,7 +18,7 @@ BoundSide = Literal["lower", "upper"]
 
 @dataclass(frozen=True)
 class TouchedBound:
-    """A parameter whose value is at a bound; ``str`` gives the text in files: ``q_x at its lower bound (1e-05)``."""
+    """A parameter whose value is at a bound. ``str`` gives the text in files: ``q_x at its lower bound (1e-05)``."""
 
     parameter: str
     end: BoundSide
@@ -54,7 +54,7 @@ class Dimension:
     - ``logarithmic``: True if the range spans powers of ten.
     - ``inflation``: decades by which the parameter increases per decade of the inflation factor (`tuning.inflation`).
     - ``least``: lower limit after inflation.
-    - ``typical``: mean and standard deviation of the prior (if ``logarithmic``, in decades); None: no prior.
+    - ``typical``: mean and standard deviation of the prior (in decades, if ``logarithmic``); None without a prior.
     """
 
     name: str
@@ -122,7 +122,7 @@ class Bounds:
         """Return half the squared distances, shape (n,), of points, shape (n, d), from the typical values.
 
         Each coordinate is divided by its standard deviation. In a linear search, parameters whose range spans powers of
-        ten have no prior and do not contribute.
+        ten have no prior and are not counted.
         """
         known = np.array([d.typical is not None for d in self.dimensions]) & (
             self.logarithmic | ~self._spans_decades

@@ -88,7 +88,7 @@ SWARM = ("inertia", "cognitive", "social", "zero_velocity_at_bounds")
 DEFERRED_OPTIONS = ("model", "kind", "use")
 """Options whose default depends on the drives or on the model."""
 RENAMED = {"margin": "inflation"}
-"""Options that version 0.3.0 calls by another name: old name, current name."""
+"""Options that have another name in version 0.3.0: old name, current name."""
 SYNONYMS = {
     **dict.fromkeys(("n_trials", "restarts", "n_restarts", "repeats"), "trials"),
     **dict.fromkeys(("random_state", "random_seed", "rng"), "seed"),
@@ -129,9 +129,9 @@ class SearchConfig(BaseModel):
     generations: int = Field(default=50, ge=1)
     """Number of generations of each trial, including the initial generation."""
     trials: int = Field(default=1, ge=1)
-    """Number of independent searches; the result is that of the search with the lowest cost. All costs are reported."""
+    """Number of independent searches. The result is that of the search with the lowest cost; all costs are reported."""
     seed: int = Field(default=0, ge=0)
-    """Seed of all random numbers; the same seed gives the same result."""
+    """Seed of all random numbers. The same seed gives the same result."""
     worst: float = Field(default=1.0, gt=0, le=1)
     """Average the cost over this fraction of the drives, those with the highest costs; 1 means all drives."""
     # At the same budget, de-qpso is at least as good as de and better than the paper's pso (docs/optimizers.md).
@@ -163,7 +163,7 @@ class SearchConfig(BaseModel):
             if getattr(self, name) != type(self).model_fields[name].default:
                 raise ValueError(
                     f"{name} is an option of the optimizer pso, not of {_qualified_name(self.optimizer)}; choose "
-                    f"pso, or leave {name} out"
+                    f"pso, or omit {name}"
                 )
         return self
 
@@ -250,7 +250,7 @@ def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:
             papers = "nothing" if PAPER_OPTIONS[name] in ((), None) else PAPER_OPTIONS[name]
             raise InputError(
                 f"{name} = {value!r} contradicts the paper's setting, which is {papers}; "
-                f"leave out {name}, or --paper (in Python: paper=True)"
+                f"omit {name}, or --paper (in Python: paper=True)"
             )
     return {**options, **PAPER_OPTIONS}
 
@@ -258,7 +258,7 @@ def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:
 def current_options(
     config: type[SearchConfig], options: Mapping[str, Any], arguments: Iterable[str]
 ) -> dict[str, Any]:
-    """Return options under their current names; reject an unknown option and suggest a similar name.
+    """Return options under their current names. An unknown option is refused, and a similar name is suggested.
 
     ``config`` defines the options. ``arguments`` are further names that can be suggested.
     """
@@ -267,7 +267,7 @@ def current_options(
         if name in RENAMED and RENAMED[name] in known:
             warn_deprecated(f"the option {name}", RENAMED[name])
         elif config is ModelTuneConfig and name not in known and name in TuneConfig.model_fields:
-            remedy = MODEL_REMEDIES.get(name, f"leave {name} out")
+            remedy = MODEL_REMEDIES.get(name, f"omit {name}")
             raise InputError(f"{name} = {value!r} is only possible with built-in models; {remedy}")
         elif name not in known:
             nearest = similar_name(name, [*known, *arguments])
@@ -298,7 +298,7 @@ def similar_name(name: str, known: Iterable[str]) -> str | None:
 
 
 def validated_config(kind: type[C], options: Mapping[str, Any]) -> C:
-    """Check the options of a tuning run; raise `InputError` for the first invalid option."""
+    """Check the options of a tuning run. Raises `InputError` for the first invalid option."""
     try:
         config = kind(**options)
     except ValidationError as error:

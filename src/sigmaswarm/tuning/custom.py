@@ -41,7 +41,7 @@ class ModelProblem(Problem[dict[str, float]]):
         return dict(zip(self.space.names, self.space.values(point).tolist(), strict=True))
 
     def failure_reason(self, point: Array) -> str | None:
-        """Return the reason why the filter at a point, shape (d,), failed on a log; None if it did not fail."""
+        """Return the reason why the filter at a point, shape (d,), failed on a log, or None if it did not fail."""
         parameters = self.parameters(point)
         failures = (run_model(log, self.model, parameters).failure for log in self.logs)
         return next((f"model {self.model.name}, log {failure}" for failure in failures if failure), None)
@@ -84,7 +84,7 @@ def model_problem(logs: Sequence[Log], model: Model, config: SearchConfig) -> Mo
 
 
 def truth_rmse(log: Log, model: Model) -> Callable[[Array], float]:
-    """Return a function that computes the RMSE of a model's ``scored`` states; by default, of every state with truth.
+    """Return a function that computes the RMSE of a model's ``scored`` states, by default all states with truth.
 
     The function takes the state means at the log's times, shape (k, n), and interpolates them to the times of the
     truth.

@@ -27,14 +27,14 @@ CORRELATED_OBJECTIVE = "truth-pose + 0.2 nees + 0.1 innovation-t"
 
 The truth then hardly determines R, since a drive has few independent position errors. After tuning on the first half of
 comma2k19 with truth alone, the filter hardly uses the fixes (mean NIS 0.02), and the position RMSE on the second half
-is 0.81 m. With 0.1 innovation-t it is 0.50 m, and with 0.3 innovation-t 0.47 m. If the halves are exchanged, it is
-0.54, 0.52 and 1.63 m (12 seeds). If fix errors are white, the likelihood only adds noise: with RTK, the heading error
-of planar8 would rise by 20%.
+is 0.81 m. With 0.1 innovation-t it is 0.50 m, and with 0.3 innovation-t 0.47 m. With the halves exchanged, the three
+values are 0.54, 0.52 and 1.63 m (12 seeds). If fix errors are white, the likelihood only adds noise: with RTK, the
+heading error of planar8 would rise by 20%.
 """
 FORECAST_OBJECTIVES = ("truth-pose + 0.2 nees + 0.2 forecast-t", "0.5 innovation-t + 0.5 forecast-t")
 """Objectives with and without truth, for a model with roll and pitch, if the fix errors of most drives are white.
 
-With truth, forecasts are added, since truth-pose includes the drift over only a few outages. After tuning on three
+With truth, forecasts are added, since the drift in truth-pose comes from only a few outages. After tuning on three
 simulated drives of 120 s, the 5 s drift on other drives was 1.9 m without forecasts and 0.8 m with them.
 
 If the fix errors are correlated, a filter that is tuned by forecasts reproduces these errors: with a u-blox M8, its
@@ -45,8 +45,8 @@ increase the heading error of planar8 by 5% (ten cases).
 FIX_ERROR_OBJECTIVE = "innovation-t + 0.2 truth-pose + 0.2 nees"
 """Default objective with truth if the filter estimates correlated fix errors (option ``fix-error``).
 
-It is mainly the likelihood, since a drive has few independent position errors. With a larger weight of truth-pose, the
-filter overfits to the errors of the training drive.
+It consists mainly of the likelihood, since a drive has few independent position errors. With a larger weight of
+truth-pose, the filter overfits to the errors of the training drive.
 """
 PRIOR_WITH_TRUTH = 0.3
 """Weight of the priors with `FIX_ERROR_OBJECTIVE`.
@@ -58,7 +58,7 @@ With a weight of 1 instead, the position RMSE after tuning on one such drive was
 MAX_WHITE_SHARE = 0.7
 """Largest ratio of white noise to true standard deviation of the fixes at which fix-error is used.
 
-A log of very accurate fixes that states no accuracy looks like a log with correlated errors. With fix errors of 0.08 m,
+A log of very accurate fixes without stated accuracy looks like a log with correlated errors. With fix errors of 0.08 m,
 a robot's filter had a position RMSE of 0.93 m with fix-error, and 0.07 m without it. The ratio is 0.2 to 0.6 with a
 u-blox M8.
 """
@@ -79,7 +79,7 @@ def default_filter_options(
 
     Return the options, and a line that explains the added options ("" if none was missing).
 
-    For planar5, the paper's model, no measurements are added. Measurements that conflict with ``kind`` or the objective
+    No measurements are added to planar5, the paper's model. Measurements that conflict with ``kind`` or the objective
     are omitted. ``fix-error`` is added only to the model that suits the sensors: on roads that need tilted12,
     ``fix-error`` doubles the drift of planar8 over 30 s.
     """
@@ -113,8 +113,8 @@ def _needs_fix_error(model: str, options: dict[str, Any], drives: Sequence[Drive
 
     Without truth, fix-error changes the position RMSE by -25% on kingston-1, and by -13% and +6% on two parts of
     comma2k19. With simulated receivers whose errors last minutes, fix-error improves only the covariance. If the
-    objective uses truth, fix-error is used only with the default objective of a model with roll and pitch: see
-    `space.FIX_ERROR_TIME`.
+    objective uses truth, fix-error is used only with the default objective of a model with roll and pitch (see
+    `space.FIX_ERROR_TIME`).
     """
     have, objective = [log_properties(one) for one in drives], options.get("objective") or "auto"
     known = model in MODELS
@@ -173,7 +173,7 @@ def objective_for(
     without_truth = [one.name for one in data if not one.truth]
     if without_truth and len(without_truth) < len(data):
         warnings.warn(
-            f"{without_truth[0]} has no truth, so the objective is {without}; leave drives without truth out, or set "
+            f"{without_truth[0]} has no truth, so the objective is {without}; omit drives without truth, or set "
             "--objective",
             SigmaswarmWarning,
             stacklevel=5,
@@ -193,7 +193,7 @@ def complete_config(config: C, data: Sequence[LogProperties | Log]) -> C:
 
 
 def _is_as_stated(cars: Sequence[LogProperties]) -> bool:
-    """Return True if the truth confirms the receivers' standard deviations, on which the prior on R is centered."""
+    """Return True if the truth confirms the receivers' standard deviations, which are the center of the prior on R."""
     ratio = _mean(cars, "true_std") / _mean(cars, "receiver_std")
     return 1 / MAX_STD_RATIO < ratio < MAX_STD_RATIO
 

@@ -1,4 +1,4 @@
-"""Find faults of a tuned filter that the objective hardly shows: divergence, drift and a wrong scale of the covariance.
+"""Find faults of a tuned filter that the objective hardly shows: divergence, drift, a wrong scale of the covariance.
 
 If all variances are multiplied by mean NIS / 2, the mean NIS becomes about 2. This factor can change the estimates,
 since fixed variances of the initial state and robust weights make the gains depend on the scale. Therefore the change
@@ -45,8 +45,8 @@ MAX_CONFIRMED_RATIO = 0.8
 """Largest ratio of drifts at which the scatter of the fixes is used as their standard deviation.
 
 The ratio is the drift of the baseline with this standard deviation, divided by its drift with the assumed one. On four
-logs with ratios of 0.3 to 0.75, stating the scatter reduced the 5 s drift of a tuned filter on the held-out part by 10
-to 78% (one seed each). On two logs with ratios of 0.85 and 1.1, stating the scatter increased this drift.
+logs with ratios of 0.3 to 0.75, tuning with the scatter as the standard deviation reduced the 5 s drift on the held-out
+part by 10 to 78% (one seed each). On two logs with ratios of 0.85 and 1.1, it increased this drift.
 """
 CHECKED_TIME = 600.0  # s in the middle of a drive that are checked for drift
 DO_NOT_USE = "DO NOT USE THIS FILTER"
@@ -91,7 +91,7 @@ def larger_drifts(forecasts: Sequence[DriftComparison]) -> list[str]:
 def drift_table(forecasts: Sequence[DriftComparison], durations: Sequence[float] = ()) -> Table:
     """Return a table of drifts.
 
-    The caption states which part of the drives was measured; ``durations``: durations of the drives, s.
+    The caption states which part of the drives was measured. ``durations`` are the durations of the drives, s.
     """
     first = f"first {MAX_NAMED_DRIVES} " * (len(durations) > MAX_NAMED_DRIVES)
     part = f", {CHECKED_TIME:g} s in the middle of each" * (
@@ -115,8 +115,8 @@ def forecasts_of(
 ) -> Iterator[DriftComparison]:
     """Measure the drift over outages of several lengths in the middle part of the first drives.
 
-    On a drive of at most `CHECKED_TIME`, an evaluation with the default seed has the same outages and drift.
-    ``shown_std``: see `baseline`.
+    On a drive of at most `CHECKED_TIME`, an evaluation with the default seed has the same outages and drift. For
+    ``shown_std`` see `baseline`.
     """
     some = scorer.subset(range(min(len(scorer.dataset), MAX_NAMED_DRIVES)))
     for length in FORECAST_LENGTHS:
@@ -161,7 +161,7 @@ def drift_warnings(drifts: Iterable[tuple[float, ...]], most: float = MAX_DRIFT_
 
 
 def restarts_of(ready: PreparedDrive, parameters: FilterParameters) -> tuple[str, list[float]]:
-    """Return a drive's name and the times (s) at which a monitored filter was reset in the drive's first hour."""
+    """Return a drive's name, and the times (s) in its first hour at which a monitored filter was reset."""
     return ready.drive.name, FilterRun(_first_part(ready), parameters, recover=True).finished().restarts
 
 
@@ -176,9 +176,9 @@ def correlation_of(ready: PreparedDrive, parameters: FilterParameters) -> float:
 def correlation_warnings(
     parameters: FilterParameters, correlations: Iterable[float], use: Sequence[str] = ()
 ) -> list[str]:
-    """Warn if innovations are correlated, and the filter does not model correlated fix errors although it could.
+    """Warn if innovations are correlated, and the filter could model correlated fix errors but does not.
 
-    ``use``: values of ``--use`` in the proposed command.
+    ``use`` contains the values of ``--use`` in the proposed command.
     """
     known = [value for value in correlations if np.isfinite(value)]
     augmented = kernel_name(parameters.model, parameters.kind, fix_error=True)
@@ -243,9 +243,9 @@ def _drifts(
 def confirmed_std(like: FilterParameters, std: float, scorer: AnyBatchScorer) -> StdCheck | None:
     """Run the baseline with ``std`` and with the assumed standard deviation of the fixes, and compare the drifts.
 
-    ``std``: m per axis. ``like`` determines the model and the options of the baseline. Return None if the drifts are
-    unknown. Also return None if the ratio of the drift with ``std`` to the drift with the assumed value, as a geometric
-    mean over the lengths of the outages, is above `MAX_CONFIRMED_RATIO`.
+    ``std`` is in m per axis. ``like`` determines the model and the options of the baseline. Return None if the drifts
+    are unknown. Also return None if the ratio of the drift with ``std`` to the drift with the assumed value is above
+    `MAX_CONFIRMED_RATIO`. This ratio is a geometric mean over the lengths of the outages.
     """
     some = scorer.subset(range(min(len(scorer.dataset), MAX_NAMED_DRIVES)))
     found: dict[float, list[float]] = {}
@@ -274,7 +274,7 @@ def _mean_drifts(drifts_of_drives: Iterable[tuple[float, ...]]) -> list[float]:
 
 
 def scale_warnings(objective: Objective, parameters: FilterParameters, scorer: AnyBatchScorer) -> list[str]:
-    """Warn if the objective does not determine the scale of the covariance; if possible, propose a factor."""
+    """Warn if the objective does not determine the scale of the covariance, and propose a factor if possible."""
     if not objective.scale_free:
         return []
     before, name = scorer.scores([parameters]), objective.name

@@ -8,12 +8,12 @@ increase is allowed.
 For a planar model, all process noise is inflated except the random walk of the gyro's bias. The noise of the velocity
 is included, since it represents the tilt of roads. One drive hardly determines the random walk: an inflation to 1e-7
 (rad/s)2/s raised the heading error on another car's drive by 29%. For a model with roll and pitch, the random walks of
-the biases are inflated by the factor, and the noise of position and velocity by the square root of the factor. With the
-whole factor for position and velocity, the position RMSE on another car's drive is 0.86 instead of 0.65 times that of
-the fixes. Without inflation of position and velocity, the heading error with a cheap IMU is 50% larger. The noises of
+the biases are inflated by the factor, and the noise of position and velocity by the square root of the factor. If
+position and velocity had the whole factor, the position RMSE on another car's drive would be 0.86 instead of 0.65 times
+that of the fixes. If they were not inflated, the heading error with a cheap IMU would be 50% larger. The noises of
 heading and yaw rate in robot-localization are not inflated, since they do not depend on roads.
 
-Multiplication hardly changes a noise near zero. In a filter with roll and pitch, the noise of these angles, the random
+A factor hardly changes a noise near zero. In a filter with roll and pitch, the noise of these angles, the random
 walks of the gyro's x and y biases, and the standard deviations of the initial biases therefore have minima
 (`space.INFLATION_MINIMA`). With these minima, a filter that was tuned on one drive has a position RMSE of 0.8 m instead
 of 1.7 m on another car's drive. On drives of the same car, the minima change the RMSE by -5 to +2%. Three or more
@@ -54,7 +54,7 @@ class Sensitivity:
     value : float
         Value in the tuned filter; 1 for the factor on all noise variances.
     lowest, highest : float or None
-        Values at which the cost has increased by 1%; None if the range reaches the bound.
+        Values at which the cost has increased by 1%; None if the cost at the bound is lower.
     lowest_rise : float
         Lowest relative change of the cost at the tried values; negative if the search had not converged.
     """
@@ -125,15 +125,15 @@ INFLATION, TILTED_INFLATION, WITH_TRUTH = 0.05, 0.02, 0.01
 The limits are those of planar models without truth, of other models without truth, and of tilted12 with truth.
 """
 MIN_DRIVES_WITH_TRUTH = 3
-"""Smallest number of drives with truth from which the standard deviations of the initial biases are determined."""
+"""Smallest number of drives with truth that determines the standard deviations of the initial biases."""
 REFERENCE_DURATION, TILTED_DURATION = 100.0, 150.0
 """Total driving times (s) up to which the whole cost increase is allowed.
 
-The first time is for planar models, the second for models with roll and pitch. Twice the time allows half of the
-increase. On the 72 pairs of drives of `benchmarks/road_matrix.py`, the position RMSE of planar8 is 1 to 2% lower with
+The first time is for planar models, the second for models with roll and pitch. At twice this time, half of the increase
+is allowed. On the 72 pairs of drives of `benchmarks/road_matrix.py`, the position RMSE of planar8 is 1 to 2% lower with
 100 s than with 150 s, and its 5 s drift is 3 to 4% lower. With roll and pitch, a filter was tuned on 200 s of
-kitti-09-30-0018 and tested on kitti-09-30-0033. The 95% radius contained 83% of its errors with 100 s, and 90% with
-150 s; the position RMSE on the training roads differed by less than 1%. Shorter drives do not allow a larger increase:
+kitti-09-30-0018 and tested on kitti-09-30-0033. The 95% radius contained 83% of its errors with 100 s, and 90% with 150
+s; the position RMSE on the training roads differed by less than 1%. Shorter drives do not allow a larger increase:
 after tuning on 60 s of a highway, an increase of 0.086 instead of 0.05 raised the 5 s drift on other roads by 20%.
 """
 MIN_BIAS_RATIO = 5.0
@@ -148,9 +148,9 @@ STEP = 0.1  # decades between two factors
 def inflate(
     problem: CarProblem, point: Array, allowed: float, executor: Executor | None
 ) -> tuple[Array, float, float]:
-    """Inflate the process noise of a point, shape (d,), within the bounds, as far as its cost permits.
+    """Inflate the process noise of a point, shape (d,), within the bounds, as much as its cost permits.
 
-    ``allowed`` is the largest relative increase of the cost without a prior; it is reduced for driving times above the
+    ``allowed`` is the largest relative increase of the cost without a prior. It is reduced for driving times above the
     reference. Parameters below their minima are then raised to these minima. Return the new point, its cost and the
     inflation factor.
     """
@@ -184,7 +184,7 @@ def shown_bias(starts: Sequence[InitialState]) -> float:
 
 
 def predicted_bias(biases: Sequence[float]) -> float:
-    """Return the standard deviation (rad/s) of the gyro bias on another drive, from true biases; 0 if unknown.
+    """Return the standard deviation (rad/s) that the gyro bias has on another drive, from true biases; 0 if unknown.
 
     For a mean of zero, the bias on another drive has a Student's t distribution with n degrees of freedom (n drives).
     For n < 3, the standard deviation of this distribution is infinite, and the RMS of the biases is returned instead.

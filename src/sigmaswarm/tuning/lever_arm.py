@@ -33,7 +33,7 @@ from sigmaswarm.tuning.search import TrialRunner
 
 ARM = ("forward", "left")
 UNKNOWN_STD, STATED_STD = 2.0, 1.0
-"""Prior standard deviations (m) if drive.toml has no lever arm, and if it has one without a standard deviation."""
+"""Prior standard deviations (m): if drive.toml has no lever arm, and if it has one without a standard deviation."""
 SCALES = ("scale_ax", "scale_ay", "scale_gz")
 ROLLING = 0.1
 """Prior standard deviation of a planar filter's accelerometer scale errors, which include effects of roll and pitch."""
@@ -52,7 +52,7 @@ not exactly linear.
 Without this factor, 93% of the errors on 65 simulated drives were within 1.96 standard deviations.
 """
 MAX_ROUNDS, STEP_TOLERANCE = 8, 0.005
-"""Largest number of Gauss-Newton steps, and step of the lever arm (m) below which the iteration ends."""
+"""Largest number of Gauss-Newton steps, and the step of the lever arm (m) below which the iteration ends."""
 NOISE_SEARCH: dict[str, Any] = {"particles": 32, "generations": 50, "inflation": 0.0, "prior": 0.0}
 """Options for tuning the noise.
 
@@ -60,7 +60,7 @@ Without tuning, the standard deviations of the lever arm are two to six times as
 """
 Values = dict[str, float]
 Whitened = tuple[Array, Array, Array, Array]
-"""Arrays of a drive: times (f,), s; L^-1 nu (f, 2); its negative derivatives (f, 2, k); robust weights (f,)."""
+"""Arrays of a drive: times (f,), s; L^-1 nu (f, 2); negative derivatives of L^-1 nu (f, 2, k); robust weights (f,)."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class LeverArmEstimate:
     stated : (float, float)
         Lever arm in drive.toml, m; zeros if drive.toml contains none.
     within : float
-        Required accuracy, m: an axis is observable if 1.96 standard deviations are at most this value.
+        Required accuracy, m. An axis is observable if 1.96 standard deviations are at most this value.
     """
 
     forward: float
@@ -114,7 +114,10 @@ class LeverArmEstimate:
         return vars(self) | pairs
 
     def applied(self, drive: Drive) -> Drive:
-        """Return a copy of a drive with the observable axes in ``gps_lever_arm_m``; others keep the stated value."""
+        """Return a copy of a drive with the observable axes in ``gps_lever_arm_m``.
+
+        Other axes keep the stated value.
+        """
         if not any(self.observable):
             return drive
         repaired = [*drive.metadata.get("repaired", []), "lever-arm"]
@@ -141,7 +144,7 @@ def estimate_lever_arm(
     parameters : FilterParameters, optional
         The filter that computes the innovations. Default: the default filter for the logs, tuned by likelihood.
     within : float
-        Required accuracy, m: an axis is observable if its 95% error is at most this value.
+        Required accuracy, m. An axis is observable if its 95% error is at most this value.
 
     Returns
     -------
@@ -152,8 +155,8 @@ def estimate_lever_arm(
     AlignmentError
         If no filter can start on a drive, for example because the vehicle is too slow.
     InputError
-        If there are no drives, the drives state different lever arms or standard deviations, a filter fails, or
-        ``within`` is not positive and finite.
+        If there are no drives, if the drives state different lever arms or standard deviations, if a filter fails, or
+        if ``within`` is not positive and finite.
     """
     read = [replace(drive, truth=None) for drive in as_list(drives)]
     if not read:
@@ -283,7 +286,7 @@ def _whitened(ready: PreparedDrive, parameters: FilterParameters, values: Values
     if not np.isfinite(start.nis).all():
         name = ready.drive.name
         raise InputError(
-            f"the filter fails on {name}; repair the faults that `sigmaswarm doctor` finds, or leave the drive out"
+            f"the filter fails on {name}; repair the faults that `sigmaswarm doctor` finds, or omit the drive"
         )
     moved = [run({**values, name: v + STEP[name]}).innovation for name, v in values.items()]
     slopes = [(nu - start.innovation) / STEP[name] for name, nu in zip(values, moved, strict=True)]

@@ -33,7 +33,7 @@ class Objective:
     likelihood : bool
         True for a negative log-likelihood, or a sum with such a term. Without truth, the unit of the whole sum is nats.
     nats : float
-        Total weight of the logarithmic terms; 0 if the cost is a positive error. If errors are 1% larger, a term of
+        Total weight of the logarithmic terms; 0 if the cost is a positive error. If all errors are 1% larger, a term of
         weight 1 increases by 0.01 nats per element of a measurement.
     warning : str or None
         Warning for the user before the search.
@@ -80,7 +80,7 @@ def mean_cost(each: Array, worst: float) -> Array:
 
 
 def conditional_value_at_risk(costs: Array, share: float) -> Array:
-    """Return the mean over the fraction ``share`` of highest costs in each row; costs (n, m), result (n,).
+    """Return the mean over the fraction ``share`` of highest costs in each row. Costs are (n, m), the result is (n,).
 
     If m times ``share`` is not an integer, the smallest of these costs has a smaller weight (conditional value at risk:
     R. T. Rockafellar and S. Uryasev, J. Risk 2, 2000).

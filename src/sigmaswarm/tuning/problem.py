@@ -66,7 +66,7 @@ class Problem(ABC, Generic[P]):
 
     @property
     def recorded_data(self) -> list[dict[str, Any]]:
-        """``data`` for tuning.toml, with additional properties that do not identify a drive."""
+        """The record ``data`` of tuning.toml, with additional properties that do not identify a drive."""
         return self.data
 
     @property
@@ -93,7 +93,7 @@ class Problem(ABC, Generic[P]):
 
     @abstractmethod
     def with_data(self, data: Any) -> "Problem[P]":
-        """Return the problem with the same filter and objective on other data."""
+        """Return the problem with the same filter and objective, but other data."""
 
     def combined(self, each: Array) -> Array:
         """Combine the costs on k drives, shape (n, k), to costs of the points, shape (n,)."""
@@ -116,7 +116,7 @@ class Problem(ABC, Generic[P]):
         return None
 
     def failure_reason(self, point: Array) -> str | None:
-        """Return the reason why the filter at a point failed; None if unknown."""
+        """Return the reason why the filter at a point failed, or None if it is unknown."""
         return None
 
 
@@ -124,7 +124,7 @@ class Problem(ABC, Generic[P]):
 class CarProblem(Problem[FilterParameters]):
     """Tuning of a built-in model on drives, made by `car_problem`.
 
-    ``std_check``: the standard deviation of the fixes that replaces an assumed one.
+    ``std_check`` is the standard deviation of the fixes that replaces an assumed one.
     """
 
     config: TuneConfig
@@ -279,11 +279,11 @@ def car_problem(
     space: SearchSpace | None = None,
     std_check: StdCheck | None = None,
 ) -> CarProblem:
-    """Create the optimization problem; if ``space`` is None, also determine the space and ``std_check``."""
+    """Create the optimization problem. If ``space`` is None, also determine the space and ``std_check``."""
     objective = parse_objective(config.objective)
     if config.prior and not objective.nats:
         raise InputError(
-            f"prior = {config.prior:g}: the prior is in nats, but {objective.name} is not; leave prior out, or use "
+            f"prior = {config.prior:g}: the prior is in nats, but {objective.name} is not; omit prior, or use "
             "innovation-nll or innovation-t"
         )
     dataset = LocalDataset(drives) if isinstance(drives, Sequence) else drives
@@ -303,7 +303,7 @@ def _std_check(scorer: AnyBatchScorer, config: TuneConfig, have: Sequence[LogPro
     """Compare the assumed standard deviation of fixes with their scatter, if it is assumed on all drives.
 
     Return None if a log or the truth shows the standard deviation on some drive, since the result applies to all
-    receivers. Return None also with fix-error, which models the assumed standard deviation as that of correlated
+    receivers. Also return None with fix-error, which models the assumed standard deviation as that of correlated
     errors.
     """
     if (
@@ -336,6 +336,6 @@ def _check_columns(drives: Sequence[LogProperties], config: TuneConfig) -> None:
     for drive in drives:
         for option, columns in needed.items():
             if option in config.use and not getattr(drive, option):
-                why = f"which --use {option} needs; leave {option} out"
+                why = f"which --use {option} needs; omit {option}"
                 raise InputError(f"{drive.name}: its gps.csv has no {columns}, {why}")
         require_named_axes(drive.name, drive.axes, config.model)

@@ -32,7 +32,7 @@ MIN_SCATTER = 0.5  # m per axis; if fixes scatter less, the receiver smooths the
 UNKNOWN = "A log without truth does not show an error that all fixes have in common"
 AT_THE_TOP = "at the top of drive.toml"
 TUNE_AGAIN = "tune again with a new folder"
-IF_KNOWN = f"If you know it (m per axis), write it as gps_std_m {AT_THE_TOP}; then {TUNE_AGAIN}"
+IF_KNOWN = f"If you know the accuracy (m per axis), write it as gps_std_m {AT_THE_TOP}; then {TUNE_AGAIN}"
 NO_STD = f"The fixes do not show their accuracy either. {IF_KNOWN}"
 
 
@@ -40,8 +40,8 @@ NO_STD = f"The fixes do not show their accuracy either. {IF_KNOWN}"
 class StdCheck:
     """A standard deviation of the fixes, m per axis, with which the baseline drifts less than with the assumed one.
 
-    ``drift_m``, ``assumed_m``: RMS drifts (m) of the baseline with the two standard deviations in outages of
-    ``length_s`` on the training drives.
+    ``drift_m`` and ``assumed_m`` are the RMS drifts (m) of the baseline with this and with the assumed standard
+    deviation, in outages of ``length_s`` on the training drives.
     """
 
     std: float
@@ -55,17 +55,17 @@ class StdCheck:
             "the receiver states no accuracy. `tune` used the scatter of the fixes as their standard deviation, "
             f"{self.std:.2g} m per axis: with this value the baseline drifts {self.drift_m:.3g} m instead of "
             f"{self.assumed_m:.3g} m in outages of {self.length_s:g} s. The true value may be larger, since the "
-            f"scatter does not contain slow errors of the fixes. {IF_KNOWN}"
+            f"scatter does not contain slowly varying errors. {IF_KNOWN}"
         )
 
 
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
     """Return the penalties of the prior on R, nats per fix, shape (n, m), for n parameter sets and m drives.
 
-    The penalty is 0.5 (log10(R / std^2) / 0.5)^2 if R is smaller than std^2, else 0, averaged over both axes. ``std``,
-    shape (m, 2), is the `receiver_std` of each drive, in meters. With the option accuracy, R is that of the median fix.
-    With fix-error, R includes the variance of the correlated errors, and the penalty of an R larger than std^2 is 0.5
-    (log10(R / std^2) / 0.25)^2.
+    The penalty is 0.5 (log10(R / std^2) / 0.5)^2 if R is smaller than std^2, otherwise 0, averaged over both axes.
+    ``std``, shape (m, 2), is the `receiver_std` of each drive, in meters. With the option accuracy, R is that of the
+    median fix. With fix-error, R includes the variance of the correlated errors, and the penalty of an R larger than
+    std^2 is 0.5 (log10(R / std^2) / 0.25)^2.
     """
     log = np.log10(typical_variance(parameter_sets, std) / std**2)
     correlated = ParameterTable.of(parameter_sets).column("fix_error")[:, None, None] > 0.0
@@ -84,8 +84,8 @@ def typical_variance(parameter_sets: Sequence[FilterParameters], std: Array) -> 
 class FixNoise:
     """Estimates of the errors of a drive's fixes, m per axis; NaN if unknown.
 
-    ``stated``: median standard deviation that the receiver states. ``scatter``: standard deviation of the fixes about
-    paths of ten seconds that are consistent with the IMU.
+    ``stated`` is the median standard deviation that the receiver states. ``scatter`` is the standard deviation of the
+    fixes about paths of ten seconds that agree with the IMU.
     """
 
     stated: float
@@ -93,7 +93,7 @@ class FixNoise:
 
 
 def fix_noise(drive: Drive) -> FixNoise:
-    """Estimate the errors of a drive's fixes; ``scatter`` is measured in the middle `SPAN` seconds."""
+    """Estimate the errors of a drive's fixes. ``scatter`` is measured in the middle `SPAN` seconds."""
     middle = float(drive.imu.time[0] + drive.imu.time[-1]) / 2
     try:
         scatter = fix_scatter(clip(drive, middle - SPAN / 2, middle + SPAN / 2)) or np.nan
@@ -115,8 +115,8 @@ def noise_warnings(
 ) -> list[str]:
     """Warn if R contradicts the training drives' fixes.
 
-    ``check``: the standard deviation that replaces the assumed one; ``use``: values of ``--use`` in the proposed
-    command.
+    ``check`` is the standard deviation that replaces the assumed one. ``use`` contains the values of ``--use`` in the
+    proposed command.
     """
     if parameters.accuracy_scale is not None or not drives:
         return []
@@ -170,7 +170,8 @@ def prior_warnings(
 ) -> list[str]:
     """Report the first drive on which the prior changed R noticeably.
 
-    ``receiver``: standard deviations of the prior, m; ``assumed``: True for drives where they are only assumed.
+    ``receiver`` contains standard deviations of the prior, m. ``assumed`` is True for drives where they are only
+    assumed.
     """
     costs = weight * prior_costs([parameters], receiver)[0]
     r = np.sqrt(np.mean(typical_variance([parameters], receiver)[0], axis=1))
@@ -204,7 +205,8 @@ def accuracy_warnings(
 ) -> list[str]:
     """Warn if the stated accuracies hardly affect R.
 
-    ``stated``: median stated standard deviation of each drive, m; ``use``: values of ``--use`` in the proposed command.
+    ``stated`` is the median stated standard deviation of each drive, m. ``use`` contains the values of ``--use`` in the
+    proposed command.
     """
     std = _median(stated)
     if parameters.accuracy_scale is None or not np.isfinite(std):
@@ -218,7 +220,7 @@ def accuracy_warnings(
         "accuracy hardly changes from fix to fix, or is unrelated to the errors of the fixes"
     )
     rest = " ".join(name for name in use if name != "accuracy")
-    return [to_do(f"tune with --use {rest}" if rest else "leave accuracy out of --use", why)]
+    return [to_do(f"tune with --use {rest}" if rest else "omit accuracy from --use", why)]
 
 
 def _median(values: Sequence[float]) -> float:

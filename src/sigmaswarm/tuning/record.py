@@ -30,11 +30,11 @@ from sigmaswarm.tuning.space import searched_name
 from sigmaswarm.wording import count_of
 
 End = float | Literal["-"]
-"""End of the range in which the cost increases by less than 1%; ``-`` if the range ends at the bound."""
+"""End of the range in which the cost increases by less than 1%; ``-`` if the range reaches the bound."""
 NOT_VALIDATED = (
     "the cost is that of the training drives; evaluate the filter on other drives, or pass validation drives"
 )
-"""Remark in tuning.toml; an evaluation omits it."""
+"""Remark in tuning.toml, which an evaluation omits."""
 NOT_VALIDATED_TEXTS = (
     NOT_VALIDATED,
     "its cost is that of the drives it was tuned on; evaluate it on others, or name some as validation",
@@ -88,11 +88,11 @@ class ResultRecord(BaseModel):
     filter_steps: int = 0
     filter_steps_without_racing: int = 0
     lower_cost_at: dict[str, float] = Field(default_factory=dict)
-    """Lowest relative change of the cost if only one parameter changes, by parameter; contains only negative values."""
+    """Lowest relative change of the cost if only one parameter changes, by parameter. Contains only negative values."""
 
 
 class TuningRecord(BaseModel):
-    """tuning.toml; a file of `FilterParameters` has only the tables ``filter`` and ``units``."""
+    """A tuning.toml. A file of `FilterParameters` has only the tables ``filter`` and ``units``."""
 
     filter: dict[str, float | str | list[float]]
     units: dict[str, str | list[str]] = Field(default_factory=dict)
@@ -107,7 +107,7 @@ class TuningRecord(BaseModel):
 
     @classmethod
     def read(cls, path: Path) -> "TuningRecord":
-        """Read a tuning.toml or the folder of a tuning; an ekf.yaml has no record of a tuning."""
+        """Read a tuning.toml or the folder of a tuning. An ekf.yaml has no record of a tuning."""
         return cls(filter={}) if path.suffix in YAML else load_record(cls, filter_file(path))
 
     @classmethod
@@ -142,7 +142,10 @@ class TuningRecord(BaseModel):
 
     @property
     def for_export(self) -> dict[str, Any]:
-        """Arguments of `export_texts`; without ``imu_axes`` if the drives have different rotations after them."""
+        """Arguments of `export_texts`.
+
+        ``imu_axes`` is omitted if the drives have different rotations after these axes.
+        """
         axes = {} if self.mountings_differ else self.imu_axes
         return {"as_recorded": self.as_recorded, "mounting": self.mounting, "imu_axes": axes}
 
@@ -300,7 +303,7 @@ def _end(end: End | None) -> Cell:
 class TunedFilter:
     """A filter, the record of its tuning, and the landmarks by which copies of the training drives are recognized.
 
-    Landmarks are positions and yaw rates of a drive: see `drives.overlap`.
+    Landmarks are positions and yaw rates of a drive (see `drives.overlap`).
     """
 
     parameters: FilterParameters

@@ -52,7 +52,10 @@ LARGE_GAP = 0.2  # relative increase of the errors on validation drives above wh
 
 @dataclass(frozen=True)
 class Validation:
-    """Cost, without priors, on drives that the search did not use; ``gap``: increase relative to the training cost."""
+    """Cost, without priors, on drives that the search did not use.
+
+    ``gap`` is the increase of this cost relative to the training cost.
+    """
 
     cost: float
     gap: float
@@ -70,7 +73,7 @@ class Tuning(Generic[P]):
     cost : float
         Cost of these parameters on the training drives, including priors.
     touched_bounds : list of TouchedBound
-        Parameters at a bound, beyond which the optimum may lie.
+        Parameters at a bound; the optimum may lie beyond it.
     trial_costs : tuple of float
         Lowest cost of each trial, before inflation.
     best_trial : int
@@ -101,7 +104,8 @@ class Tuning(Generic[P]):
     forecasts : tuple of DriftComparison
         Drifts over outages of 1, 5 and 30 s on the first training drives, compared with fixes alone and the baseline.
     choice : str
-        Model and measurements that `tune` chose, and the reason; empty if they were given. Not saved in the file.
+        Model and measurements that `tune` chose, and the reason; empty if they were given. The file does not contain
+        this attribute.
     """
 
     parameters: P
@@ -355,5 +359,5 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
 
 
 def _plain(factor: float) -> str:
-    """Format a factor with three digits, or as an integer with separators instead of a power of ten."""
+    """Format a factor with three digits; large factors are integers with separators instead of powers of ten."""
     return f"{factor:.3g}" if factor < 999.5 else f"{factor:,.0f}"

@@ -29,7 +29,8 @@ from sigmaswarm.tuning.store import (
 
 FIRST_DIVISOR = 12  # a race on MIN_RACED_DRIVES or more drives starts with 1 / FIRST_DIVISOR of them
 MIN_RACED_DRIVES = 96
-"""Smallest number of drives for a race against the leader; 1/12 of fewer drives is too small a sample for a test."""
+"""Smallest number of drives for a race against the leader. With fewer drives, 1/12 of them is too small a sample for a
+test."""
 Order = Sequence[int] | NDArray[np.int64]
 
 
@@ -59,7 +60,7 @@ class RaceResult:
 
 
 def rungs(n_candidates: int, n_drives: int) -> list[tuple[int, int]]:
-    """Return numbers of candidates and drives per rung; each rung halves the candidates and doubles the drives."""
+    """Return the numbers of candidates and drives per rung. Each rung halves the candidates and doubles the drives."""
     rungs = [(n_candidates, n_drives // FIRST_DIVISOR if n_drives >= MIN_RACED_DRIVES else min(1, n_drives))]
     while (drives := rungs[-1][1]) < n_drives:
         rungs.append(((rungs[-1][0] + 1) // 2, min(2 * drives, n_drives)))
@@ -89,7 +90,7 @@ def race(
     costs mislead the search.
 
     With `MIN_RACED_DRIVES` or more drives, points that are not better than ``leader`` by one standard error are also
-    dropped; if there is no leader or only one point, no point is dropped.
+    dropped. Without a leader, or with only one point, no point is dropped.
     """
     order = np.asarray(order)
     many, n, m = len(order) >= MIN_RACED_DRIVES, len(points), len(order)
@@ -134,14 +135,14 @@ def _ahead(each: Array, costs: Array, rival: Leader, drives: NDArray[np.int64]) 
 
 
 def _in_order(each: Array, order: NDArray[np.int64]) -> Array:
-    """Sort columns by drive into a C-contiguous array: the rounding of sums depends on order and memory layout."""
+    """Sort columns by drive into a C-contiguous array, since the rounding of sums depends on order and layout."""
     return np.ascontiguousarray(each[:, np.argsort(order[: each.shape[1]], kind="stable")])
 
 
 def _behind(
     costs: Array, finished: NDArray[np.int64], dropped: list[NDArray[np.int64]], otherwise: float
 ) -> Array:
-    """Raise the costs of dropped candidates above the finite costs of finished candidates (if none: ``otherwise``)."""
+    """Raise the costs of dropped candidates above the finite costs of finished candidates, or to ``otherwise``."""
     shifted, floor = costs.copy(), _highest(costs[finished], otherwise)
     for group in reversed(dropped):
         best = float(costs[group].min(initial=np.inf))
@@ -206,7 +207,7 @@ class Trial:
 
 
 def saved_trials(folder: Path, count: int) -> tuple[Trial, ...]:
-    """Read the trials of a finished tuning; return an empty tuple if a trial is missing."""
+    """Read the trials of a finished tuning. Return an empty tuple if a trial is missing."""
     finished = [finished_trial(folder, number) for number in range(count)]
     trials = tuple(_trial(*done) for done in finished if done)
     return trials if len(trials) == count else ()
@@ -220,8 +221,8 @@ def _trial(result: dict[str, Any], history: dict[str, Any]) -> Trial:
 class TrialRunner:
     """Settings that the trials of one tuning share.
 
-    The first generation is drawn around ``center``, shape (d,); if None, uniformly within the bounds. Custom optimizers
-    that are not subclasses of `AskTell` ignore ``center``.
+    The first generation is drawn around ``center``, shape (d,), or uniformly within the bounds if this is None. Custom
+    optimizers that are not subclasses of `AskTell` ignore ``center``.
     """
 
     problem: Problem[Any]
@@ -289,7 +290,7 @@ class TrialRunner:
         )
 
     def _generation(self, number: int, optimizer: Budgeted, best: Array, leader: Leader | None) -> RaceResult:
-        """Run one generation; the costs are empty after the end of the trial."""
+        """Run one generation. The costs are empty after the end of the trial."""
         race = RaceResult(np.empty(0), 0, 0, leader)
         patience = self.config.patience
         stalled = patience is not None and len(best) > patience and best[-1] >= best[-1 - patience]
@@ -311,7 +312,7 @@ class TrialRunner:
         return race(self.problem, points, order, self.executor, leader)
 
     def _resumed(self, number: int, optimizer: Budgeted) -> tuple[dict[str, Array], int, Leader | None]:
-        """Restore the optimizer; return the history, the number of failures and the leader."""
+        """Restore the optimizer. Return the history, the number of failures and the leader."""
         history: dict[str, Array] = {name: np.empty(0, kind) for name, kind in HISTORY.items()}
         checkpoint = self.folder.checkpoint(number) if self.folder else None
         saved = load_checkpoint(checkpoint) if checkpoint else None

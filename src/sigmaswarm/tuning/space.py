@@ -31,10 +31,10 @@ SCALING = (
 )
 """Scaling parameters of the sigma points, with the paper's bounds."""
 FIX_ERROR_TIME = "fix_error_time"
-"""Parameter that is searched only with truth, and only for models with roll and pitch.
+"""A parameter that is searched only with truth, and only for models with roll and pitch.
 
 Without truth, the likelihood hardly depends on this time constant. With a planar filter, slopes also cause correlated
-innovations: after tuning with truth on kingston-1, the position RMSE was 3.1 m with a searched and 2.2 m with a fixed
+innovations. After tuning with truth on kingston-1, the position RMSE was 3.1 m with a searched and 2.2 m with a fixed
 time constant.
 """
 TYPICAL_FIX_ERROR_TIME = 30.0
@@ -49,11 +49,11 @@ TYPICAL_SLIP = 0.005
 """Tire slip of passenger cars, s2/m, used if the objective does not use truth.
 
 The slip is 0.004 to 0.012 on real drives (course relative to the gyro's heading) and 0.006 on simulated drives. The
-likelihood is largest at 0.010 to 0.018: a car takes most turns at similar speeds v, so the likelihood determines only
-rear_axle - slip v^2.
+likelihood is largest at 0.010 to 0.018. Since a car takes most turns at similar speeds v, the likelihood determines
+only rear_axle - slip v^2.
 """
 MIN_SEARCHED_WHITE_SHARE = 0.04
-"""Lower bound of R, relative to the receiver's variance, for fix-error with a fixed time.
+"""Lower bound of R, relative to the receiver's variance, for fix-error with a fixed time constant.
 
 With a smaller R, Student's t treats correlated errors as outliers.
 """
@@ -65,7 +65,7 @@ INFLATION_MINIMA = {
     "accel_bias_std": 0.005,
     "gyro_bias_std": 2e-4,
 }
-"""Lower limits for models with roll and pitch, in rad2/s, (rad/s)2/s, m/s2 and rad/s; see `tuning.inflation`."""
+"""Lower limits for models with roll and pitch, in rad2/s, (rad/s)2/s, m/s2 and rad/s (see `tuning.inflation`)."""
 TYPICAL_NOISES = {
     "q_xy": (1e-7, 3.0),
     "q_vxy": (1e-4, 2.0),
@@ -115,7 +115,7 @@ KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class SearchSpace(Bounds):
-    """Bounds of the parameters of a built-in model; ``fixed``: values of fields that are not searched."""
+    """Bounds of the parameters of a built-in model. ``fixed`` contains values of fields that are not searched."""
 
     fixed: dict[str, Any]
 
@@ -170,7 +170,7 @@ def search_space(
     fix_std: float = UNSTATED_GPS_STD,
     has_truth: bool = False,
 ) -> SearchSpace:
-    """Create the search space of a filter; ``scale`` applies to parameters whose range spans powers of ten.
+    """Create the search space of a filter. ``scale`` applies to parameters whose range spans powers of ten.
 
     Bounds per second are converted to ``nominal_interval`` (s), by default 10 ms. ``fix_std`` is the receiver's
     standard deviation, m per axis, for fix-error. ``has_truth`` is True if the objective uses truth; it affects
@@ -195,9 +195,7 @@ def search_space(
     if kind not in filter_types:
         raise InputError(f"{model} is not available as {kind}; use {' or '.join(filter_types)}")
     if kernel_name(model, kind, "fix-error" in use) not in FILTERS:
-        raise InputError(
-            f"fix-error can't be combined with {model} as {kind}; use ekf, or leave fix-error out"
-        )
+        raise InputError(f"fix-error can't be combined with {model} as {kind}; use ekf, or omit fix-error")
     fixed: dict[str, Any] = {"model": model, "kind": kind, "nominal_interval": nominal_interval}
     if "fix-error" in use:
         fixed["fix_std"] = fix_std
@@ -226,9 +224,9 @@ def _with_prior(dimensions: Sequence[Dimension], interval: float) -> Iterator[Di
 
 
 def _with_fixed_time(dimensions: Sequence[Dimension], fix_std: float, weighs: bool) -> Iterator[Dimension]:
-    """Omit `FIX_ERROR_TIME`, and set a lower bound of R.
+    """Omit `FIX_ERROR_TIME`, and set a lower bound for R.
 
-    ``weighs``: True if R depends on the stated variance of a fix.
+    ``weighs`` is True if R depends on the stated variance of a fix.
     """
     field, least = (
         ("accuracy_scale", MIN_SEARCHED_WHITE_SHARE)
@@ -243,7 +241,7 @@ def _with_fixed_time(dimensions: Sequence[Dimension], fix_std: float, weighs: bo
 def _dimensions(
     model: ModelName, kind: FilterKind, use: Sequence[Option], interval: float
 ) -> Iterator[Dimension]:
-    """Yield the dimensions in order; east and north have the same noise, except in planar5 without ``lateral``.
+    """Yield the dimensions in order. East and north have the same noise, except in planar5 without ``lateral``.
 
     With separate noises, a filter tuned on roads to the east had 1000 times as much velocity noise to the north as to
     the east. On a road to the north, the lateral constraint therefore corrected mostly the velocity along the road:
@@ -283,7 +281,7 @@ def _dimensions(
 
 
 def searched_name(name: str, known: Container[str], model: str) -> str:
-    """Return the name of the searched parameter that sets a parameter: q_xy for q_x and q_y, q_tilt for q_roll."""
+    """Return the name of the searched parameter that sets a parameter, such as q_xy for q_x and q_tilt for q_roll."""
     states = MODELS[model].states if model in MODELS else ()
     shared = {f"q_{state.name}": f"q_{state.shared}" for state in states}
     return name if name in known else (shared | {"r_x": "r_xy", "r_y": "r_xy"}).get(name, name)

@@ -171,7 +171,7 @@ def _drives(config: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def _require_same(file: Path, config: dict[str, Any]) -> dict[str, float] | None:
-    """Raise `InputError` if a saved configuration differs; return the saved center of the first generation."""
+    """Return the saved center of the first generation. Raises `InputError` if a saved configuration differs."""
     record = load_record(ConfigRecord, file, "not written by a tuning; choose another --out", infinite=True)
     saved, wanted = _with_current_names(record.model_extra), json.loads(json.dumps(config))
     center, _ = saved.pop(CENTER, None), wanted.pop(CENTER, None)
@@ -227,7 +227,7 @@ class ResultFolder:
         return self.path / f"checkpoint-{trial:03d}.npz"
 
     def finished(self, trial: int, *records: type[BaseModel]) -> tuple[dict[str, Any], dict[str, Any]] | None:
-        """Return the result and the history of a finished trial; ``records``: see `finished_trial`."""
+        """Return the result and the history of a finished trial. For ``records`` see `finished_trial`."""
         done = finished_trial(self.path, trial, *records)
         if done:  # both exist if the run was killed between the two steps of `finish`
             self.checkpoint(trial).unlink(missing_ok=True)

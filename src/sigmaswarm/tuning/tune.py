@@ -99,11 +99,11 @@ def tune(
     Parameters
     ----------
     drives : Drive or sequence of Drive; Log or sequence of Log
-        Training drives, or logs for a custom model. With ``cluster`` also paths and URLs of drives.
+        Training drives, or logs for a custom model. With ``cluster``, paths and URLs of drives are also possible.
     validation : as ``drives``
         Drives or logs that the search does not use. The result reports the cost on them.
     out : path, optional
-        Folder for results. Every generation is saved, so a stopped run can be resumed.
+        Folder for results. Every generation is saved, so an interrupted run can be resumed.
     executor : concurrent.futures.Executor, optional
         Executor that runs the filters; by default threads on all cores. The result is the same with every executor.
     cluster : distributed.Client, optional
@@ -114,9 +114,9 @@ def tune(
     **options
         ``resume=True`` continues the run in ``out``; the result is the same as without interruption. ``paper=True``
         uses the paper's settings, `PAPER_OPTIONS`, and rejects options that contradict them. ``start`` is a filter, or
-        its file: a tuning.toml, or an ekf.yaml of robot_localization. The first generation of the search is drawn
-        around this filter; by default around the `baseline` of the first drive. With ``paper`` or a custom model, the
-        first generation is uniform within the bounds. The other options are fields of `TuneConfig`: objective,
+        its file (a tuning.toml, or an ekf.yaml of robot_localization). The first generation of the search is drawn
+        around this filter or, by default, around the `baseline` of the first drive. With ``paper`` or a custom model,
+        the first generation is uniform within the bounds. The other options are fields of `TuneConfig`: objective,
         particles, generations, trials, seed, ... If ``model`` and ``use`` are not given, the filter depends on the
         drives' sensors; ``config`` of the result contains the chosen filter. ``model`` may be a custom `Model`, and
         ``optimizer`` a custom class: see `tuning.optimizers`.
@@ -160,12 +160,12 @@ def _search_options(options: dict[str, Any], *, paper: bool) -> dict[str, Any]:
     kind = ModelTuneConfig if isinstance(options.get("model"), Model) else TuneConfig
     options = current_options(kind, options, ARGUMENTS)
     if paper and kind is ModelTuneConfig:
-        raise InputError("paper = True is only possible with built-in models; leave paper out")
+        raise InputError("paper = True is only possible with built-in models; omit paper")
     return paper_options(options) if paper else options
 
 
 def _landmarks_of(problem: Problem[Any], folder: ResultFolder | None) -> Sequence[Landmarks]:
-    """Compute the landmarks of the drives before the search, since a cluster may stop later; save and return them."""
+    """Compute, save and return the landmarks of the drives before the search, since a cluster may stop later."""
     marks = problem.seen
     if folder is None or not marks:
         return tuple(marks)
@@ -190,7 +190,7 @@ def _problem_of(
     others: Any
     if isinstance(model, Model):
         if cluster is not None:
-            raise InputError("a custom model runs only on this machine; leave cluster out")
+            raise InputError("a custom model runs only on this machine; omit cluster")
         if start is not None:
             raise InputError(f"start is only possible with built-in models; {MODEL_REMEDIES['start']}")
         data, others = as_list(drives), as_list(validation)
@@ -224,8 +224,8 @@ def start_point(space: SearchSpace, given: FilterParameters) -> Array:
     wanted = space.fixed["model"], space.fixed["kind"]
     if (given.model, given.kind) != wanted:
         raise InputError(
-            f"the start filter is {given.model} ({given.kind}), but {' ('.join(wanted)}) is tuned; leave --model and "
-            "--kind out"
+            f"the start filter is {given.model} ({given.kind}), but {' ('.join(wanted)}) is tuned; omit --model and "
+            "--kind"
         )
     return space.point_of(given)
 
@@ -266,8 +266,8 @@ def tune_problem(
     """Run, resume or read the trials, and write tuning.toml.
 
     The first generation is drawn around ``center`` (`TrialRunner`). If the cost of ``start`` is lower than that of
-    every trial, ``start`` is the best point. With ``diagnose``, the filter is checked for faults that the objective
-    does not show.
+    every trial, ``start`` is used as the best point. With ``diagnose``, the filter is checked for faults that the
+    objective does not show.
     """
     config, search = problem.config, TrialRunner(problem, executor, folder, progress, center)
     trials = tuple(search.trial(i) for i in range(config.trials))

@@ -16,7 +16,7 @@ MIN_PART_LENGTH = 30.0  # s, shortest beginning of a drive that a button offers 
 Step = dict[str, Any]  # ``{"repair": [codes]}`` or ``{"keep": [start, end]}``, s
 Agreements = dict[str, Agreement]
 Repaired = dict[str, tuple[Agreements, str]]
-"""For each code of a finding: series to plot after the repair, and the reason why the repair is rejected, or ""."""
+"""For each code of a finding: the series to plot after the repair, and the reason why the repair is rejected, or ""."""
 CheckState = tuple[list[Drive], list[Step], Diagnosis, Agreements]
 """The drive before and after each step, the steps, and the diagnosis and agreements after the last step."""
 
@@ -67,7 +67,7 @@ class CheckPage(Page):
         self.start("reading and checking the drive", self._checked, name, None, then=self._set_state)
 
     def _do(self, waiting: str, steps: list[Step]) -> None:
-        """Apply all steps; the results of unchanged first steps are reused."""
+        """Apply all steps. The results of unchanged first steps are reused."""
         self.start(waiting, self._checked, self._opened, steps, then=self._set_state)
         self.refresh()
 
@@ -237,7 +237,7 @@ def _apply(drive: Drive, step: Step) -> Drive:
 
 
 def _try_repairs(drive: Drive, diagnosis: Diagnosis) -> Repaired:
-    """Try each repair alone; return the results, see `Repaired`."""
+    """Try each repair alone. Return the results (see `Repaired`)."""
     after: Repaired = {}
     reason = "This repair is rejected, since it makes a filter's predictions of the fixes less accurate. Check the log."
     for code in dict.fromkeys(f.code for f in diagnosis.findings if f.repair is not None):

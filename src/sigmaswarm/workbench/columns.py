@@ -82,7 +82,7 @@ def units_of(target: str) -> dict[str, str]:
 
 
 def unit_in(target: str, column: str, expression: str) -> str:
-    """Return the unit from which an expression converts; `CUSTOM` if the unit is not in `units_of`."""
+    """Return the unit from which an expression converts, or `CUSTOM` if the unit is not in `units_of`."""
     plain = expression.replace(" ", "")
     for unit, text in units_of(target).items():
         if plain in (text.format(quoted_column(column)).replace(" ", ""), text.format(column)):

@@ -16,7 +16,10 @@ REQUEST_DELAY = 0.1  # s until a request starts, if no new request replaces it
 
 
 class Page:
-    """The page of a step, which all tabs share. ``waiting``: work in progress; ``wrong``: message of the last error."""
+    """The page of a step, which all tabs share.
+
+    ``waiting`` is the work in progress, ``wrong`` the message of the last error.
+    """
 
     def __init__(self, bench: Workbench) -> None:
         self.bench = bench
@@ -36,7 +39,7 @@ class Page:
     def start(
         self, waiting: str, work: Callable[..., T], *arguments: Any, then: Callable[[T | None], Any]
     ) -> None:
-        """Run ``work`` in a thread that continues after the tab is closed; only the latest request's result is used.
+        """Run ``work`` in a thread that continues after the tab is closed. Only the latest request's result is used.
 
         ``then`` receives the result, or None after an error. After an error, ``wrong`` contains the message.
         """
@@ -63,7 +66,7 @@ def text(tag: str, content: str, classes: str = "") -> None:
 
 
 def message(content: str, kind: str) -> None:
-    """Show a message, which screen readers also announce; ``kind``: bad, good, or wait (with a spinner)."""
+    """Show a message, which screen readers also announce. ``kind`` is bad, good, or wait (with a spinner)."""
     if content:
         with box(f"message {kind}").props('role="status"'):
             if kind == "wait":
@@ -95,7 +98,7 @@ def line(classes: str = "") -> ui.element:
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[str]], classes: str = "") -> None:
-    """Create a table that scrolls sideways; with the class "stacks", a narrow page stacks the cells of a row."""
+    """Create a table that scrolls sideways. With the class "stacks", a narrow page stacks the cells of a row."""
     scrolled = box("wide").props('tabindex="0" role="region" aria-label="table"')
     with scrolled, ui.element("table").classes(f"plain {classes}"):
         with ui.element("thead"), ui.element("tr"):
@@ -112,7 +115,7 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]], classes: str = ""
 
 
 def select(label: str, options: Any, value: Any, choose: Callable[[Any], Any], **more: Any) -> ui.select:
-    """Create a dropdown; ``choose`` receives the new value. Nothing is selected if no option has the given value.
+    """Create a dropdown. ``choose`` receives the new value. Nothing is selected if no option has the given value.
 
     With ``multiple``, ``choose`` is called when the user closes the list.
     """

@@ -25,7 +25,8 @@ class ExportPage(Page):
         super().__init__(bench)
         self.chosen: dict[str, Any] = {}
         self.outcomes: dict[str, tuple[str, str, str]] = {}
-        """Keys: targets. Values: message about written files, error message, and command that uses the files."""
+        """Keys are targets. Values are the message about written files, the error message, and the command that uses
+        the files."""
 
     def content(self) -> None:
         tunings, drives = self.bench.finished, self.bench.drive_names

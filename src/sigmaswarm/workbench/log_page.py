@@ -35,7 +35,7 @@ class LogPage(OpenLog):
         self._finish()
 
     def refresh(self) -> None:
-        """Redraw what has changed; unchanged rows of a table are kept, with the keyboard focus."""
+        """Redraw what has changed. Unchanged rows of a table are kept, with the keyboard focus."""
         shown = [panel.preview.table for panel in self.panels]
         if self.inspection and shown == [preview.table for preview in self.inspection.tables]:
             uses = columns.uses_of(self.inspection)
@@ -80,7 +80,7 @@ class LogPage(OpenLog):
             drop.classes("drop").props(f':filter="{only_files}"')
 
     def _named(self, path: Path) -> str:
-        """Return the name of a log; the name of a file in a folder includes the name of the folder."""
+        """Return the name of a log. The name of a file in a folder includes the name of the folder."""
         inside = path.parent in self.bench.named or path.parent.parent == self.bench.folder / "logs"
         return f"{path.parent.name} / {path.name}" if inside else path.name
 
@@ -192,7 +192,7 @@ class LogPage(OpenLog):
         self._command.refresh()
 
     def _make(self, name: str) -> None:
-        """Write the drive and remove its checked copy; an earlier drive of this log with the same name is replaced."""
+        """Write the drive and remove its checked copy. An earlier drive of this log with the same name is replaced."""
         if self.waiting:  # the log is being read again after a choice
             self.after_reading = partial(self._make, name)
             return

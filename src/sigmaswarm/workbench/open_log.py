@@ -81,7 +81,7 @@ class OpenLog(Page):
 
 
 def _read(log: Path, choices: dict[str, Any]) -> Reading:
-    """Inspect and import a log; after an error, the results of earlier stages are kept."""
+    """Inspect and import a log. After an error, the results of earlier stages are kept."""
     settings = columns.settings_of(choices)
     drive, found, notes = None, (), list[str]()
     inspection, wrong = attempt(sigmaswarm.inspect_log, log, **settings)

@@ -23,7 +23,7 @@ MAX_COLUMNS = 30  # largest number of columns of a table on the page; columns in
 
 
 class TablePanel:
-    """Panel for a table, which can be folded; after a choice, only changed rows are redrawn."""
+    """Panel for a table, which can be folded. After a choice, only changed rows are redrawn."""
 
     def __init__(self, page: OpenLog, inspection: Inspection, preview: TablePreview) -> None:
         self.page, self.inspection, self.preview = page, inspection, preview
@@ -51,7 +51,7 @@ class TablePanel:
         return f"{self.preview.table}: {description or 'not used'}"
 
     def show(self) -> None:
-        """Show the table; its columns are created when the table is first unfolded."""
+        """Show the table. Its columns are created when the table is first unfolded."""
         preview = self.preview
         rows = f"{preview.rows} rows" if preview.rows is not None else ""
         rate = f"{preview.rate:.4g} Hz" if preview.rate else ""
@@ -248,7 +248,7 @@ class MountingPanel:
 
 
 def sketch(rotation: Array) -> str:
-    """Draw the vehicle and the sensor's axes as SVG; ``rotation``: result of `parse_mount`, shape (3, 3)."""
+    """Draw the vehicle and the sensor's axes as SVG. ``rotation`` is the result of `parse_mount`, shape (3, 3)."""
     corners = np.array([(0.3, 0.2, 0.0), (-0.3, 0.2, 0.0), (-0.3, -0.2, 0.0), (0.3, -0.2, 0.0)])
     box = _polygon(_place(MOUNTED + corners @ rotation.T), 'fill="#ffffffcc" stroke="#1c2024"')
     parts = [_arrow(np.array([2.2, 0.0, 0.6]), np.array([3.3, 0.0, 0.6]), "#51585f", "forward"), box]

@@ -65,7 +65,8 @@ def lines(
 ) -> Lines:
     """Create the lines of a plot.
 
-    ``points``, ``dashed``: names of series drawn as markers or dashed lines. ``pale``: the series before a change.
+    ``points`` and ``dashed`` are names of series drawn as markers or dashed lines. ``pale`` is the series before a
+    change.
     """
     made: Lines = []
     for color, (label, (x, y)) in zip(COLORS * 4, series.items(), strict=False):

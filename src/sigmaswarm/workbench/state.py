@@ -43,14 +43,17 @@ class Workbench:
         write_json(self._file, self.choices)
 
     def path(self, kind: str, name: str) -> Path:
-        """Return the folder of a drive, tuning, ...; raise `InputError` for an invalid name or a link."""
+        """Return the folder of a drive or of a result. Raises `InputError` for an invalid name or a link."""
         path = self.folder / kind / name
         if kind not in KINDS or not NAME.fullmatch(name) or path.is_symlink():
             raise InputError(f"{name!r} is not a valid name; use letters, digits, - and _")
         return path
 
     def names(self, kind: str, file: str = "") -> list[str]:
-        """List the names of drives, tunings, ..., the newest last; ``file``: only of folders that contain this file."""
+        """List the names of drives or of results of one kind, the newest last.
+
+        If ``file`` is given, list only folders that contain it.
+        """
         folders = [p for p in (self.folder / kind).iterdir() if NAME.fullmatch(p.name) and not p.is_symlink()]
         folders = [p for p in folders if not file or (p / file).is_file()]
         return [p.name for p in sorted(folders, key=lambda p: (p.stat().st_mtime, p.name))]
@@ -62,7 +65,7 @@ class Workbench:
 
     @property
     def drives(self) -> list[str]:
-        """Names of the drives for tuning; a checked copy replaces the drive of which it is a copy."""
+        """Names of the drives for tuning. A checked copy replaces the drive of which it is a copy."""
         names = self.drive_names
         return [name for name in names if name + CHECKED not in names]
 
@@ -114,7 +117,7 @@ def _read_version(path: Path, _: int) -> Drive:
 
 
 def attempt(work: Callable[..., T], *arguments: Any, **options: Any) -> tuple[T | None, str]:
-    """Run a function; return its result and "", or None and the error message."""
+    """Run a function. Return its result and "", or None and the error message."""
     try:
         return work(*arguments, **options), ""
     except sigmaswarm.SigmaswarmError as error:

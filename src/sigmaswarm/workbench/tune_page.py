@@ -45,7 +45,7 @@ class TunePage(Page):
         self.why: list[str] = []
 
     def content(self) -> None:
-        """Show the page; a timer in each tab checks the tuning runs."""
+        """Show the page. A timer in each tab checks the tuning runs."""
         if self.plan and not self.why and not self.waiting:
             self._explain()
         self._setup()
@@ -113,7 +113,7 @@ class TunePage(Page):
 
     @ui.refreshable_method
     def _reasoning(self) -> None:
-        """Show messages and the explanation of the next tuning; this part is redrawn without the input fields."""
+        """Show messages and the explanation of the next tuning. This part is redrawn without the input fields."""
         self.messages()
         for sentence in self.why:
             text("p", sentence)
@@ -162,7 +162,7 @@ class TunePage(Page):
         self._reasoning.refresh()
 
     def _drives(self) -> tuple[list[Drive], list[Drive]]:
-        """Return the training and validation drives; split drives and write their parts, as `sigmaswarm split` does."""
+        """Return the training and validation drives. Split drives and write their parts, as `sigmaswarm split` does."""
         drives: list[Drive] = []
         held_back: list[Drive] = []
         for name, what in self.plan.items():

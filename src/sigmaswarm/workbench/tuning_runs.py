@@ -1,4 +1,4 @@
-"""Start tuning runs in threads of the server; if the server is killed, a run can be resumed from its folder."""
+"""Start tuning runs in threads of the server. If the server is killed, a run can be resumed from its folder."""
 
 import threading
 import time
@@ -46,7 +46,7 @@ class TuningRun:
         return "last checks" if done else "running" if self.progress else "compiling"
 
     def advance(self, progress: Progress) -> bool:
-        """Store the progress; return False to stop the tuning."""
+        """Store the progress. Return False to stop the tuning."""
         self.history.setdefault(progress.trial, []).append(progress.best_cost)
         self.progress = progress
         if progress.parameters is not None and time.monotonic() - self.drawn_at > 1.5:  # s

@@ -43,7 +43,7 @@ def with_value(column, at, value):
         ({"measurement_time": with_value(LOG.measurement_time, 3, np.inf)}, "measurement_time[3] is inf"),
         ({"measurements": with_value(LOG.measurements, (7, 0), np.nan)}, "measurements[7] has no value, only nan"),
         ({"measurements": with_value(LOG.measurements, (7, 0), np.inf)}, "measurements[7, 0] is inf; correct"),
-        ({"measurements": np.full((F, 2), [1.0, np.nan])}, "measurements[:, 1] has no value, only nan; leave out"),
+        ({"measurements": np.full((F, 2), [1.0, np.nan])}, "measurements[:, 1] has no value, only nan; omit"),
         ({"measurements": np.zeros((F, 1, 1))}, "measurements has shape (20, 1, 1)"),
         ({"measurements": ["a"] * F}, "measurements is not an array of numbers"),
         ({"inputs": np.zeros(N - 1)}, "inputs has shape (200,), but time has 201 values"),

@@ -245,7 +245,9 @@ def test_a_function_whose_compiled_form_differs_causes_a_warning():
             one = 1.0
         return np.array([state[0] + one * state[1] * dt, state[1]])
 
-    with pytest.warns(SigmaswarmWarning, match="the compiled functions return other numbers"):
+    with pytest.warns(
+        SigmaswarmWarning, match="the compiled functions and the Python functions return different numbers"
+    ):
         estimate = run_model(pendulum_log(duration=2.0), replace(PENDULUM, f=f), PARAMETERS)
     assert estimate.failure is None
 

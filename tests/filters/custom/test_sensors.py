@@ -217,10 +217,10 @@ def test_sensors_are_merged_by_their_times():
         ({"gps": np.zeros(3)}, "sensors['gps'] is not a pair; pass (times, values)"),
         ({"gps": ([0.0, 0.0], [1, 2])}, "times of sensors['gps'][1] = 0 s does not come after 0 s; sort the rows"),
         ({"gps": ([0.0, 0.1], [1])}, "values of sensors['gps'] has shape (1,), but times of sensors['gps'] has 2"),
-        ({"gps": ([0.0], [np.inf])}, "values of sensors['gps'][0] is inf; correct the value, or leave the row out"),
-        ({"gps": ([0.0], [np.nan])}, "sensors['gps'] has no value, only nan; leave out this sensor"),
+        ({"gps": ([0.0], [np.inf])}, "values of sensors['gps'][0] is inf; correct the value, or omit the row"),
+        ({"gps": ([0.0], [np.nan])}, "sensors['gps'] has no value, only nan; omit this sensor"),
         ({"gps": ([9.0], [1.0])}, "sensors['gps'] has no value within time = 0.001 to 5.981 s; convert"),
-        ({"gps": ([1.0], [[1.0, np.nan]])}, "measurements[:, 1] has no value, only nan; leave out this sensor"),
+        ({"gps": ([1.0], [[1.0, np.nan]])}, "measurements[:, 1] has no value, only nan; omit this sensor"),
     ],
     ids=str,
 )  # fmt: skip

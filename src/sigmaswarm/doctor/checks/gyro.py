@@ -1,7 +1,7 @@
 """Check the gyro: column, sign, unit, scale and bias of the yaw rate; signs and columns of the roll and pitch rates.
 
 Within half a second, the direction of the specific force in body axes rotates opposite to the body (g' = -w x g). The
-car's acceleration also rotates this direction, but in the same sense as the lean of a body on springs: in a left turn,
+car's acceleration also rotates this direction, but in the same sense as the lean of a body on springs. In a left turn,
 the force points to the left, and the left side rises. Therefore the signs are also visible on flat roads. The scale is
 visible only for the roll rate, after removal of the part that the lateral acceleration explains.
 """
@@ -65,7 +65,7 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
     column, unit = float("xyz".index(yaw.column[1])), abs(yaw.factor)
     alone = _only_yaw_is_wrong(evidence)
     columns = "gz" if alone else "gx, gy, gz"
-    turns = "the car turns {:.3g} times as far as the gyro measures".format
+    turns = "the turns of the car are {:.3g} times those that the gyro measures".format
 
     def found(code: str, what: str, remedy: str, *repair: float) -> Finding:
         what = f"{what}. {seen}"
@@ -102,9 +102,9 @@ def check_gyro(evidence: Evidence) -> Iterator[Finding]:
 def _whole_gain(evidence: Evidence) -> float:
     """Return the ratio of the course's turns to the gyro's turns.
 
-    It is a least-squares fit, without a bias, to the turn from the first to the last fix of each window. `fit_yaw`
-    removes a straight line from each window. In steady circles little of the turn remains, so lever arm and slip have
-    the effect of a scale error.
+    The ratio is a least-squares fit, without a bias, to the turn from the first to the last fix of each window.
+    (`fit_yaw` removes a straight line from each window, so little of the turn remains in steady circles, and lever arm
+    and slip have the effect of a scale error.)
     """
     time, course, fit = evidence.drive.imu.time, evidence.course, evidence.yaw_fit
     assert course is not None and fit is not None
@@ -187,9 +187,9 @@ def is_upside_down(evidence: Evidence) -> bool:
 
 
 def _tilt_rates(evidence: Evidence) -> list[RateMatch | None]:
-    """For roll and for pitch, find the rate that best explains the changes of the specific force's direction.
+    """Find the rate that best explains the changes of the specific force's direction, for roll and for pitch.
 
-    The rate is gx or gy with a sign; None if this is not clear. The list is empty if a column or gravity is missing.
+    The rate is gx or gy with a sign, or None if it is not clear. The list is empty if a column or gravity is missing.
     """
     if (read := _force_and_rates(evidence)) is None:
         return []
@@ -199,7 +199,7 @@ def _tilt_rates(evidence: Evidence) -> list[RateMatch | None]:
 
 
 def _force_and_rates(evidence: Evidence) -> tuple[Array, Array] | None:
-    """Return specific force and angular rates, (3, n), corrected as the other findings propose."""
+    """Return the specific force and the angular rates, (3, n), corrected as the other findings propose."""
     imu, mount, yaw = evidence.drive.imu, evidence.mount, evidence.yaw
     if imu.az is None or imu.gx is None or imu.gy is None:
         return None
@@ -223,11 +223,11 @@ def _regressions(
     others: Sequence[Array] = (),
     used: Mask | None = None,
 ) -> list[tuple[Array, Array]]:
-    """Fit changes of the force's direction (y, x) within ``lag`` s to the turns about x and y; [] for few samples.
+    """Fit the changes of the force's direction (y, x) within ``lag`` s to the turns about x and y.
 
-    Return two coefficients and their standard deviations for y and for x. Further regressors are the turn about z,
-    which changes the direction if the sensor is tilted or the car corners, and the changes of ``others`` (k, n).
-    ``used`` (n,): samples between which changes are used, by default all.
+    Return two coefficients and their standard deviations for y and for x; [] if there are too few samples. Other
+    regressors are the turn about z, which changes the direction if the sensor is tilted or the car corners, and the
+    changes of ``others`` (k, n). ``used`` (n,) marks samples between which changes are used, by default all.
     """
     interval = float(np.median(np.diff(time)))
     count, step = (max(round(seconds / interval), 1) for seconds in (MEAN_WINDOW, lag))

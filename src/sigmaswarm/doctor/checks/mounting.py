@@ -147,7 +147,7 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
 def find_turn(evidence: Evidence) -> tuple[float, float] | None:
     """Find the time, s, at which the IMU was turned about the vertical, and the angle, rad; None if it was not turned.
 
-    For a part of the drive, S is the sum of a conj(u), where u = ax + i ay is the measured force and a the
+    For a part of the drive, S is the sum of a conj(u). Here u = ax + i ay is the measured force and a is the
     acceleration of the vehicle, each minus its mean. The argument of S is the angle of the IMU about the vertical. The
     time of the turn maximizes the sum of |S| of the parts before and after it.
     """
@@ -187,7 +187,7 @@ def _angle_std(products: Values, rows: int) -> float:
 
 
 def _path_shows(evidence: Evidence, time: float, angle: float) -> bool:
-    """Return True if the IMU's path agrees better with the fixes if the forces after a time, s, are turned, rad."""
+    """Return True if a turn of the forces, rad, after a time, s, makes the IMU's path agree better with the fixes."""
     drive, course, fit = evidence.drive, evidence.course, evidence.acceleration
     if course is None or fit is None:
         return False
@@ -244,14 +244,14 @@ def _means(time: Array, columns: Sequence[Array], step: float) -> tuple[Array, A
 
 
 def check_handled(evidence: Evidence) -> Iterator[Finding]:
-    """Find the parts at both ends of a log in which the IMU, such as a phone, is handled; yield a finding for each."""
+    """Yield a finding for each end of a log at which the IMU, such as a phone, is in someone's hand."""
     first, last = evidence.span
     begin, end = find_steady_span(evidence.drive)
     what = "{} t = {:.1f} s, the IMU moves relative to the vehicle, for example in someone's hand"
     for word, edge, span in (("before", begin, (first, begin)), ("after", end, (end, last))):
         if span[0] < span[1]:
             repair = Repair("cut-ends", (begin, last) if edge == begin else (first, end))
-            remedy = f"leave out the samples and fixes {word} this time"
+            remedy = f"omit the samples and fixes {word} this time"
             if edge == begin and evidence.drive.heading is not None:
                 remedy += ", and heading_deg of drive.toml, which refers to the first sample"
             yield Finding(

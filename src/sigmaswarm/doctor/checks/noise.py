@@ -16,7 +16,7 @@ MAX_OBSERVED_RATIO = 2.0  # largest ratio of observed noise to stated noise
 # m, standard deviation that no receiver reaches in motion (data sheets of RTK state 0.006 to 0.01 m). A smaller
 # deviation is compared with the noise from fix to fix, since the scatter about a path of 10 s includes IMU errors.
 MIN_STATED_STD = 0.003
-# Largest ratio of stated noise to observed white noise; high, since slow errors are not observed
+# Largest ratio of stated noise to observed white noise; high, since slowly varying errors are not observed
 MAX_STATED_RATIO = 6.5
 # Largest ratio of the errors relative to the truth to the stated noise, or of the stated noise to these errors; high,
 # since a short drive may have one error that lasts
@@ -48,7 +48,7 @@ def check_noise(evidence: Evidence) -> Iterator[Finding]:
     if off[0] and jump > MAX_FIRST_DISTANCE:
         severity, what = "serious", f"{what}; the first fix lies {jump / 1e3:.3g} km from the others"
     span, repair = (float(time[0]), float(time[-1])), Repair("drop-fixes", tuple(time.tolist()))
-    remedy = "leave these fixes out. The default filter of tune also reduces their weight (robust)"
+    remedy = "omit these fixes. The default filter of tune also reduces their weight (robust)"
     yield Finding("gps-outliers", severity, what, "gps.csv, positions", span, 0.99, remedy, repair)
 
 
@@ -99,8 +99,8 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         assumed = float(np.mean(receiver_std(evidence.drive)))
         or_scatter = ", or the scatter if this clearly reduces the drift of the baseline filter"
         what = (
-            f"the receiver states no accuracy. The fixes scatter by {scatter:.2g} m per axis, which is a lower limit "
-            "of their standard deviation, since slow errors do not increase the scatter. A tuning without truth "
+            f"the receiver states no accuracy. The fixes scatter by {scatter:.2g} m per axis. Their standard "
+            "deviation may be larger, since slowly varying errors do not increase the scatter. Tuning without truth "
             f"assumes {assumed:.2g} m{or_scatter if assumes_std(evidence.drive) else ''}"
         )
         remedy = "if you know a better value, write gps_std_m at the top of drive.toml"
@@ -136,9 +136,9 @@ def _place(evidence: Evidence) -> str:
 def _wrong_std(
     evidence: Evidence, stated: float, scatter: float, unseen: float
 ) -> tuple[float, bool, float] | None:
-    """Compare the stated standard deviation with scatter and truth; ``unseen``: noise that may be motion, m.
+    """Compare the stated standard deviation with scatter and truth. ``unseen`` is the noise that may be motion, m.
 
-    Return the standard deviation of the fixes, m per axis, True if the truth shows it, and the confidence.
+    Return the standard deviation of the fixes, m per axis, True if it is from the truth, and the confidence.
     """
     noise, fit = evidence.noise, evidence.truth_fit
     # A receiver that smooths has correlated errors, so its stated accuracy may be right despite little scatter.
@@ -174,16 +174,18 @@ def _wrongly_stated(
     remedy = f"set gps_std_m in drive.toml to {size:.2g} m" if typed else scaled
     repair, severity = Repair("state-noise", (size,)), "warning"
     if not by_truth:
-        remedy += ", or more if you know of slow errors. A log without truth does not show slow errors"
+        remedy += (
+            ", or more if you know of slowly varying errors. A log without truth does not show these errors"
+        )
     elif not larger:  # the lever arm of the antenna may be missing
         repair, remedy = None, f"check the lever arm of the antenna; if it is right, {remedy}"
     if typed:
-        what += ". A tuning without truth takes R from this value: with a smaller value the filter follows the fixes "
+        what += ". Tuning without truth takes R from this value: with a smaller value the filter follows the fixes "
         what += "more closely, and with a larger value it relies on the IMU for longer"
-        if larger and not by_truth:  # a user may know of slow errors
+        if larger and not by_truth:  # a user may know of slowly varying errors
             repair, severity = None, "note"
             remedy = (
-                "keep this value if the data sheet of the receiver states it, since slow errors do not increase "
-                "the scatter"
+                "keep this value if the data sheet of the receiver states it, since slowly varying errors do not "
+                "increase the scatter"
             )
     return Finding("gps-noise", severity, what, _place(evidence), evidence.span, confidence, remedy, repair)

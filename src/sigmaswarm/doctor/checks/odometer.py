@@ -1,4 +1,4 @@
-"""Check the wheel speed against fixes and accelerometer: sign, unit, scale, clock, a stuck counter, slip."""
+"""Check the wheel speed against fixes and accelerometer: sign, unit, scale, clock, stuck readings, slip."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -56,7 +56,7 @@ def check_odometer(evidence: Evidence) -> Iterator[Finding]:
         if spans := find(odometer, course, evidence):
             named = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in spans[:3]) + " ..." * (len(spans) > 3)
             repair = Repair("drop-readings", tuple(t for span in spans for t in span))
-            span, remedy = (spans[0][0], spans[-1][1]), "leave these readings out"
+            span, remedy = (spans[0][0], spans[-1][1]), "omit these readings"
             what = f"{fault}: t = {named}"
             yield Finding(f"odometer-{code}", "warning", what, SPEED, span, confidence, remedy, repair)
             odometer = without_spans(odometer, spans)
@@ -170,7 +170,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
 
 
 def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> list[tuple[float, float]]:
-    """Return two numbers per path: ratio of the odometer's displacement to that of the fixes, and the latter in m."""
+    """Return for each path the ratio of the odometer's to the fixes' displacement, and the fixes' displacement, m."""
     imu, time = evidence.drive.imu, odometer.time
     heading = np.interp(time, imu.time, integral(imu.time, evidence.yaw_rate))
     east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)
@@ -222,7 +222,7 @@ def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
 
 
 def _quick(time: Array, values: Array, at: Array) -> Array:
-    """Return accelerations at given times minus their means over 10 s; this removes the effect of road slope on ax."""
+    """Return accelerations at given times minus their means over 10 s, which removes the effect of road slope on ax."""
     slope = _gain(time, values, at, AVERAGING_TIME) / AVERAGING_TIME
     n = max(3, min(len(slope) // 2, round(10.0 / STEP)))
     total = np.append(0.0, np.cumsum(slope))

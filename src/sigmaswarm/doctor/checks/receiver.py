@@ -88,7 +88,7 @@ def check_velocity(evidence: Evidence) -> Iterator[Finding]:
             what, confidence = f"course is in {fitting[0][1]}", 0.99
             repair = Repair("velocity", (1.0, float(fitting[0][0])))
         else:
-            remedy = f"{remedy}, or leave the column out"
+            remedy = f"{remedy}, or omit the column"
         where = "gps.csv, course"
         yield Finding("course-convention", "serious", what, where, span, confidence, remedy, repair)
         return
@@ -97,7 +97,7 @@ def check_velocity(evidence: Evidence) -> Iterator[Finding]:
         way = "lag" if delay > 0 else "lead"
         what = f"speed and course {way} the positions in the same rows by {abs(delay):.2f} s. The default filter does "
         what += "not use speed and course, so this matters only with --use velocity"
-        remedy = f"leave speed and course out, or {OWN_TIMES.format(', and test this on another drive')}"
+        remedy = f"omit speed and course, or {OWN_TIMES.format(', and test this on another drive')}"
         yield Finding("velocity-delay", "note", what, "gps.csv, speed, course", span, 0.95, remedy)
 
 
@@ -133,7 +133,7 @@ def check_heading(evidence: Evidence) -> Iterator[Finding]:
     if np.count_nonzero(known) >= MIN_FIXES and (delay := _heading_delay(evidence, theta, known, best)):
         way = "lags" if delay > 0 else "leads"
         what = f"the heading {way} the positions in the same rows by {abs(delay):.2f} s"
-        remedy = f"leave the headings out, or {OWN_TIMES.format('')}"
+        remedy = f"omit the headings, or {OWN_TIMES.format('')}"
         yield Finding("heading-delay", "warning", what, HEADING, evidence.span, 0.95, remedy)
 
 
@@ -145,7 +145,7 @@ def _offset(off: Array) -> tuple[float, float]:
 
 
 def _fitting(offsets: list[tuple[float, float]]) -> int:
-    """Return the index of the convention with the smallest constant offset among those that follow the course well."""
+    """Of the conventions that follow the course well, return the index of that with the smallest constant offset."""
     limit = min(MAX_DEVIATION, min(rest for _, rest in offsets) + ROTATION_LIMITS[0])
     fitting = [k for k, (_, rest) in enumerate(offsets) if rest <= limit]
     return min(fitting, key=lambda k: abs(offsets[k][0]), default=0)
@@ -157,7 +157,7 @@ def _of_convention(evidence: Evidence, best: int, offset: float, rest: float) ->
     repair = Repair("heading", (float(best), turned))
     if rest > MAX_DEVIATION:
         what = "the heading agrees with the direction of travel in no known convention"
-        remedy = f"{remedy}, or leave the column out"
+        remedy = f"{remedy}, or omit the column"
         yield Finding("heading-convention", "serious", what, HEADING, span, 0.95, remedy)
     elif best:
         what = f"heading is in {[*HEADINGS][best]}"

@@ -96,7 +96,7 @@ def check_clock(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _latency_option(evidence: Evidence) -> str:
-    """Return the default options and latency, since --use replaces the defaults."""
+    """Return the default options and ``latency``, since --use replaces the defaults."""
     return f"tune --use {' '.join((*evidence.suggestion.use, 'latency'))}"
 
 
@@ -105,7 +105,7 @@ def _is_leap(delay: float, std: float) -> bool:
 
 
 def check_truth(evidence: Evidence) -> Iterator[Finding]:
-    """Compare the clock of the truth with that of the fixes, after any correction of the latter."""
+    """Compare the clock of the truth with that of the fixes, after any correction of the clock of the fixes."""
     truth, known = evidence.drive.truth, evidence.truth_delay
     delay = round((known or 0.0) + evidence.moved, 2)
     if truth is None or known is None or evidence.truth_has_clock_of_fixes or abs(delay) < MIN_DELAY:
@@ -216,7 +216,7 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
 def _time_passed(gps: Gps, j: int) -> tuple[float, float]:
     """Estimate the time from fix j to the next fix, and its standard deviation, s, from the speeds before and after.
 
-    Each speed is the slope of a line through the fixes of `SPEED_WINDOW` s. If the speeds differ, any speed between
+    Each speed is the slope of a line through the fixes of `SPEED_WINDOW` s. If the two speeds differ, any speed between
     them is possible.
     """
     position, time = gps.position, gps.time

@@ -153,12 +153,12 @@ class StudyConfig(BaseModel):
     The paper does not state the noise of its sensors; CARLA's GNSS sensor has white noise.
     """
     vibration: float = Field(default=0.0, ge=0)
-    """Vibration of the IMU, relative to real cars; a network can infer the speed from vibration."""
+    """Vibration of the IMU, relative to real cars. A network can infer the speed from vibration."""
     terrain: str = "flat"
     drives: tuple[str, ...] = ()
     """Folders or URLs of your own drives with truth, instead of simulated drives."""
     train_fraction: float = Field(default=0.7, gt=0, lt=1)
-    """Fraction of the drives of each condition used for training; each trial draws these drives again."""
+    """Fraction of the drives of each condition used for training. Each trial draws these drives again."""
     trials: int = Field(default=20, ge=2)
     """Number of repetitions, each with a different split of the drives and a different seed."""
     particles: int = Field(default=30, ge=2)
@@ -176,7 +176,7 @@ class StudyConfig(BaseModel):
     learn_minutes: float = Field(default=20.0, ge=2)
     """With --rivals: minutes of training data for each network, after the filters' start."""
     elsewhere: tuple[str, ...] = ()
-    """With --rivals: drives with truth from other sensors or another car. Without --drives, simulated by default."""
+    """With --rivals: drives with truth from other sensors or another car. Default: simulated drives, except with --drives."""
 
     @property
     def simulated(self) -> dict[str, Any]:
@@ -206,16 +206,14 @@ class StudyConfig(BaseModel):
     @classmethod
     def _learn_from_all(cls, rivals: bool, others: ValidationInfo) -> bool:
         if rivals and others.data.get("per_condition"):
-            raise ValueError("networks learn from all conditions together; leave per_condition out")
+            raise ValueError("networks learn from all conditions together; omit per_condition")
         return rivals
 
     @field_validator("learn_minutes", "elsewhere")
     @classmethod
     def _of_rivals(cls, value: Any, others: ValidationInfo) -> Any:
         if not others.data.get("rivals"):
-            raise ValueError(
-                "only studies with rivals have this option; set rivals, or leave this option out"
-            )
+            raise ValueError("only studies with rivals have this option; set rivals, or omit this option")
         return value
 
     @model_serializer(mode="wrap")
@@ -235,7 +233,7 @@ def read_config(path: Path | None, **changes: Any) -> StudyConfig:
     if path is not None:
         from sigmaswarm.record_files import read_content
 
-        missing = "leave --config out for the paper's study"
+        missing = "omit --config for the paper's study"
         options = read_content(path, "name a readable TOML file", missing=missing)
     try:
         return StudyConfig(**(options | changes))

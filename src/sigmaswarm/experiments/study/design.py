@@ -79,9 +79,9 @@ def tuning_name(protocol: str, method: str, group: str) -> str:
 class Design:
     """The drives of a study and their use.
 
-    ``drives`` have truth and unique names; drives on a cluster (``remote``) are represented by `LogProperties`.
-    ``conditions``: maneuver and environment of each drive. ``strata``: stratum of each drive; each stratum is split
-    into training and test drives. ``apart``: True if all drives are test drives.
+    ``drives`` have truth and unique names. Drives on a cluster (``remote``) are represented by `LogProperties`.
+    ``conditions`` contains maneuver and environment of each drive. ``strata`` contains the stratum of each drive; each
+    stratum is split into training and test drives. ``apart`` is True if all drives are test drives.
     """
 
     drives: tuple[Drive | LogProperties, ...]
@@ -105,7 +105,10 @@ class Design:
     def map_prepared(
         self, function: Callable[[PreparedDrive], T], drives: Sequence[int] | None = None
     ) -> list[T]:
-        """Apply a module-level function to prepared local or remote drives; ``drives``: indices, by default all."""
+        """Apply a module-level function to prepared local or remote drives.
+
+        ``drives`` contains indices, by default all.
+        """
         chosen = range(len(self.drives)) if drives is None else drives
         if self.remote is None:
             return [function(self.prepared[i]) for i in chosen]
@@ -145,7 +148,10 @@ class Design:
 
     @cached_property
     def _races(self) -> bool:
-        """The option ``racing``; by default, True if every tuning has at least `MIN_RACED_DRIVES` training drives."""
+        """The option ``racing``.
+
+        By default, it is True if every tuning has at least `MIN_RACED_DRIVES` training drives.
+        """
         if self.config.racing is not None:
             return self.config.racing
         train = set(self.split(0)[0])
@@ -207,7 +213,7 @@ def make_design(
     _require_truth(drives)
     if not config.drives and config.runs < 2 and config.per_condition:
         raise InputError(
-            "runs = 1: per_condition needs 2 drives per condition; choose runs = 2 or more, or leave per_condition out"
+            "runs = 1: per_condition needs 2 drives per condition; choose runs = 2 or more, or omit per_condition"
         )
     dataset: Dataset = remote or LocalDataset([d for d in drives if isinstance(d, Drive)])
     if config.drives:  # simulated drives never share a part
@@ -217,7 +223,7 @@ def make_design(
     lonely = [name for name in dict.fromkeys(strata) if strata.count(name) < 2]
     if lonely and config.per_condition:
         what = f"condition {lonely[0]} has only one drive, which can't be split"
-        raise InputError(f"{what}; leave per_condition out")
+        raise InputError(f"{what}; omit per_condition")
     # If a condition has only one drive, all drives are split as one stratum.
     return Design(tuple(drives), conditions, (ALL,) * len(drives) if lonely else strata, config, remote)
 
@@ -272,12 +278,12 @@ def _condition_of(drive: Drive) -> tuple[str, str]:
 
 
 def _require_apart(marks: Sequence[Landmarks]) -> None:
-    """Raise `InputError` if drives have a common part, which could be in a training drive and in a test drive."""
+    """Raise `InputError` if drives have a common part, which a training drive and a test drive could both contain."""
     for i, one in enumerate(marks):
         if overlap := overlap_of(one, marks[:i]):
             raise InputError(
-                f"{one.name}: {overlap.seconds:.0f} s of this drive are also in {', '.join(overlap.of)}; leave this "
-                "drive out, since a study trains on some drives and tests on others"
+                f"{one.name}: {overlap.seconds:.0f} s of this drive are also in {', '.join(overlap.of)}; omit this "
+                "drive, since a study trains on some drives and tests on others"
             )
 
 

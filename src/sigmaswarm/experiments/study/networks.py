@@ -36,7 +36,7 @@ MIN_DRIVES_TO_SPLIT = 3
 
 @dataclass(frozen=True, eq=False)
 class TrainingDrives:
-    """Training and validation drives of a network; ``driven``: total time after the filters' starts, s."""
+    """Training and validation drives of a network. ``driven`` is the total time after the filters' starts, s."""
 
     training: tuple[Drive, ...]
     held_back: tuple[Drive, ...]
@@ -82,10 +82,10 @@ Networks = Mapping[Task, TrainedNetwork]
 
 
 def training_drives(design: Design, trial: int, minutes: float) -> TrainingDrives:
-    """Draw ``minutes`` of driving from a trial's training drives: complete drives, and the beginning of one more.
+    """Draw ``minutes`` of driving from a trial's training drives: whole drives, and the beginning of one more.
 
-    A larger number of minutes gives the same drives and additional drives. If the drives are too few for training, more
-    drives are drawn, and their total time exceeds ``minutes``.
+    For a larger number of minutes, drives are added to those of a smaller number. If the drives are too few for
+    training, more drives are drawn, and their total time exceeds ``minutes``.
     """
     remaining, whole, begun, longest, driven = 60.0 * minutes, list[Drive](), list[Drive](), 0.0, 0.0
     order = design.rng(trial, "lessons").permutation(design.split(trial)[0]).tolist()

@@ -35,7 +35,7 @@ Variant = tuple[str, str]  # protocol, method
 
 
 OptionalFloat = Annotated[float | None, BeforeValidator(nan_to_none)]
-"""A number; None instead of NaN and infinity, which JSON does not have."""
+"""A number, or None in place of NaN and infinity, which JSON does not have."""
 Interval = tuple[OptionalFloat, OptionalFloat]
 Touched = Annotated[TouchedBound, BeforeValidator(TouchedBound.read), PlainSerializer(str)]
 
@@ -79,7 +79,7 @@ class VariantSummary(_Part):
 
 
 class PairedComparison(_Part):
-    """Comparison of two methods on the same drives; the value for a drive is the mean over its trials.
+    """Comparison of two methods on the same drives. The value for a drive is the mean over its trials.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class PairedComparison(_Part):
 
 
 class TrialTuning(_Part):
-    """Tuning in one trial; ``folder`` is relative to the study's folder."""
+    """Tuning in one trial. ``folder`` is relative to the study's folder."""
 
     protocol: str
     method: str
@@ -122,7 +122,7 @@ class TrialTuning(_Part):
 class Convergence(_Part):
     """Quantiles (10%, 50%, 90%) over trials of the best cost after each generation.
 
-    ``stable``: the generation from which the median stays within 1% of the last median.
+    ``stable`` is the generation from which the median stays within 1% of the last median.
     """
 
     protocol: str
@@ -135,7 +135,7 @@ class Convergence(_Part):
 
 
 class Effort(_Part):
-    """Data and free parameters of a tuned or trained method; means over trials.
+    """Data and free parameters of a tuned or trained method, as means over trials.
 
     - ``labelled_s``: driving time (s) of the training drives of the filter, which have truth.
     - ``learned_s``: driving time (s) on which the network is trained without truth.
@@ -172,7 +172,7 @@ class CurvePoint(_Part):
 class RivalResults(_Part):
     """Additional results of a study with rivals.
 
-    ``gains`` compares each network with the same filter without a network; in these comparisons ``holm_p`` equals
+    ``gains`` compares each network with the same filter without a network. In these comparisons, ``holm_p`` equals
     ``p``.
     """
 
@@ -222,9 +222,9 @@ QUANTILES = {"low": 0.05, "first": 0.25, "median": 0.5, "third": 0.75, "high": 0
 
 
 class ScoreQuantiles(_Part):
-    """Quantiles of the scores over the drives; the score of a drive is the mean over its trials.
+    """Quantiles of the scores over the drives. The score of a drive is the mean over its trials.
 
-    ``failed``: number of drives on which the filter failed.
+    ``failed`` is the number of drives on which the filter failed.
     """
 
     protocol: str
@@ -273,9 +273,9 @@ class _TuningConfig(BaseModel):
 class StudyRecord:
     """Content of the folder of a study.
 
-    ``quantiles`` are from scores.csv, ``versions`` from the tunings. ``live``: medians and ranges of the processing
-    time (ms) of live filters per IMU sample, without and with a fix. ``rival_times``: training time of a trial (s) and
-    processing time of an IMU sample (us) of each variant.
+    ``quantiles`` are from scores.csv, ``versions`` from the tunings. ``live`` contains medians and ranges of the
+    processing time (ms) of live filters per IMU sample, without and with a fix. ``rival_times`` contains training time
+    of a trial (s) and processing time of an IMU sample (us) of each variant.
     """
 
     results: Results

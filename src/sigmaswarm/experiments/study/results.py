@@ -99,9 +99,9 @@ def _summaries(scores: ScoreTable, draws: Draws) -> Iterator[VariantSummary]:
 def summarize(
     values: Array, strata: Sequence[str], test_per_train: float, draws: Draws, **of: str
 ) -> VariantSummary:
-    """Return mean, SD and intervals of scores, shape (trials, drives); ``of``: the first fields of the record.
+    """Return mean, SD and intervals of scores, shape (trials, drives). ``of`` contains the first fields of the record.
 
-    ``test_per_train``: ratio of the numbers of test and training drives.
+    ``test_per_train`` is the ratio of the numbers of test and training drives.
     """
     each = trial_means(values)
     each = each[~np.isnan(each)]
@@ -132,7 +132,7 @@ def _compared(scores: ScoreTable) -> list[str]:
 def _against(
     scores: ScoreTable, variant: Variant, measure: str, others: Sequence[Variant], draws: Draws
 ) -> Iterator[PairedComparison]:
-    """Compare a variant with other variants; ``holm_p`` is corrected over these comparisons."""
+    """Compare a variant with other variants. ``holm_p`` is corrected over these comparisons."""
     design, (protocol, method) = scores.design, variant
     own = scores.values[variant][measure]
     rows: list[PairedComparison] = []
@@ -150,7 +150,7 @@ def compare_paired(
 ) -> PairedComparison:
     """Compare the scores of two methods, shape (trials, drives), on the drives where both means are finite.
 
-    ``of``: the first fields of the record. ``holm_p`` is not corrected.
+    ``of`` contains the first fields of the record. ``holm_p`` is not corrected.
     """
     a, b = drive_means(own), drive_means(theirs)
     both = np.isfinite(a) & np.isfinite(b)
@@ -197,7 +197,7 @@ def rival_results(
 ) -> RivalResults:
     """Return the results of a study with rivals.
 
-    ``less``: networks that were trained on less data; ``curve``: scores of these networks by measure, shape (networks,
+    ``less`` contains networks that were trained on less data, and ``curve`` their scores by measure, shape (networks,
     drives).
     """
     draws = Draws(scores.design.config.seed)
@@ -210,7 +210,7 @@ def rival_results(
 
 
 def _efforts(design: Design, trials: Trials, networks: Networks) -> Iterator[Effort]:
-    """Yield the data and free parameters of each variant; the values of a network include those of its filter."""
+    """Yield the data and free parameters of each variant. The values of a network include those of its filter."""
     durations = [ready.drive.duration for ready in design.prepared]
     splits = [design.split(trial)[0] for trial in range(design.config.trials)]
     truth = float(np.mean([sum(durations[i] for i in train) for train in splits]))
@@ -257,7 +257,7 @@ def _curve(
     curve: Mapping[str, Array],
     draws: Draws,
 ) -> Iterator[CurvePoint]:
-    """Yield the learning curves of the first trial: no network, then networks trained on more and more data."""
+    """Yield the learning curves of the first trial: no network, then networks trained on increasing amounts of data."""
     for task, whole in networks.items():
         if task.trial:
             continue

@@ -48,8 +48,8 @@ def _measured(score: Score) -> dict[str, float]:
 class ScoreTable:
     """Scores of a study: arrays of shape (trials, drives) by variant and measure.
 
-    A score is NaN if the drive is not a test drive of the trial or the measure is undefined, and ``inf`` if the filter
-    failed.
+    A score is NaN if the drive is not a test drive of the trial or if the measure is undefined. It is ``inf`` if the
+    filter failed.
     """
 
     design: Design
@@ -204,7 +204,7 @@ def score_networks(
     drives: Sequence[Sequence[int]],
     executor: Executor | None = None,
 ) -> dict[str, Array]:
-    """Score each network on its ``drives`` (indices); return arrays of shape (networks, all drives) by measure."""
+    """Score each network on its ``drives`` (indices). Return arrays of shape (networks, all drives) by measure."""
     jobs = [(k, i) for k, chosen in enumerate(drives) for i in chosen]
     one = partial(_score, long=design.config.long_outages, seed=design.config.seed)
     results = (executor.map if executor else map)(

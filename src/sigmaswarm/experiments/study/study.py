@@ -142,7 +142,7 @@ def run_study(
         with double_precision():  # raises if JAX is missing
             require_packages("bo")
         if cluster is not None:
-            raise InputError("rivals = True: networks are trained on local drives; leave the cluster out")
+            raise InputError("rivals = True: networks are trained on local drives; omit the cluster")
     watch = Stopwatch()
     with locked_folder(Path(out)) as folder, ExitStack() as stack:
         _open_folder(folder, config, resume)

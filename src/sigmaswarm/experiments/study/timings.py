@@ -1,4 +1,4 @@
-"""Durations of a study and of filter updates, the only results that differ between two runs."""
+"""Durations of a study and of filter updates. Only these results differ between two runs."""
 
 import os
 import time
@@ -30,7 +30,7 @@ LIVE_FILTERS: dict[str, tuple[FilterKind, ModelName]] = {
 
 
 class Stopwatch:
-    """Wall time and processor time of each lap (s); the latter includes child processes that have ended."""
+    """Wall time and processor time of each lap (s). The processor time includes child processes that have ended."""
 
     def __init__(self) -> None:
         self.laps: Times = {}
@@ -88,7 +88,7 @@ def _sample_us(own: TrainedNetwork | FilterParameters, ready: PreparedDrive) -> 
 
 
 def write_timings(out: Path, design: Design, watch: Stopwatch, rivals: Times) -> Times:
-    """Append this run's laps to timings.json; return the times of the live filters, ms."""
+    """Append this run's laps to timings.json. Return the times of the live filters, ms."""
     runs = content_if_readable(out / "timings.json").get("runs")
     (live,) = design.map_prepared(_live_times, [0])
     more = {"rivals": rivals} if rivals else {}

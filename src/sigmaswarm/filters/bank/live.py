@@ -1,8 +1,8 @@
 """A bank of sixteen filters with the interface of a `LiveFilter`.
 
-A search starts from a stored state of the bank that no late fix can change. `SEARCH_DELAY` after the start of the
-search, its result replaces filters in a newer stored state that no late fix can change, and the bank processes the
-later samples again. Therefore, estimates do not depend on the computing time of the search.
+A search starts from a stored state of the bank that late fixes can no longer change. Its result is used `SEARCH_DELAY`
+later: the result replaces filters in a newer stored state of this kind, and the bank processes the later samples again.
+Therefore, estimates do not depend on the computing time of the search.
 """
 
 from collections.abc import Sequence
@@ -59,8 +59,8 @@ class LiveFilterBank(LiveFilter):
     offsets, for larger biases and for other receivers. Every 10 s of driving, the filters with the lowest weights among
     filters 8 to 15 are replaced: one by the result of a search over the last minute, and each of the others by a
     randomly changed copy of a good filter. Thus the bank adapts to other sensors or to better or worse GPS reception.
-    On the vehicle of the training drives, the bank is not more accurate than a single filter. If the mixture diverges,
-    filters 1 to 15 are reset; most of them keep the biases of the mixture.
+    With the sensors of the training drives, the bank is not more accurate than a single filter. If the mixture
+    diverges, filters 1 to 15 are reset; most of them keep the biases of the mixture.
 
     The interface is that of a `LiveFilter`, without the smoothed state. A copy by `pickle` continues with identical
     results. After a reset, all filters ignore fixes from before the reset.
@@ -74,7 +74,8 @@ class LiveFilterBank(LiveFilter):
     searches : bool
         Search for better filters during the drive. If False, no filter is replaced.
     trust_times : bool
-        Accept time stamps that are far ahead without confirmation, for a recording that is sorted by time.
+        Accept time stamps that are far ahead of the last sample without confirmation, for a recording that is sorted by
+        time.
 
     Attributes
     ----------
@@ -149,7 +150,7 @@ class LiveFilterBank(LiveFilter):
         return self._filter_state[live.BEHIND :]
 
     def _start_lanes(self, start: InitialState, lanes: slice) -> None:
-        """Start the filters ``lanes``; set the evidence of failed filters to -inf, and that of all others to 0."""
+        """Start the filters ``lanes``. The evidence of failed filters becomes -inf, and that of all others 0."""
         rows = self._rows_of(self._numbers)
         rows[:, lanes] = self._started(start)[:, lanes]
         rows[CONSTANT_ROWS, lanes] = self.prior.constants(self._own_constants, self.offsets[lanes])
@@ -161,7 +162,7 @@ class LiveFilterBank(LiveFilter):
         swarm.weigh(self._filter_state)
 
     def _started(self, start: InitialState) -> Array:
-        """Return the kernel rows (N_KEPT, LANES) of all filters at a start: see `compiled.layout`."""
+        """Return the kernel rows (N_KEPT, LANES) of all filters at a start (see `compiled.layout`)."""
         sets = tuple(self.prior.parameters(self.offsets[lane]) for lane in range(LANES))
         return KernelArray(sets).start([start], [self._interval])[0]
 
@@ -181,7 +182,7 @@ class LiveFilterBank(LiveFilter):
         return numbers[swarm.ROWS].reshape(N_KEPT, LANES)
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
-        """Process an IMU sample: see `LiveFilter.predict`."""
+        """Process an IMU sample as `LiveFilter.predict` does."""
         super().predict(t, imu)
         if t >= self._due and self._filter_state[live.TIME] >= self._due:
             self._move()
@@ -322,7 +323,7 @@ class LiveFilterBank(LiveFilter):
         return [i for i, state in enumerate(FILTERS[self._kernel].states) if state.bias_of]
 
     def _with_sound_biases(self, lost: bool, mean: Array, covariance: Array) -> tuple[Array, Array]:
-        """Return mean (n,) and covariance (n, n); if ``lost``, the biases are those from before the divergence."""
+        """Return the mean (n,) and the covariance (n, n). If ``lost``, the biases are those before the divergence."""
         if not lost:
             self._last_sound = mean, covariance
             return mean, covariance
@@ -335,8 +336,8 @@ class LiveFilterBank(LiveFilter):
     def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
         """Set the biases of reset filters to those of the mixture.
 
-        Filters whose constant offsets assume larger initial biases do not change. No filter changes if the alignment
-        determined the gyro bias more precisely than the mixture, or used another gyro bias than ``gyro_bias`` (rad/s).
+        Filters with offsets for larger initial biases do not change. No filter changes if the alignment determined the
+        gyro bias more precisely than the mixture did, or if it used a gyro bias other than ``gyro_bias`` (rad/s).
         """
         gyro = start.gyro
         if gyro is not None:
@@ -428,7 +429,7 @@ class LiveFilterBank(LiveFilter):
 
     @property
     def state(self) -> LiveState:
-        """State estimate of the mixture after the last IMU sample and all fixes up to its time."""
+        """State estimate of the mixture after the last IMU sample and all earlier fixes."""
         mean, covariance = self._mixed()
         sound = self._plausible and is_definite(covariance)
         return live_state(float(self._filter_state[live.TIME]), mean, covariance, self.lost, sound)
@@ -439,7 +440,7 @@ class LiveFilterBank(LiveFilter):
         return self._together is not None and self._together.lost
 
     def lanes(self) -> tuple[Array, Array]:
-        """Return the current state rows (s, 16), see `compiled.layout`, and weights (16,) of the filters."""
+        """Return the current state rows (s, 16) (see `compiled.layout`) and the weights (16,) of the filters."""
         return self._rows_of(self._numbers)[state_rows(self._kernel)], self.weights
 
     def _mixed(self) -> tuple[Array, Array]:

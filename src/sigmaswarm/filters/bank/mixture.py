@@ -24,7 +24,7 @@ class Mixture:
     @classmethod
     @np.errstate(all="ignore")  # failed filters have no weight
     def of(cls, states: Array, weights: Array, model: str) -> "Mixture":
-        """Mix state rows (k, s, LANES) with weights (k, LANES); NaN where all weights are 0."""
+        """Mix state rows (k, s, LANES) with weights (k, LANES); the result is NaN where all weights are 0."""
         mean, covariance = state_estimate(states, model)  # (k, LANES, n), (k, LANES, n, n)
         sound = np.isfinite(mean.sum(axis=2) + covariance.sum(axis=(2, 3)))
         weights = np.where(sound, weights, 0.0)

@@ -30,7 +30,8 @@ FIXED_OFFSETS = (
     {R: 2.5, START: 3.0},
     {R: 4.5, START: 3.0},
 )
-"""Offsets of the first eight filters (decades of variance): none, larger initial biases, other receivers."""
+"""Offsets of the first eight filters, in decades of variance: none, then those for larger initial biases and other
+receivers."""
 
 WARNING_OFFSET, WARNING_AXLE_OFFSET = 0.5, 0.5  # largest offsets without a warning, decades and m
 _MEANS = {
@@ -72,7 +73,7 @@ class OffsetPrior:
 
     @cached_property
     def lasting(self) -> Array:
-        """Mask (d,): 1 for offsets with an effect after the start, otherwise 0."""
+        """Mask, (d,): 1 for offsets that still have an effect after the start, otherwise 0."""
         return np.array([0.0 if name == START else 1.0 for name in self.names])
 
     def first(self, rng: np.random.Generator) -> Array:

@@ -65,10 +65,9 @@ class BankLog:
 
 
 class BankRun:
-    """Run of a filter bank over a drive, as an iterator of pieces; the log is complete after the last piece.
+    """Run of a filter bank over a drive, as an iterator of pieces. The log is complete after the last piece.
 
-    ``failure`` states the first time in the pieces so far at which all filters had failed; None if there is no such
-    time.
+    ``failure`` is the first time in the pieces so far at which all filters had failed, or None.
     """
 
     def __init__(
@@ -148,7 +147,7 @@ class BankRun:
 
     @property
     def innovations(self) -> Innovations:
-        """Innovations of the mixture in the pieces so far: at each IMU sample with new fixes, that of the last fix."""
+        """Innovations of the mixture in the pieces so far; of several fixes before an IMU sample, that of the last."""
         rows = np.array(self._innovations).reshape(-1, 6)
         return Innovations(rows[:, 0], rows[:, 1:3], rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2))
 
@@ -159,10 +158,11 @@ def _rows(columns: Sequence[Array]) -> Iterator[list[float]]:
 
 
 def stream(drive: Drive, axes: Sequence[str]) -> Iterator[tuple[Any, ...]]:
-    """Yield the data of a drive, up to the last IMU sample, in order of time.
+    """Yield the data of a drive in order of time, up to the last IMU sample.
 
     The tuples are ("fix", time, position, velocity, std, heading), ("odometer", time, speed) and ("imu", time, sample),
-    with the arguments of a `LiveFilter`; a sample contains ``axes``. Fixes and readings precede a sample of their time.
+    with the arguments of the methods of `LiveFilter`. A sample contains the IMU's ``axes``. Fixes and odometer readings
+    precede a sample with the same time.
     """
     imu, end = drive.imu, drive.imu.time[-1]
     gps, wheels = drive.gps.select(drive.gps.time <= end), drive.odometer

@@ -126,7 +126,7 @@ def _loss(lanes: Array) -> Array:
 
 @np.errstate(all="ignore")
 def _evidence_losses(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
-    """Return the loss of each fix for `FilterEvidence`, (f,), from nu (m) and S (m2): see `compiled.swarm`."""
+    """Return the loss of each fix for `FilterEvidence`, (f,), from nu (m) and S (m2) (see `compiled.swarm`)."""
     det = xx * yy - xy * xy
     nis = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det
     losses = 0.5 * np.log(det) + 0.5 * np.minimum(nis, swarm.LARGEST_NIS)
@@ -134,11 +134,11 @@ def _evidence_losses(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Arr
 
 
 FUZZY_FACTORS = R.TIMES_R, R.TIMES_Q
-"""Rows of a fuzzy filter's factors of R and Q; with new constants, they start at 1."""
+"""Rows of a fuzzy filter's factors of R and Q; these factors are reset to 1 when the constants change."""
 
 
 def with_zero_sums(lanes: Array) -> Array:
-    """Return copies of filters (N_KEPT, m) with the same state, sums of 0 and fuzzy factors of 1."""
+    """Return copies of filters (N_KEPT, m) with the same state, with sums of 0 and fuzzy factors of 1."""
     fresh = lanes.copy()
     fresh[SUM_ROWS] = 0.0
     lasting = [R.REJECTED, R.RECENT, R.OUTLIERS, R.SPAN, R.QUICK, R.SLOW, R.HEADING, R.OK]
@@ -169,8 +169,8 @@ def search(
 ) -> SearchResult | None:
     """Search for the best offsets over some steps; return None if too few fixes are scored or all filters fail.
 
-    ``start`` (N_KEPT,) and ``known`` are the filter and its evidence before the steps. ``leader`` (d,) are the offsets
-    of the filter with the largest weight, which replace the last member of ``population`` (LANES, d).
+    ``start`` (N_KEPT,) and ``known`` are the filter and its evidence before the steps. ``leader`` (d,) contains the
+    offsets of the filter with the largest weight, which replace the last member of ``population`` (LANES, d).
     """
     rng = np.random.default_rng(seed)
     if steps.n_scored < MIN_SCORED_FIXES:
@@ -227,11 +227,11 @@ if hasattr(os, "register_at_fork"):
 
 @dataclass(frozen=True, eq=False)
 class PendingSearch:
-    """A search over logged steps; ``logged`` is the number of the first step after the searched steps.
+    """A search over logged steps. ``logged`` is the number of the first step after these steps.
 
     ``leader`` is the index of the filter with the largest weight. The search starts from an earlier state of this
-    filter or, if it is a copy, of its original. A forked copy of this object searches in the calling thread, and an
-    unpickled copy starts the search again.
+    filter or, if it is a copy, of its original. In a forked process, a copy of this object searches in the calling
+    thread. An unpickled copy starts the search again.
     """
 
     logged: int

@@ -1,4 +1,4 @@
-"""Parts of an update with a fix: adaptation of Q and R, weight of the fix, inflation of P, and the fix error b.
+"""Parts of an update with a fix: adaptation of Q and R, weight of the fix, inflation of P, correlated fix error b.
 
 The textbook forms are `textbook.adaptive` and `filters.kernels`. The last two states are b. The process of a model does
 not depend on b, so a prediction multiplies the columns of b in P by the transition A of the model. The coefficients of
@@ -15,11 +15,11 @@ from sigmaswarm.filters.constants import ITERATIONS, LARGEST_RATIO, OUTLIERS, OU
 def strong_tracking(w, *, n):
     """Strong tracking: inflate P until the trace of S is at least the recent mean of nu^T nu.
 
-    FADING < 0: off. Source: D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996 (single fading factor, computed
-    from traces), with two changes. The previous mean and the new nu^T nu have the weights rho = FADING and 1 - rho.
-    With the weights of the source, rho / (1 + rho) and 1 / (1 + rho), the mean forgets too fast. Only the part of P
-    that the fix observes is inflated, P + (factor - 1) C (H P H^T)^-1 C^T with C = Cov(state, z), since the unobserved
-    part would grow without limit.
+    FADING < 0 disables this part. Source: D. H. Zhou and P. M. Frank, Int. J. Control 65(2), 1996 (single fading
+    factor, computed from traces), with two changes. The previous mean and the new nu^T nu have the weights rho = FADING
+    and 1 - rho. With the weights of the source, rho / (1 + rho) and 1 / (1 + rho), the mean forgets too fast. Only the
+    part of P that the fix observes is inflated, P + (factor - 1) C (H P H^T)^-1 C^T with C = Cov(state, z), since the
+    unobserved part would grow without limit.
     """
     for l in range(LANES):
         rho = w.FADING
@@ -36,7 +36,7 @@ def strong_tracking(w, *, n):
 def apply_fuzzy_rules(w, *, n):
     """Scale R and Q by fuzzy rules on the NIS of a fix.
 
-    FUZZY < 0: off. See `textbook.adaptive.FuzzyNoise`.
+    FUZZY < 0 disables the rules. See `textbook.adaptive.FuzzyNoise`.
     """
     for l in range(LANES):
         memory = w.FUZZY
@@ -89,9 +89,10 @@ def inflate_observed(w, l, s11, s12, s22, factor, *, n):
 def student_t_weight(w, since):
     """Compute the weight of a fix by Student's t, and divide the R of the fix by this weight.
 
-    DOF = 0: off. See `textbook.adaptive.StudentT`, also for the inflation of P after consecutive outliers. Let V = R /
-    weight, S = H P H^T + V and e = S^-1 nu. After the update, the residual is r = V e, and H P+ H^T is A = V - V S^-1
-    V. Three iterations from a weight of 1 compute weight = (dof + 2) / (dof + r^T R^-1 r + tr R^-1 A).
+    DOF = 0 disables the weights. `textbook.adaptive.StudentT` describes the method and the inflation of P after
+    consecutive outliers. Let V = R / weight, S = H P H^T + V and e = S^-1 nu. After the update, the residual is r = V
+    e, and H P+ H^T is A = V - V S^-1 V. Three iterations from a weight of 1 compute weight = (dof + 2) / (dof + r^T
+    R^-1 r + tr R^-1 A).
     """
     recovering = 0
     for l in range(LANES):
@@ -125,7 +126,7 @@ def student_t_weight(w, since):
 
 
 def adapt(w, since, *, n):
-    """Adapt Q and R to the innovation of a fix, with weight 1 - FORGETTING; FORGETTING = 1: off.
+    """Adapt Q and R to the innovation of a fix, with weight 1 - FORGETTING; FORGETTING = 1 disables this.
 
     See `textbook.adaptive.SageHusa`. The estimate of R is the diagonal of eps eps^T + H P+ H^T, positive by
     construction, with the residual eps after the update. The estimate of Q is the diagonal of Q + (K nu nu^T K^T + P+ -
@@ -152,7 +153,7 @@ def adapt(w, since, *, n):
 def carry_fix_error(w, u, *, n, biases):
     """Multiply the columns of the fix error in P by the transition A of a planar model.
 
-    ``biases``: True for planar8.
+    ``biases`` is True for planar8.
     """
     dt = u[DT]
     h = 0.5 * dt
@@ -171,7 +172,7 @@ def carry_fix_error(w, u, *, n, biases):
 
 
 def age_fix_error(w, z, since):
-    """Compute phi, and the variance g s^2 (1 - phi^2) that the fix error gains in ``since`` nominal steps."""
+    """Compute phi, and the variance g s^2 (1 - phi^2) by which the fix error grows in ``since`` nominal steps."""
     var_x, var_y = z[FIX_VAR_X], z[FIX_VAR_Y]
     for l in range(LANES):
         phi = math.exp(-since * w.FIX_ERROR_RATE)
@@ -184,7 +185,7 @@ def age_fix_error(w, z, since):
 def move_fix_error(w, *, n, noted):
     """Propagate the fix error from the last fix to the new fix.
 
-    ``noted``: index of phi among the rows MOVE of `transition`; 0 if phi is not logged.
+    ``noted`` is the index of phi among the rows MOVE of `transition`, or 0 if phi is not logged.
     """
     for l in range(LANES):
         phi = w.PHI
@@ -203,7 +204,8 @@ def move_fix_error(w, *, n, noted):
 def observe_fix_error(w, *, n):
     """Add the predicted fix error to the measurement model of a fix.
 
-    phi b enters nu, H P H^T and C; the variance that `age_fix_error` computes enters H P H^T.
+    phi b is added to the prediction and changes nu, H P H^T and C. The variance that `age_fix_error` computes is added
+    to H P H^T.
     """
     for l in range(LANES):
         phi = w.PHI

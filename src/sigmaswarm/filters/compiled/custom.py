@@ -1,7 +1,7 @@
-"""Unscented filter of `textbook`, compiled with a user's f and h, for one parameter set over one log.
+"""The unscented filter of `textbook`, compiled with a user's f and h, for one parameter set over one log.
 
 Numba cannot cache a user's function, so each process compiles the kernel at the first use. Loops compile faster than
-NumPy expressions. Arrays are passed separately, since a step takes twice as long with a tuple of arrays.
+NumPy expressions. Arrays are separate arguments, since a step takes twice as long with a tuple of arrays.
 """
 
 import math
@@ -34,7 +34,7 @@ def build_kernel(
 ) -> Any:
     """Build a filter from a user's functions; the filter is compiled at its first call.
 
-    ``diagonal``: True if process_noise returns the diagonal of Q. An index out of bounds in a user's function raises
+    ``diagonal`` is True if process_noise returns the diagonal of Q. An index out of bounds in a user's function raises
     IndexError.
     """
     user = njit(error_model="numpy", boundscheck=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
@@ -81,7 +81,7 @@ def build_kernel(
         dt, source, updates, records, inputs, measurements, mean0, covariance0, angles, measured_angles,
         scaling, noise, limits, runs, p, means, covariances, nis, nll,
     ):  # fmt: skip
-        """Run all steps; write means, covariances, nis and nll; update ``runs``; return the step that failed, or -1."""
+        """Run all steps: write means, covariances, nis and nll; update ``runs``. Return the step that failed, or -1."""
         m = measurements.shape[1]
         n, weights = mean0.size, _weights(mean0.size, scaling)
         mean, covariance, root, state = mean0.copy(), covariance0.copy(), np.zeros((n, n)), np.empty(n)
@@ -216,7 +216,10 @@ def _leave_out(z, nu, s, cross):
 
 @_kernel
 def _whiten(nu, s, cross, root):
-    """Replace nu by y = L^-1 nu and C by W = C L^-T, with S = L L^T; return NIS and log det S, NaN if there is no L."""
+    """Replace nu by y = L^-1 nu and C by W = C L^-T, where S = L L^T.
+
+    Return NIS and log det S, or NaN if there is no L.
+    """
     n, m = cross.shape
     if not _root(s, root):
         return np.nan, np.nan
@@ -271,7 +274,7 @@ def _limited_share(z, nis, limit, runs):
 
 @_kernel
 def _limited(nis, limit):
-    """Return the term of -2 log likelihood for an NIS: NIS, or limit (1 + log(NIS / limit)) above the limit.
+    """Return the contribution of an NIS to -2 log likelihood: NIS or, above the limit, limit (1 + log(NIS / limit)).
 
     Above the limit, the derivative of the result with respect to the innovation nu is 2 S^-1 nu limit / NIS, as if S
     were multiplied by NIS / limit.

@@ -83,13 +83,13 @@ TINY = 1e-100  # added to divisors that may be 0; too small to change other divi
 
 
 def sinc_cos(z):
-    """Return sin(r) / r and cos(r) for an angle r in [-pi/4, pi/4], with z = r^2, without square root or division."""
+    """Return sin(r) / r and cos(r) for an angle r in [-pi/4, pi/4], from z = r^2 alone."""
     s, cos = _series(z)
     return 1.0 + z * s, cos
 
 
 def _near(x, n):
-    """Return sine and cosine of x - n pi/2, which is in [-pi/4, pi/4].
+    """Return the sine and cosine of x - n pi/2, which is in [-pi/4, pi/4].
 
     The rounding of n pi/2 adds an error of at most 2.4e-16 n.
     """

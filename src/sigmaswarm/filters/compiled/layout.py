@@ -117,7 +117,8 @@ ROOT, SLOPE, BEND, SHIFT, EXTRA, PIVOT = R.ROOT0, R.SLOPE0, R.BEND0, R.SHIFT0, R
 """First rows: P[i, j] with i <= j is in row P0 + j (j + 1) / 2 + i, Q[i, i] in row Q0 + i, and so on."""
 P, Q = P0, Q0
 COLUMNS = {"ROOT": 6, "SLOPE": 5, "BEND": 5, "EXTRA": 5}
-"""Numbers of columns of matrices; those of SLOPE, BEND, EXTRA are vx, vy, and the rotation about east, north, up."""
+"""Numbers of columns of matrices. The columns of SLOPE, BEND and EXTRA are vx, vy, and the rotation about east, north
+and up."""
 
 
 def _rows(block: str) -> slice:

@@ -106,9 +106,9 @@ N_RECORD = S_MEANS.stop
 TAKEN, IGNORED, LEFT_OUT = 1, 0, -1
 """Results for a fix or an odometer reading.
 
-IGNORED: repeated data; a fix at or before the start of the filter; a fix whose time a second fix must confirm; an
-odometer reading, if the filter does not use an odometer. LEFT_OUT: a measurement that is too late, whose buffer is
-full, or whose time or speed is not finite; or an odometer reading whose time is far ahead.
+IGNORED: repeated data; a fix at or before the start of the filter; a fix whose time must be confirmed by a second fix;
+an odometer reading, if the filter does not use an odometer. LEFT_OUT: a measurement that is too late, that finds its
+buffer full, or whose time or speed is not finite; an odometer reading whose time is far ahead.
 """
 DUE = 2  # result of a sample: used, and the divergence monitor is due
 
@@ -118,7 +118,7 @@ _plain = njit(**OPTIONS)  # operations are not reordered: time slots must equal 
 
 @_plain
 def _step_to(m, to, u, events, z, wheels):
-    """Compute the step to a time; ``u`` (N_STEP,) contains axes and gap; its DT and Q_SCALE are set here."""
+    """Compute the step to a time. ``u`` (N_STEP,) contains axes and gap; this function sets its DT and Q_SCALE."""
     v = m.filter_state
     dt = to - v[TIME]
     scale = dt / v[NOMINAL]
@@ -130,7 +130,7 @@ def _step_to(m, to, u, events, z, wheels):
 
 @_plain
 def _copy(of, to, n):
-    """Copy the first n numbers; Numba takes long to compile copies of whole arrays."""
+    """Copy the first n numbers. Numba takes long to compile copies of whole arrays."""
     for i in range(n):
         to[i] = of[i]
 
@@ -147,7 +147,7 @@ def _same(a, b, n):
 def is_definite(p, n, factor, first):
     """Return True if the Cholesky factor shows that P of n states is positive semidefinite, up to rounding.
 
-    ``p`` is the upper triangle of P, column by column; the factor is written to ``factor`` from index ``first`` on.
+    ``p`` is the upper triangle of P, column by column. The factor is written to ``factor``, from index ``first`` on.
     """
     for j in range(n):
         begin = j * (j + 1) // 2
@@ -172,7 +172,7 @@ def is_definite(p, n, factor, first):
 
 @_plain
 def _process_sample(m, k):
-    """Process the fixes up to the k-th stored sample, then the sample, the odometer and the constraints of a car."""
+    """Process the fixes up to the k-th stored sample, then this sample, the odometer and the constraints of a car."""
     v, fixes, record = m.filter_state, m.fixes, _record(m, k)
     t, u = record[S_TIME], record[S_STEP]
     before, nothing = v[TIME], np.zeros(11)
@@ -202,7 +202,7 @@ def _process_sample(m, k):
 
 @_plain
 def _until(rows: np.ndarray, n: int, now: float) -> int:
-    """Return how many of the first n rows, sorted by time, have a time (column 0) of at most ``now``."""
+    """Return how many of the first n rows, which are sorted by time (column 0), are not later than ``now``."""
     while n > 0 and rows[n - 1, 0] > now:
         n -= 1
     return n
@@ -210,7 +210,7 @@ def _until(rows: np.ndarray, n: int, now: float) -> int:
 
 @_plain
 def _is_standstill(v, fixes, end, now, means):
-    """Return True if, after a calm second, the fixes before row ``end`` and the acceleration show a standstill."""
+    """Return True if, after a calm second, the acceleration and the fixes before row ``end`` show a standstill."""
     if not fixes_are_still(fixes, fixes[:, KIND], end, now, np.empty(1)):
         return False
     passed, v[STOP_TIME] = now - v[STOP_TIME], now
@@ -297,7 +297,7 @@ def _store_reading(m, z):
 def _process_in_order(m, sample):
     """Process an IMU sample whose time was accepted.
 
-    If a gap precedes it, predict across the gap with the mean of the samples before and after it.
+    If a gap precedes the sample, predict across the gap with the mean of the samples before and after it.
     """
     v, counts = m.filter_state, m.counts
     t, last, gap = sample[0], v[SAMPLE], 0.0
@@ -350,7 +350,7 @@ def _store_state(m, k):
 
 @_plain
 def _first_after(m, t):
-    """Return the index of the first stored sample at or after a time, to process the samples again from there.
+    """Return the index of the first stored sample at or after a time, from which to process the samples again.
 
     The result is -1 if there is no such sample, or if the history does not reach back to the time.
     """
@@ -367,7 +367,7 @@ def _first_after(m, t):
 def replay(m, first, corrects):
     """Process the stored samples again from index ``first`` on; the filter is in the state before this sample.
 
-    ``corrects``: True to also replace the stored states and checkpoints.
+    If ``corrects`` is True, also replace the stored states and checkpoints.
     """
     for k in range(first, m.counts[N_HISTORY]):
         if corrects:
@@ -435,7 +435,7 @@ def _has_new_fixes(m, t):
 
 @_plain
 def _is_due(m, t):
-    """Return True if the monitor is due after a sample: soon after a new fix, at most once per CHECK_INTERVAL."""
+    """Return True if the monitor must check after a sample: soon after a new fix, at most once per CHECK_INTERVAL."""
     if not _has_new_fixes(m, t):
         return False
     v = m.filter_state
@@ -448,7 +448,7 @@ def _is_due(m, t):
 
 
 def _sample(handle, t, a, b, c, d, e, f):
-    """Process an IMU sample; if its time is far ahead, it waits for a second sample."""
+    """Process an IMU sample. A sample whose time is far ahead waits for a second sample."""
     m = memory_at(handle)
     v, counts = m.filter_state, m.counts
     if not v[LAST_SAMPLE] < t < math.inf:
@@ -485,7 +485,7 @@ def _sample(handle, t, a, b, c, d, e, f):
 
 
 def _fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y, theta, var_theta):
-    """Process a fix; if its time is far ahead, it waits for a second fix."""
+    """Process a fix. A fix whose time is far ahead waits for a second fix."""
     m = memory_at(handle)
     v, counts = m.filter_state, m.counts
     if not math.isfinite(t):
@@ -537,7 +537,7 @@ def _definite(handle):
 
 @call_once
 def replay_call():
-    """Return `replay`, compiled and cached; the step of a smoother is a `single_step` that logs its steps."""
+    """Return `replay`, compiled and cached. The step of a smoother is a `single_step` that logs its steps."""
     return cached_by_sources(getattr(replay, "py_func", replay), "live again")
 
 

@@ -49,7 +49,7 @@ from sigmaswarm.filters.kernels import FILTERS, UNSCENTED
 def update_fix(w, z, lever, since, *, stores_innovation, gated, adaptive, fix_error, note_prior):
     """Update with a position fix of the antenna.
 
-    ``z`` is a row of `Timeline.fixes`; ``since`` is the time since the last fix, in nominal steps. Options that no lane
+    ``z`` is a row of `Timeline.fixes`; ``since`` is the time since the last fix, in nominal steps. Parts that no lane
     uses are skipped.
     """
     fading, adapting, fuzzy, robust = 0, 0, 0, 0
@@ -169,9 +169,9 @@ def _measure_fix(w, z, lever, *, n):
 
 @kernel
 def _turn_lever(w, lever_x, lever_y):
-    """Compute the rotated lever arm, k times its derivative with respect to theta, and e.
+    """Compute the rotated lever arm, its derivative with respect to theta times k, and e.
 
-    k and e: see planar5.
+    `planar5` defines k and e.
     """
     for l in range(LANES):
         sin_t, cos_t = sincos(w.T)
@@ -184,9 +184,9 @@ def _turn_lever(w, lever_x, lever_y):
 def _keep_digits(w, *, n, tilted, unscented, fix_error):
     """Recompute the position's variances and covariances from P+ H^T = C S^-1 R, which avoids cancellation.
 
-    P - C S^-1 C^T loses nine digits of a variance that a fix reduces by a factor of a billion. H is 1 at the position
-    and at the correlated fix error, -latency at the velocity, and k J arm at the heading (k, J: see `planar5`). R
-    includes the second-order terms of S.
+    P - C S^-1 C^T loses nine digits of a variance that a fix reduces by a factor of a billion. H is 1 for the position
+    and for the correlated fix error, -latency for the velocity, and k J arm for the heading (`planar5` defines k and
+    J). R includes the second-order terms of S.
     """
     for l in range(LANES):
         used = w.G11 != 0.0
@@ -229,7 +229,7 @@ UPDATES = (
 def measurement_kernels(name: str, note_prior=None, noted=0):
     """Return the functions in `UPDATES` as kernels for the filter ``name``: a dict by function name.
 
-    ``note_prior``: see `transition`; ``noted``: see `move_fix_error`.
+    For ``note_prior`` see `transition`, for ``noted`` see `move_fix_error`.
     """
     model, n, unscented = FILTERS[name], len(FILTERS[name].states), int(name == UNSCENTED)
     ready = {

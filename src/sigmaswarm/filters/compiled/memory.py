@@ -19,7 +19,10 @@ CACHE_LINE = 64  # bytes; also the width of the widest vectors
 
 
 def array_at(context, builder, kind, data, shape, strides):
-    """Return an array of doubles at the address ``data``, in the code generator of an intrinsic; strides in bytes."""
+    """Return an array of doubles at the address ``data``, in the code generator of an intrinsic.
+
+    Strides are in bytes.
+    """
     array = context.make_array(kind)(context, builder)
     size = ir.IntType(64)(8)
     context.populate_array(array, data=data, shape=shape, strides=strides, itemsize=size, meminfo=None)
@@ -45,8 +48,8 @@ def _on_the_stack(typing_context, lanes):
 new_rows = (lambda _: np.empty((N_ROWS, LANES))) if config.DISABLE_JIT else _on_the_stack
 """``new_rows(lanes)`` returns an uninitialized array of rows on the stack of the calling kernel.
 
-Its type has ``lanes`` columns, but its memory has LANES columns: w[r, LANES + k] is stored at w[N_ROWS + r, k]. Without
-compilation, the array always has LANES columns.
+The type of this array has ``lanes`` columns, but its memory has LANES columns: w[r, LANES + k] is stored at w[N_ROWS +
+r, k]. Without compilation, the array always has LANES columns.
 """
 
 _ARRAYS = (types.Array(float64, 1, "C"), types.Array(int64, 1, "C"), *(types.Array(float64, 2, "C"),) * 6)

@@ -22,7 +22,7 @@ _plain = njit(**OPTIONS)
 
 @_plain
 def last_fix(fixes, end, until, after):
-    """Return the row of the last usable fix in (after, until], among the rows before ``end``; -1 if there is none."""
+    """Return the row of the last usable fix in (after, until], among the rows before ``end``; -1 without such a fix."""
     for f in range(end - 1, -1, -1):
         if fixes[f, _T] <= after:
             break
@@ -38,9 +38,10 @@ def _counts(fixes, f):
 
 @_plain
 def rough_heading(samples, newest, n, fixes, end, gyro_bias):
-    """Return the heading at the last sample (rad): `Alignments.course`, propagated by the gyro; NaN if unknown.
+    """Return the heading at the last sample (rad): `Alignments.course`, propagated by the gyro. NaN if it is unknown.
 
-    ``newest``: row of the last of the ``n`` samples in the ring buffer. ``end``: number of fixes. ``gyro_bias``: rad/s.
+    ``newest`` is the row of the last of the ``n`` samples in the ring buffer, ``end`` the number of fixes.
+    ``gyro_bias`` is in rad/s.
     """
     now = samples[newest, 0]
     last = last_fix(fixes, end, now, -math.inf)
@@ -69,8 +70,8 @@ def rough_heading(samples, newest, n, fixes, end, gyro_bias):
 def _way(samples, k, steps, since, until, gyro_bias):
     """Return a displacement between two times (m east, m north), and the turn from the first to the last sample (rad).
 
-    The displacement is that of a vehicle with speed 1 m/s and initial heading 0. Row ``k`` is the last sample at or
-    before ``since``; ``steps`` samples follow.
+    The displacement assumes a speed of 1 m/s and an initial heading of 0. Row ``k`` is the last sample at or before
+    ``since``; ``steps`` samples follow.
     """
     before, east, north, turned, cos, sin = samples[k, 0], 0.0, 0.0, 0.0, 1.0, 0.0
     for _ in range(steps):

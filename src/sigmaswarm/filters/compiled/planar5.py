@@ -27,7 +27,7 @@ from sigmaswarm.filters.compiled.layout import LANES, R
 
 @kernel
 def _refresh_sin_cos(w):
-    """Compute cosine and sine of the heading if they are invalid."""
+    """Compute the cosine and sine of the heading if they are invalid."""
     for l in range(LANES):
         sin_t, cos_t = sincos(w.T)
         valid = w.SIN_COS_VALID > 0.0

@@ -87,7 +87,7 @@ RATES = {R.T: R.W, R.U: R.A, R.V: R.B}
 def _correct(w, l, off, r, use, *, state):
     """Update with a measurement of one state: x += K nu, P -= p p^T / S; the state's column of P, p, becomes p R / S.
 
-    ``off``: nu; ``r``: R; ``use``: 0 if the measurement is rejected, otherwise 1.
+    ``off`` is nu and ``r`` is R. ``use`` is 0 if the measurement is rejected, otherwise 1.
     """
     one = use / (P[state, state] + r)
     nu = one * off
@@ -106,7 +106,7 @@ def _correct(w, l, off, r, use, *, state):
 
 
 def _update(w, z, *, state, noise, gate, correct):
-    """Update with a measurement of one state; ``gate``: row of the smallest rejected NIS; 0: no gate."""
+    """Update with a measurement of one state. ``gate`` is the row of the smallest rejected NIS, or 0 without a gate."""
     for l in range(LANES):
         r, use, off = w[noise], 1.0, z - w[state]
         if state == R.T:
@@ -130,7 +130,7 @@ _update_vx, _update_vy, _update_yaw = _updated(R.U, R.R_ODOMETER), _updated(R.V,
 
 @kernel
 def _measure_fix(w, x, y, var_x, var_y, forward, left):
-    """Compute nu, H P H^T and R of a fix; the antenna is ``forward`` and ``left`` of the IMU, m."""
+    """Compute nu, H P H^T and R of a fix. The antenna is ``forward`` and ``left`` of the IMU, m."""
     for l in range(LANES):
         s, c = sincos(w.T)
         w.N1 = x - (c * forward - s * left) - w.X

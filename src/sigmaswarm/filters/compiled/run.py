@@ -45,7 +45,7 @@ DriveArrays = tuple[
     *tuple[Array, NDArray[np.int32], Array, NDArray[np.uint16]],
     *tuple[Array, Array, Array, TargetColumns, NDArray[np.int32]],
 ]
-"""k steps of a drive, its fixes and targets, as a kernel reads them:
+"""k steps of a drive, its fixes and its targets (times at which errors are scored), in the arrays that a kernel reads:
 
 - steps (k, 3) as `Timeline.steps`
 - sample (k,), the row of ``driving`` of each step
@@ -98,7 +98,7 @@ def _add(w, l, x, y, wrong, scores_heading):
 
 
 def _score(w, weight, true_x, true_y, true_theta, scores_heading, *, heading):
-    """Add to the sums the squared errors at a time of truth, and the position's NEES with P at the later IMU sample."""
+    """Add the squared errors at a time of truth to the sums, and the position's NEES with P at the later IMU sample."""
     for l in range(LANES):
         x, y, wrong = _off_between(w, l, weight, true_x, true_y, true_theta, heading)
         _add(w, l, x, y, wrong, scores_heading)
@@ -113,7 +113,7 @@ def _score_there(w, true_x, true_y, true_theta, scores_heading, *, heading):
 def _score_by_deviation(
     w, weight, true_x, true_y, true_theta, scores_heading, counts, heading_counts, var_x, var_y, *, heading
 ):
-    """Score like `_score` for truth with a variance: weight the squared errors, and add the variance to P in the NEES.
+    """Like `_score`, for truth with a variance: weight the squared errors, and add the variance to P in the NEES.
 
     This is a separate function, since `_score` would round differently with weights of 1.
     """
@@ -143,8 +143,8 @@ def _run(
 ):
     """Run the filters ``w`` from step ``cursor[NEXT_STEP]`` up to ``stop``, and update ``w`` and ``cursor``.
 
-    ``state``: the recorded rows; ``heading``: the row of the scored heading. The numbers of a step and of a fix are
-    passed to the kernel ``step`` as tuples, since Numba would count the references to array slices at each step.
+    ``state`` contains the recorded rows, and ``heading`` is the row of the scored heading. The numbers of a step and of
+    a fix are passed to the kernel ``step`` as tuples, since Numba would count references for array slices at each step.
     """
     steps, sample, driving, flags, fixes, speeds, lever, targets, target_end = drive
     z, arm = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), tuple(lever[k] for k in range(3))

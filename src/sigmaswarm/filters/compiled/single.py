@@ -65,8 +65,8 @@ class SingleStep:
 def single_step(model, step_log=-1):
     """Return the compiled step of a model.
 
-    ``step_log``: index in ``v`` of the number of logged steps; the values of `logged_rows` for each logged step follow
-    this number. Negative: no log.
+    ``step_log`` is the index in ``v`` of the number of logged steps. The values of `logged_rows` for each logged step
+    follow this number. If ``step_log`` is negative, no steps are logged.
     """
     noted = step_log >= 0
     kept = np.array([*state_rows(model), *range(CONSTANT_ROWS.start, N_KEPT)])

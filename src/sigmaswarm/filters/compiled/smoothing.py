@@ -6,8 +6,8 @@
 
 A is the transition of a step: see `transition`. m and P are the filtered mean and covariance before the step, m- and P-
 the predicted mean and covariance after the step. m^s and P^s are the smoothed values before the step, m^s' and P^s'
-those after the step. X = G^T solves P- X = A P. In a model with roll and pitch, `tilted` defines differences and sums.
-Sources: see `filters.smoothing.smooth`.
+those after the step. X = G^T solves P- X = A P. For a model with roll and pitch, `tilted` defines differences and sums.
+`filters.smoothing.smooth` lists the sources.
 """
 
 import math
@@ -29,7 +29,10 @@ def _plain(function, **known):
 
 
 def _transition_times(move, p, ap, *, n, coefficients, transition):
-    """Compute A P for the n states without the fix error; ``move``: length of the step, and coefficients of A."""
+    """Compute A P for the n states without the fix error.
+
+    ``move`` contains the length of the step and the coefficients of A.
+    """
     f = tuple(move[1 + k] for k in coefficients)
     for c in range(p.shape[1]):
         moved = transition(f, move[0], tuple(p[k, c] for k in range(n)))

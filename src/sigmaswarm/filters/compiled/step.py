@@ -98,7 +98,7 @@ _PREDICTIONS = {
 def step_of(name, *, noted=False):
     """Return the step of the kernel ``name`` for LANES filters, as a function that callers inline.
 
-    ``noted``: True to also write the inputs of a smoother to scratch rows; see `transition`.
+    If ``noted`` is True, also write the inputs of a smoother to scratch rows (see `transition`).
     """
     model = FILTERS[name]
     if model.measures_imu:

@@ -139,7 +139,7 @@ def _note_fix(v, w, now):
 
 @njit(**OPTIONS)
 def _check_lanes(v, w):
-    """Mark lanes with an indefinite covariance as failed; the live filter checks the first lane."""
+    """Mark lanes with an indefinite covariance as failed. The live filter checks the first lane."""
     for lane in range(1, LANES):
         if w[R.OK, lane] == 1.0 and not is_definite(w[P0:, lane], int(v[DIMENSION]), v, FACTOR.start):
             w[R.OK, lane] = 0.0

@@ -37,7 +37,7 @@ def fp(i, j):
 def _turn_far(w):
     """Compute the quaternion of half the step's rotation for any angle.
 
-    It replaces the result of `_half_turn` in lanes with a large angle.
+    The result replaces that of `_half_turn` in lanes with a large angle.
     """
     for l in range(LANES):
         x, y, z = w.HALF_X, w.HALF_Y, w.HALF_Z
@@ -101,7 +101,7 @@ def _move(w, u):
 
 
 def propagate(w, u, *, columns, coefficients, transition):
-    """Compute A P A^T; ``columns``: `COLUMNS`, then the columns of the fix error, if any."""
+    """Compute A P A^T. ``columns`` contains `COLUMNS`, followed by the columns of the fix error, if any."""
     dt = u[DT]
     for group in columns:
         for l in range(LANES):

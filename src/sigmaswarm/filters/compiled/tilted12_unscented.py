@@ -36,7 +36,7 @@ from sigmaswarm.filters.compiled.unroll import Generated
 from sigmaswarm.filters.tilted import GRAVITY, MEASURED_FIRST, STEP_FIRST, N
 
 ADDED, POSITION = (R.U, R.V, R.I, R.J, R.T), (R.X, R.Y)
-"""States with a nonlinear step, in the order of the step's outputs; and the states that integrate the first two."""
+"""States whose step is nonlinear, in the order of the step's outputs, and the states that integrate the first two."""
 
 
 def _root(w, *, order, columns):
@@ -58,7 +58,10 @@ def _root(w, *, order, columns):
 
 
 def _linearize(w, *, columns):
-    """Replace the slopes by H; compute mu and EXTRA. ``columns``: number of columns with points for each output."""
+    """Replace the slopes by H; compute mu and EXTRA.
+
+    ``columns`` is the number of columns with points for each output.
+    """
     for l in range(LANES):
         gamma2 = 16.0 * w.QUARTER_GAMMA * w.QUARTER_GAMMA
         spread = w.SPREAD - gamma2  # beta - alpha^2
@@ -209,20 +212,20 @@ def _point(w, l, j, sign, quarter, per_dt, *, sinc_cos, rotation_vector):
 
 @kernel
 def _store_near(w, l, j, k, a, b, one, two):
-    """Store slope and curvature of an output, from its values at the two points."""
+    """Store the slope and curvature of an output, from its values at the two points."""
     SLOPE[j, k], BEND[j, k] = one * (a - b), two * (a + b)
 
 
 @kernel
 def _store_far(w, l, j, k, a, b, one, two):
-    """Store slope and curvature of an output, only in lanes with a large angle."""
+    """Store the slope and curvature of an output, only in lanes with a large angle."""
     far = w.POINT_FAR > 0.0
     SLOPE[j, k] = one * (a - b) if far else SLOPE[j, k]
     BEND[j, k] = two * (a + b) if far else BEND[j, k]
 
 
 def _draw(w, u, *, point, sinc_cos, store):
-    """Compute slopes and curvatures of the first three columns of the root, each from its two points."""
+    """Compute the slopes and curvatures of the first three columns of the root, each from its two points."""
     quarter, per_dt = 0.25 * u[DT], 1.0 / u[DT]
     for j in range(3):
         for l in range(LANES):

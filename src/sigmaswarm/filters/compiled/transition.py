@@ -48,7 +48,7 @@ def planar8(f, dt, e):
 
 
 def tilted12(f, dt, e):
-    """Compute A e; ``r_east``, ``r_north`` and ``r_up`` are small rotations, in the rows of roll, pitch and heading."""
+    """Compute A e. ``r_east``, ``r_north`` and ``r_up`` are small rotations, in the rows of roll, pitch and heading."""
     a_east, a_north, d11, d12, d13, d21, d22, d23, d31, d32, d33 = f
     x, y, vx, vy, r_up, ax, ay, wz, r_east, r_north, wx, wy = e
     h, g = 0.5 * dt, GRAVITY * dt
@@ -61,7 +61,7 @@ def tilted12(f, dt, e):
 
 
 def tilted12_unscented(f, dt, e):
-    """Compute A e; ``f``: R dt, and the slopes H (tilted12_unscented.py) of velocity and rotation."""
+    """Compute A e. ``f`` contains R dt, and the slopes H (tilted12_unscented.py) of velocity and rotation."""
     (
         d11, d12, d21, d22,
         vx_wz, vx_wx, vx_wy, vx_up, vx_east, vx_north, vy_wz, vy_wx, vy_wy, vy_up, vy_east, vy_north,

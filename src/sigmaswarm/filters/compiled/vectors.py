@@ -1,10 +1,10 @@
 """Loops over lanes, emitted as vector instructions of LLVM.
 
-If Numba compiled these loops, it would have to infer the types of several thousand lines, which takes half a minute or
-more. Since all numbers in kernels are doubles, each loop over lanes is instead converted directly to LLVM instructions.
-It becomes a separate function, whose arguments are the array of rows and a tuple of the scalars that have the same
-value in all lanes. The name of this function contains a hash of its text, so all callers use the same function and get
-identical results.
+Numba would have to infer the types of several thousand lines in these loops, which takes half a minute or more. Since
+all numbers in kernels are doubles, each loop over lanes is instead converted directly to LLVM instructions. It becomes
+a separate function, whose arguments are the array of rows and a tuple of the scalars that have the same value in all
+lanes. The name of this function contains a hash of its text, so all callers use the same function and get identical
+results.
 
 The body of a loop over lanes must not contain branches. It may contain assignments to names and to ``w.XX`` or
 ``w[row]`` with a row number known at compilation, elements of tuples, arithmetic, comparisons, ``&``, ``|``, ``a if
@@ -213,7 +213,7 @@ class _Emitter:
     """Emit code without branches for one vector of lanes. Values are vectors, known numbers, or tuples of these."""
 
     def __init__(self, builder: ir.IRBuilder, vector: ir.VectorType, lanes: Any) -> None:
-        """``lanes`` is a pointer to the lanes of the vector in the first row."""
+        """``lanes`` points to the lanes of the vector in the first row."""
         self.builder, self.vector, self.lanes = builder, vector, lanes
         self.rows: dict[int, Any] = {}
 

@@ -105,7 +105,7 @@ def measure_along_planar(w, u, wheels, *, n, bias, lateral):
     scale = forward - delay (ax - b), with the accelerometer's bias b. R(theta)^T v has the closed form of planar8.py,
     rotated into the body frame, with t = R^T P[v, theta] and mu = (e R^T v - k J t)_along. The forward velocity is
     computed as the left velocity of a body that is rotated clockwise by 90 degrees; ``away`` is the forward velocity of
-    this body.
+    the rotated body.
     """
     if lateral:
         shown = u[GZ]
@@ -194,7 +194,7 @@ def measure_heading_planar(w, *, n):
 
 
 def update_heading(w, u, z, *, tilted, measure_heading):
-    """Update with a heading that is ``latency`` s old; for an outlier, increase S.
+    """Update with a heading that is ``latency`` s old; S is increased for an outlier.
 
     See `constants.HEADING_GATE`.
     """

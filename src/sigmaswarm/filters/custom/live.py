@@ -35,9 +35,10 @@ class _Sample:
 class LiveModel:
     """Kalman filter for a user's model; it processes one sample at a time.
 
-    As in a `Log`, the inputs at t_k drive the step from t_(k-1) to t_k, so a measurement waits for the next inputs. If
-    a measurement is at most ``history`` seconds late, the filter returns to the step of the measurement, and processes
-    this step and the later steps again. The state equals the result of `run_model` for the same data in time order.
+    As in a `Log`, the inputs at t_k belong to the step from t_(k-1) to t_k, so a measurement waits for the next inputs.
+    If a measurement is at most ``history`` seconds late, the filter returns to the step that contains the measurement,
+    and processes this step and the later steps again. The state equals the result of `run_model` for the same data in
+    time order.
 
     Parameters
     ----------
@@ -56,13 +57,13 @@ class LiveModel:
     Attributes
     ----------
     too_late : int
-        Number of measurements that were ignored, since they were more than ``history`` seconds late or earlier than the
-        start.
+        Number of measurements that were ignored because they were more than ``history`` seconds late or earlier than
+        the start.
 
     Raises
     ------
     InputError
-        If model, parameters and start do not fit together, or ``history`` is negative or not finite.
+        If model, parameters and start do not match, or ``history`` is negative or not finite.
     """
 
     def __init__(
@@ -97,7 +98,7 @@ class LiveModel:
         self._samples = deque[_Sample]()
 
     def predict(self, t: float, inputs: ArrayLike = ()) -> None:
-        """Process the inputs of the step to time t, s; ignore them if t is not after the last step.
+        """Process the inputs of the step to time t, s. They are ignored if t is not after the last step.
 
         Raises
         ------
@@ -116,14 +117,14 @@ class LiveModel:
         self._process(sample)
 
     def update(self, t: float, measurement: ArrayLike) -> bool:
-        """Process a measurement, shape (m,), as `Model.h` returns it; an element without a value is NaN.
+        """Process a measurement, shape (m,), in the format of `Model.h`. An element without a value is NaN.
 
         Measurements of several sensors with the same time may be passed one after the other.
 
         Returns
         -------
         bool
-            False if the measurement was ignored, since it is too late, before the start of the filter, repeated, or
+            False if the measurement was ignored because it is too late, before the start of the filter, repeated, or
             without a value.
 
         Raises
@@ -166,7 +167,7 @@ class LiveModel:
 
     @property
     def state(self) -> LiveState:
-        """State estimate after the last inputs and all measurements up to their time; NaN after a failure."""
+        """State estimate after the last inputs and all earlier measurements; NaN after a failure."""
         (mean, covariance, _), angles = self._state, self.model.indices(self.model.angles)
         mean = mean.copy()
         mean[angles] = wrap_angle(mean[angles])
@@ -181,7 +182,7 @@ def _numbers(name: str, values: ArrayLike, size: int, *, absent: bool = False) -
     if len(numbers) != size:
         raise InputError(f"{name} has {len(numbers)} numbers; pass {size}")
     if (np.isinf(numbers) if absent else ~np.isfinite(numbers)).any():
-        raise InputError(f"{name} contains a value that is not finite; leave the sample out")
+        raise InputError(f"{name} contains a value that is not finite; omit the sample")
     return numbers
 
 
@@ -193,7 +194,7 @@ def _seconds(t: float) -> float:
 
 
 def _store(stored: list[Timed], t: float, z: Array) -> bool:
-    """Insert a measurement by time, or merge it with one of the same time; return False if no element is new."""
+    """Insert a measurement by time, or merge it with one of the same time. Return False if no element is new."""
     for k, (time, known) in enumerate(stored):
         if time == t:
             both = np.where(np.isnan(known), z, known)

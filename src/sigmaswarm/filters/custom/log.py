@@ -15,8 +15,8 @@ from sigmaswarm.errors import InputError
 class Log:
     """One recording: inputs, measurements, the initial state of a filter, and truth if known.
 
-    The filter steps to each ``time``; the inputs at t_k drive the step from t_(k-1) to t_k. A measurement between these
-    times splits the step. Measurements before the first or after the last ``time`` are ignored.
+    The filter steps to each ``time``; the inputs at t_k belong to the step from t_(k-1) to t_k. A measurement between
+    two times splits the step. Measurements before the first or after the last ``time`` are ignored.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class Log:
         Shape (f,) is read as (f, 1). NaN means that an element has no value; the update then uses the other elements.
         `from_sensors` merges sensors.
     mean, covariance : ndarray, shapes (n,), (n, n)
-        State estimate at ``time[0]``, where the filter starts; it must not come from truth.
+        State estimate at ``time[0]``, where the filter starts. It must not be computed from truth.
     inputs : ndarray, shape (k, u), optional
         Inputs of the process; shape (k,) is read as (k, 1). If None, the input of f is an empty array.
     truth : mapping of str to ndarray, shape (j,)
@@ -40,7 +40,7 @@ class Log:
     Raises
     ------
     InputError
-        If a shape or a value cannot be used.
+        If a shape or a value is not valid.
     """
 
     name: str
@@ -79,7 +79,7 @@ class Log:
         Raises
         ------
         InputError
-            If a shape or a value cannot be used, or a sensor has no value within ``time``.
+            If a shape or a value is not valid, or a sensor has no value within ``time``.
         """
         clock, columns = _clock(name, "time", time), list[tuple[Array, Array]]()
         given: Any = sensors
@@ -132,7 +132,7 @@ class Log:
         measured = ~np.isnan(measurements)
         if not measured.any(axis=1).all():
             row = int(np.argmin(measured.any(axis=1)))
-            raise self.wrong(f"measurements[{row}] has no value, only nan; leave the row out")
+            raise self.wrong(f"measurements[{row}] has no value, only nan; omit the row")
         for i in range(measurements.shape[1]):
             _check_overlap(self.name, f"measurements[:, {i}]", fixes[measured[:, i]], time)
 
@@ -178,7 +178,7 @@ def _finite(log: str, name: str, values: ArrayLike | None, *, absent: bool = Fal
     if len(bad):
         index = ", ".join(str(i) for i in bad[0])
         value = column[tuple(bad[0])]
-        raise _wrong(log, f"{name}[{index}] is {value:g}; correct the value, or leave the row out")
+        raise _wrong(log, f"{name}[{index}] is {value:g}; correct the value, or omit the row")
     return column
 
 
@@ -212,7 +212,7 @@ def _check_overlap(log: str, name: str, moments: Array, time: Array) -> None:
     if not len(moments):
         raise _wrong(
             log,
-            f"{name} has no value, only nan; leave out this sensor and its elements of h and measurement_noise",
+            f"{name} has no value, only nan; omit this sensor and its elements of h and measurement_noise",
         )
     if not np.any((moments >= time[0]) & (moments <= time[-1])):
         raise _wrong(

@@ -32,7 +32,7 @@ class Tunable:
     lowest, highest : float
         Bounds of the search.
     logarithmic : bool
-        Search log10 of the parameter; for ranges that span powers of ten, such as those of variances and time
+        Search log10 of the parameter. Use this for ranges that span powers of ten, such as those of variances and time
         constants.
     unit : str
         Unit in results.
@@ -74,9 +74,9 @@ class Model:
     robust : float, optional
         Probability, such as 0.99, that defines outliers: measurements whose NIS is above this quantile of chi-square.
         In the update with an outlier, S is multiplied by NIS / quantile (G. Chang, Journal of Geodesy 88, 2014), and
-        the objective innovation-nll increases only with the logarithm of its NIS. Three or more consecutive outliers
-        over at least 5 s show that the filter is wrong; from then on, consecutive outliers have full weight. If None,
-        all measurements have full weight.
+        the objective innovation-nll increases only with the logarithm of its NIS. After three or more consecutive
+        outliers over at least 5 s, the state is assumed to be wrong, and further consecutive outliers have full weight.
+        If None, all measurements have full weight.
     kind : {"ukf", "ekf"}
         Unscented or extended. The extended filter takes derivatives by complex steps, so f and h must accept complex
         states and are not compiled.
@@ -84,7 +84,7 @@ class Model:
     Raises
     ------
     InputError
-        If a name, a bound or a function cannot be used.
+        If a name, a bound or a function is not valid.
     """
 
     name: str
@@ -180,7 +180,7 @@ class Model:
         return self.record(*(float(parameters[name]) for name in known))
 
     def limits(self, m: int) -> Array:
-        """Return the NIS above which measurements of 1 to m elements are outliers, (m,): see ``robust``."""
+        """Return the NIS above which measurements of 1 to m elements are outliers, (m,) (see ``robust``)."""
         outside = 0.0 if self.robust is None else 1.0 - self.robust
         return chdtri(np.arange(1, m + 1), outside)
 
@@ -194,7 +194,7 @@ class Model:
         return self.indices(names)
 
     def identity(self) -> dict[str, Any]:
-        """Return names and bounds in plain types, and a hash of names, bounds and functions."""
+        """Return the names and bounds in plain types, and a hash of names, bounds and functions."""
         plain: dict[str, Any] = {
             "name": self.name,
             "kind": self.kind,

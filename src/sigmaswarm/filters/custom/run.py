@@ -62,7 +62,8 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
         The filter does not use the log's truth.
     model : Model
     parameters : mapping of str to float
-        The model's parameters by name, as in `Tuning.parameters`; for an unscented filter also alpha, beta, kappa.
+        The model's parameters by name, as in `Tuning.parameters`. For an unscented filter they include alpha, beta and
+        kappa.
 
     Returns
     -------
@@ -72,7 +73,7 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
     Raises
     ------
     InputError
-        If model, log and parameters do not fit together.
+        If model, log and parameters do not match.
     """
     model.values(parameters)  # report wrong names before compiling
     runner = Runner(model, [log])
@@ -82,7 +83,7 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
 def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelEstimate:
     """Run the filter of a user's model over a log, and smooth its estimates: each estimate uses all measurements.
 
-    Sources: see `smooth`. Filter and smoother run in NumPy, about a hundred times slower than `run_model`.
+    `smooth` lists the sources. Filter and smoother run in NumPy, about a hundred times slower than `run_model`.
 
     Parameters
     ----------
@@ -98,7 +99,7 @@ def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> Mod
     Raises
     ------
     InputError
-        If model, log and parameters do not fit together.
+        If model, log and parameters do not match.
     """
     model.values(parameters)
     check(model, log)
@@ -145,7 +146,10 @@ class ModelTrajectory(Trajectory):
 
 
 class Runner:
-    """A model and logs, prepared for runs with any parameters; raises `InputError` if the model does not fit a log."""
+    """A model and logs, prepared for runs with any parameters.
+
+    Raises `InputError` if the model does not match a log.
+    """
 
     def __init__(self, model: Model, logs: Sequence[Log]) -> None:
         for log in logs:
@@ -169,7 +173,7 @@ def run_kernel(
 ) -> ModelTrajectory:
     """Run the compiled filter or, if ``kernel`` is None, the textbook filter.
 
-    ``runs`` is updated: see `TextbookModel`.
+    ``runs`` is updated as in `TextbookModel`.
     """
     runs = np.zeros((steps.measurements.shape[1], 2)) if runs is None else runs
     p, scaling = model.values(parameters), _scaling(parameters)
@@ -196,7 +200,7 @@ def run_kernel(
 def _textbook(
     model: Model, steps: FilterSteps, parameters: Mapping[str, float], runs: Array
 ) -> TextbookModel:
-    """Return the textbook filter at the start of a log; one of `FAILURES` if the user's functions fail there."""
+    """Return the textbook filter at the start of a log. Raises one of `FAILURES` if the user's functions fail there."""
     return TextbookModel(model, steps, _scaling(parameters), model.values(parameters), runs)
 
 
@@ -216,7 +220,7 @@ _BUILT: "WeakValueDictionary[str, Any]" = WeakValueDictionary()
 
 
 def kernel_of(model: Model, steps: FilterSteps) -> Any:
-    """Return the kernel of a model, compiled at the first use; None if the model cannot be compiled."""
+    """Return the kernel of a model, compiled at the first use, or None if the model cannot be compiled."""
     if model not in _KERNELS:
         _KERNELS[model] = _compiled(model, steps) if model.kind == "ukf" else None
     return _KERNELS[model]
@@ -246,7 +250,7 @@ def _compiled(model: Model, steps: FilterSteps) -> Any:
             return kernel
         if _BUILT.pop(key, None):  # a global value that the functions read has changed
             return _compiled(model, steps)
-        why = "the compiled functions return other numbers than the Python functions"
+        why = "the compiled functions and the Python functions return different numbers"
     warnings.warn(
         f"model {model.name}: can't be compiled ({why}); the textbook filter runs instead, about a hundred times "
         "slower",
@@ -282,7 +286,10 @@ def trial_parameters(model: Model) -> dict[str, float]:
 
 
 def check(model: Model, log: Log) -> None:
-    """Call the model's functions at the start of the log; raise `InputError` if one fails or does not fit the log."""
+    """Call the model's functions at the start of the log.
+
+    Raises `InputError` if a function fails or does not match the log.
+    """
     n, m = len(model.states), log.measurements.shape[1]
     if len(log.mean) != n:
         raise log.wrong(f"mean has {len(log.mean)} values, but the model {model.name} has {n} states")

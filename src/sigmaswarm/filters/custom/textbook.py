@@ -17,10 +17,10 @@ from sigmaswarm.filters.textbook.kalman import GaussianFilter, Innovation
 class TextbookModel:
     """Textbook filter of a model on a log's steps.
 
-    ``scaling`` (3,) is alpha, beta, kappa; ``p`` is a `Model.record`. ``nis`` and ``nll`` (f,) are the normalized
-    innovation squared and the negative log-likelihood of each measurement before its update; NaN for measurements after
-    the current step. ``runs`` (m, 2) contains, for each element of a measurement, the number of consecutive outliers
-    (`Model.robust`) and the time since the first, s.
+    ``scaling`` (3,) is alpha, beta, kappa, and ``p`` is a `Model.record`. ``nis`` and ``nll`` (f,) are the normalized
+    innovation squared and the negative log-likelihood of each measurement before its update; they are NaN for
+    measurements after the current step. ``runs`` (m, 2) contains, for each element of a measurement, the number of
+    consecutive outliers (`Model.robust`) and the time since the first of them, s.
     """
 
     def __init__(self, model: Model, steps: FilterSteps, scaling: Array, p: Any, runs: Array) -> None:
@@ -49,7 +49,7 @@ class TextbookModel:
             kalman.correct(innovation)
 
     def _is_outlier(self, present: NDArray[np.int64], above: bool) -> bool:
-        """Update ``runs``; return ``above``, but False after a long run of outliers in all present elements."""
+        """Update ``runs``. Return ``above``, or False after a long run of outliers in all present elements."""
         count, since = self.runs[present, 0], self.runs[present, 1]
         since[count == 0] = 0.0
         count = count + 1 if above else np.zeros(len(present))
@@ -73,7 +73,7 @@ def textbook_filter(model: Model, steps: FilterSteps, scaling: Array, p: Any) ->
 
 
 def negative_log_likelihood(innovation: Innovation, limit: float = np.inf) -> float:
-    """Return -log N(nu; 0, S), with a logarithmic increase for an NIS above the limit: see `Model.robust`.
+    """Return -log N(nu; 0, S), with a logarithmic increase for an NIS above the limit (see `Model.robust`).
 
     Raises `numpy.linalg.LinAlgError` if S is not positive definite.
     """

@@ -24,9 +24,9 @@ class SageHusa:
     forgetting: float  # b
 
     def adapt(self, innovation: Innovation, since: float) -> None:
-        """Adapt to a fix; ``since``: number of nominal steps since the last fix.
+        """Adapt to a fix. ``since`` is the number of nominal steps since the last fix.
 
-        If this number is 0, Q does not change.
+        If it is 0, Q does not change.
         """
         weight = 1 - self.forgetting
         inverse = np.linalg.inv(innovation.variance)
@@ -84,7 +84,7 @@ class FuzzyNoise:
         return self.times_r * self.tuned_measurement_noise
 
     def weigh(self, innovation: Innovation) -> Innovation:
-        """Adapt to a fix; return its innovation with the new R."""
+        """Adapt to a fix. Return its innovation with the new R."""
         ratio = min(innovation.nis / len(innovation.nu), LARGEST_RATIO)
         self.quick = self.memory * self.quick + (1 - self.memory) * ratio
         self.slow += (1 - self.memory) / SLOWER * (ratio - self.slow)
@@ -134,8 +134,8 @@ class StudentT:
 
     R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear systems using
     the multivariate Student-t distribution, MLSP 2012. A filter with a wrong state would treat all fixes as outliers.
-    Therefore, if at least `OUTLIERS` consecutive fixes over at least `OUTLIERS_SPAN` seconds are outliers, the last of
-    these fixes has weight 1, and P is inflated before the update with this fix.
+    Therefore, if `OUTLIERS` or more consecutive fixes over at least `OUTLIERS_SPAN` seconds are outliers, the last of
+    these fixes has weight 1, and P is inflated before its update.
     """
 
     dof: float  # degrees of freedom
@@ -168,7 +168,7 @@ class StudentT:
 
 
 def inflate_observed(filter: GaussianFilter, innovation: Innovation, size: float) -> Innovation:
-    """Inflate the part of P that a fix observes until tr S is at least ``size``, m2; return the new innovation."""
+    """Inflate the part of P that a fix observes until tr S is at least ``size``, m2. Return the new innovation."""
     cross = innovation.cross
     observed = cross.T @ np.linalg.solve(filter.covariance, cross)  # H P H^T, with H = C^T P^-1
     factor = max(1.0, (size - np.trace(innovation.noise)) / np.trace(observed))

@@ -34,7 +34,7 @@ class Car:
     """Filter on a drive's timeline, in textbook form; the exported script for FilterPy contains this class.
 
     ``filter`` has the interface of `GaussianFilter`; its ``mean`` and ``covariance`` may be set before a step.
-    ``noise`` has the current diagonals of Q and R. ``measured``: see `starts.measured_by`.
+    ``noise`` has the current diagonals of Q and R. For ``measured`` see `starts.measured_by`.
     """
 
     def __init__(
@@ -126,7 +126,9 @@ class Car:
         self._since = 0.0
 
     def _update_with_heading(self, theta: float, stated: float, yaw_rate: float) -> None:
-        """Update with a heading (rad) that is ``latency`` s old, and its stated variance (rad2); ``yaw_rate``: rad/s.
+        """Update with a heading (rad) that is ``latency`` s old, and its stated variance (rad2).
+
+        ``yaw_rate`` is in rad/s.
 
         S is increased if the NIS would exceed `HEADING_GATE`.
         """
@@ -140,13 +142,13 @@ class Car:
     def _age_fix_error(self, stated: Array) -> None:
         """Propagate the correlated error from the previous fix to this fix.
 
-        ``stated``: variances that the receiver states for this fix, (2,) m2; 0 if there are none.
+        ``stated`` contains the variances that the receiver states for this fix, (2,) m2; 0 if it states none.
         """
         raise NotImplementedError
 
 
 class TextbookCar(Car):
-    """Textbook filter on a drive's timeline. ``heading_first``: see `run_textbook`."""
+    """Textbook filter on a drive's timeline. For ``heading_first`` see `run_textbook`."""
 
     def __init__(
         self,

@@ -85,8 +85,8 @@ class GaussianFilter:
     """Base class of filters with a Gaussian state: ``mean``, shape (n,), and ``covariance``, shape (n, n).
 
     ``f(state, dt, u) -> state``, shape (n,), is the process; ``h(state)``, shape (m,), predicts a measurement.
-    ``plus(state, error)`` injects an error, and ``minus(state, other)`` is the error that changes ``other`` into the
-    state.
+    ``plus(state, error)`` injects an error, and ``minus(state, other)`` returns the error that changes ``other`` into
+    the state.
     """
 
     prediction: Prediction  # the last prediction
@@ -184,7 +184,7 @@ class ExtendedKalmanFilter(GaussianFilter):
 
 
 def complex_step(function: Callable[[Array], Array], x: Array) -> Array:
-    """Return the Jacobian, shape (m, n), up to rounding: column k is Im f(x + i h e_k) / h for a tiny h.
+    """Return the Jacobian, shape (m, n), up to rounding. Column k is Im f(x + i h e_k) / h for a tiny h.
 
     W. Squire and G. Trapp, Using complex variables to estimate derivatives of real functions, SIAM Review 40, 1998.
     """
@@ -206,7 +206,7 @@ class SigmaPoints:
     alpha, beta, kappa : float
         Scaling (dimensionless).
     first : sequence of int
-        States that come first in the Cholesky factorization of P. Every square root of P is valid, and each gives
+        States that come first in the Cholesky factorization of P. Every square root of P is valid, but each gives
         different sigma points. If empty, the order is that of the states, as in FilterPy.
     """
 
@@ -312,7 +312,7 @@ class UnscentedKalmanFilter(GaussianFilter):
     def measure(
         self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
     ) -> Innovation:
-        """Compute nu, S and C from the sigma points; ``h`` replaces the filter's ``h``."""
+        """Compute nu, S and C from the sigma points. ``h`` replaces the filter's ``h``."""
         angles = self.measured_angles if h is None else []
         h = h or self.h
         points, sigmas, spread_x = self._measured_points()

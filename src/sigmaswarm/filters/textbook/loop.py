@@ -42,8 +42,8 @@ def run_steps(
 ) -> Trajectory:
     """Compute all steps, or the steps before a failure.
 
-    ``records``: for each step, the row of the trajectory that stores the state after the step; -1 to store nothing.
-    ``n_rows``: number of rows of the trajectory.
+    ``records`` contains, for each step, the row of the trajectory that stores the state after the step; -1 stores
+    nothing. ``n_rows`` is the number of rows of the trajectory.
     """
     trajectory = Trajectory.empty(n_rows, len(stepper.filter.mean), covariances=covariances)
     for i, row in enumerate(records):

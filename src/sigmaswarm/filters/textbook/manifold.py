@@ -36,7 +36,8 @@ class ErrorStateKalmanFilter(_OnManifold, ExtendedKalmanFilter):
 class ManifoldUnscentedKalmanFilter(_OnManifold, UnscentedKalmanFilter):
     """Unscented Kalman filter (UKF-M): its sigma points are errors, which ``plus`` adds to the mean.
 
-    The attitude comes first in the square roots of P, with other states for a step than for a measurement.
+    The attitude is among the first states in the square roots of P. The other first states differ between steps and
+    measurements.
     """
 
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:

@@ -50,7 +50,7 @@ _COLUMNS = {
 
 
 class _Skipped(StringIO):
-    """Replacement for stderr that counts the bytes skipped by pymavlink; raise `ValueError` above `MAX_SKIPPED`."""
+    """Replacement for stderr that counts the bytes skipped by pymavlink and raises `ValueError` above `MAX_SKIPPED`."""
 
     count = 0
 

@@ -45,7 +45,7 @@ MAX_BREAK = 10.0  # s, longest time between files that are joined
 
 
 def recognizes(path: Path) -> bool:
-    """Return True for a table (by suffix or first lines), a zip or folder of tables, and a folder as in EuRoC."""
+    """Return True for a table (by suffix or first lines), a zip or folder of tables, or a folder like EuRoC's."""
     return bool(_files(path) or _packed(path)) or (path.is_file() and is_table(path))
 
 
@@ -62,7 +62,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def files_of_sensors(folder: Path) -> list[Path]:
-    """Return the data.csv of each sensor in a folder as in EuRoC."""
+    """Return the data.csv of each sensor in a folder with the layout of EuRoC."""
     found = [*folder.glob("*/data.csv"), *folder.glob("mav0/*/data.csv")]
     names = "imu|gps|gnss|rtk|cam|leica|vicon|baro|mag|odom|wheel|state_groundtruth_estimate"
     sensors = [file for file in found if re.fullmatch(rf"(?:{names})\d", file.parent.name)]
@@ -103,8 +103,8 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 def _joined(scans: Mapping[str, pl.LazyFrame], remarks: list[str]) -> dict[str, pl.LazyFrame]:
     """Join files that continue each other: with equal columns, times in sequence, and names that differ only in digits.
 
-    A file without a header may have any name. It gets the header of the only file that has a header and the same number
-    of columns.
+    A file without a header may have any name. If exactly one file with a header has the same number of columns, it gets
+    this header.
     """
     if len(scans) < 2:
         return {**scans}
@@ -146,7 +146,7 @@ def _span(rows: pl.LazyFrame) -> tuple[float, float]:
 def log_of_names(
     path: Path, names: Collection[str], limits: Limits, stack: ExitStack, guessed: Guess | None
 ) -> Log:
-    """Open those of the named tables that a folder or zip contains; ``guessed``: see `log_of_files`."""
+    """Open those of the named tables that a folder or zip contains. For ``guessed`` see `log_of_files`."""
     folder, remarks = unpacked(path, names, limits, stack), list[str]()
     there = [name for name in names if (folder / name).is_file()]
     scans = {name: scan(folder / name, path / name, limits, remarks) for name in there}
@@ -168,7 +168,7 @@ def log_of_files(
     guessed: Guess | None = None,
     remarks: Sequence[str] = (),
 ) -> Log:
-    """Make a log of scanned tables; if ``guessed`` is None, roles are guessed from columns."""
+    """Make a log of scanned tables. If ``guessed`` is None, roles are guessed from columns."""
     tables = {name: Table(tuple(rows.collect_schema().names()), kind) for name, rows in scans.items()}
     # a logger that loses power leaves zero bytes
     stripped = pl.col(pl.String).str.strip_chars("\0").str.strip_chars()

@@ -79,7 +79,10 @@ def _load(path: Path, width: int, rows: int | None = None) -> Array:
 
 @np.errstate(all="ignore")
 def _pose(folder: Path) -> pl.DataFrame:
-    """Return position in degrees, velocity and heading of the camera; an invalid position affects only its own row."""
+    """Return the position in degrees, the velocity and the heading of the camera.
+
+    An invalid position affects only its own row.
+    """
     time = _load(folder / "frame_times", 1)
     if not len(time):
         raise InputError(f"{folder / 'frame_times'}: is empty; unpack the segment again")

@@ -118,7 +118,7 @@ def _require_one_kind(lines: Sequence[str], separator: str, shown_as: Path) -> N
 
 
 def _of_message(row: Sequence[str]) -> list[str]:
-    """Return the fields of sensor_msgs/Imu or NavSatFix if a row has the form of `ros2 topic echo --csv`; else []."""
+    """Return the fields of sensor_msgs/Imu or NavSatFix if a row has the form of `ros2 topic echo --csv`, or []."""
     fields = _MESSAGES.get(len(row), [])
     if not fields or is_value(row[2]) or not (row[0] + row[1]).isdigit() or int(row[1]) >= 1_000_000_000:
         return []
@@ -148,7 +148,7 @@ def _is_empty(cell: str) -> bool:
 
 
 def _has_decimal_commas(cells: Sequence[str]) -> bool:
-    """Return True if a column has commas, none of them before a dot, and 90% of the first 100 cells are numbers."""
+    """Return True if a column has commas, none of them before a dot, and 90% of its first 100 cells are numbers."""
     commas = [cell for cell in cells if "," in cell]
     if not commas or any("." in cell.partition(",")[2] for cell in commas):
         return False
@@ -211,9 +211,9 @@ def is_value(cell: str) -> bool:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """Return the separator with which the rows of the most common length have the most values.
+    """Return the separator with which the rows of the most frequent length have the most values.
 
-    If no separator gives values, return the most frequent separator of the first line.
+    If no separator gives values, return the most frequent separator in the first line.
     """
     best, most = "", 0.0
     for separator in (*SEPARATORS, BLANKS):
@@ -250,8 +250,8 @@ def _is_data(cells: Sequence[str], numeric: Sequence[int]) -> bool:
 def _header(above: Sequence[str], separator: str, width: int, most: int, empty: int) -> list[str]:
     """Read the names from one of the last four lines above the data: the line with the most recognized names.
 
-    ``width`` and ``most``: usual and largest number of cells of a row; ``empty``: number of last cells that are always
-    empty.
+    ``width`` and ``most`` are the usual and the largest number of cells of a row. ``empty`` is the number of last cells
+    that are always empty.
     """
     fitting = [_fitting(line, separator, width, most, empty) for line in above]
     places = [k for k in range(max(len(above) - 4, 0), len(above)) if fitting[k]]
@@ -291,7 +291,7 @@ def _fitting(line: str, separator: str, width: int, most: int, empty: int) -> li
 
 
 def _titles(line: str, separator: str) -> list[str]:
-    """Split a header into names; cells such as "name"|"unit"|... become names with units."""
+    """Split a header into names. Cells such as "name"|"unit"|... become names with units."""
     line = line.strip("\r")
     if line.lstrip(" ")[:1] in (*COMMENTS, "/"):  # a leading tab is a separator
         line = line.lstrip(" " + COMMENTS + "/")
@@ -303,7 +303,7 @@ def _titles(line: str, separator: str) -> list[str]:
 
 
 def _are_units(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
-    """Return True if any cell of a line is a known unit, and its other cells have no more known names than above."""
+    """Return True if a cell is a known unit, and the other cells have no more known names than the line above."""
     units = {c: parse_unit(c.strip("[]() ")) for c in cells if c.strip()}
     known = {c for c, u in units.items() if u is not None and (u.known or u.text.lower() in COUNTS)}
     return bool(known) and _meanings([c for c in cells if c not in known]) <= _meanings(above)

@@ -13,7 +13,7 @@ MAX_ELEMENTS = 36  # largest number of elements of a list that become columns: a
 
 
 def getter(column: str) -> Callable[[Any], Any]:
-    """Return a function that reads a column's number from a message; its result is None if the number is missing."""
+    """Return a function that reads a column's number from a message. Its result is None if the number is missing."""
     if column == "stamp":
         return stamp_of
     element = re.fullmatch(r"(.*)\[(\d{1,9})\]", column, re.DOTALL)
@@ -30,7 +30,7 @@ def getter(column: str) -> Callable[[Any], Any]:
 
 
 def number_in(message: Any, path: str, i: int | None = None) -> int | float | None:
-    """Return the number at a path of a JSON message, or None: keys may be missing, and lists vary in length."""
+    """Return the number at a path of a JSON message, or None, since keys may be missing and lists vary in length."""
     for name in path.split("."):
         message = message.get(name) if isinstance(message, dict) else None
     if i is not None:

@@ -1,4 +1,4 @@
-"""JSON: a list of objects, one object per line, or an object of named lists; each kind of object is a table.
+"""JSON: a list of objects, one object per line, or an object of named lists. Each kind of object is a table.
 
 A folder may contain several such files.
 """

@@ -1,8 +1,8 @@
 """KITTI raw: text files of the OXTS RT3003, synchronized (10 Hz) or not (100 Hz).
 
-A drive has one file of 30 numbers per sample, and a file of times. Meaning, units and signs are from
-``dataformat.txt`` of the data set (A. Geiger et al., "Vision meets Robotics: The KITTI Dataset", IJRR 2013): x forward,
-y left, z up, yaw from east.
+A drive has one file of 30 numbers per sample, and a file of times. ``dataformat.txt`` of the data set states meanings,
+units and signs (A. Geiger et al., "Vision meets Robotics: The KITTI Dataset", IJRR 2013): x forward, y left, z up, yaw
+from east.
 """
 
 import re
@@ -85,7 +85,7 @@ def _stamps(path: Path) -> np.ndarray:
 
 
 def _numbers(path: Path, count: int) -> list[float]:
-    """Return the index of a sample, which is the name of its file, and its values."""
+    """Return the index of a sample, which is the name of its file, and the values of the sample."""
     cells = path.read_text("utf-8", "replace").split()
     try:
         numbers = [float(cell) for cell in cells]

@@ -1,6 +1,6 @@
 """MATLAB files (``.mat`` up to version 7), read with SciPy.
 
-Vectors of equal length in a struct, or outside of structs, form a table.
+Vectors of equal length in a struct, or outside of structs, become a table.
 """
 
 import io
@@ -123,7 +123,7 @@ def _require_known_elements(path: Path, limits: Limits) -> list[tuple[int, int]]
 
 
 def _elements(file: IO[bytes], end: int, order: str) -> Iterator[tuple[int, int]]:
-    """Yield the type and size of each element up to ``end``, with the file positioned at the element's content."""
+    """Yield the type and size of each element up to ``end``. The file is then positioned at the element's content."""
     while (at := file.tell()) + 8 <= end:
         kind, size = struct.unpack(f"{order}II", file.read(8))
         following = at + 8 + size
@@ -139,7 +139,7 @@ def _elements(file: IO[bytes], end: int, order: str) -> Iterator[tuple[int, int]
 
 
 def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int) -> tuple[int, int]:
-    """Refuse elements that are not arrays, and arrays with contradictory class, shape and content.
+    """Refuse elements that are not arrays, and arrays whose class, shape and content contradict each other.
 
     Return the class and the number of elements.
     """
@@ -174,7 +174,7 @@ def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int
 
 
 def _tables(content: Mapping[str, Any], name: str, depth: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the tables of a struct: those of its structs, then vectors of equal length, by frequency of the length."""
+    """Yield the tables of a struct: those of its structs, then vectors of equal length, by the length's frequency."""
     vectors: dict[str, Any] = {}
     for field, value in content.items():
         if hasattr(value, "_fieldnames") and depth < MAX_DEPTH:

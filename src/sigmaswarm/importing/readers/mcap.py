@@ -39,7 +39,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _unpacked(file: BinaryIO, offset: int, limits: Limits) -> int:
-    """Return the unpacked size of a chunk, bytes; large LZ4 data that do not state the size are unpacked to find it."""
+    """Return the unpacked size of a chunk, bytes. Large LZ4 data that do not state their size are unpacked."""
     file.seek(offset + 9 + 16)  # after the opcode, the record's length, and the first and last time
     size, _, length = struct.unpack("<QII", file.read(16))
     kind = file.read(min(length, 16))

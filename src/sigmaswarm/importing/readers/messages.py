@@ -1,4 +1,4 @@
-"""Logs of messages: each topic is a table, and each number of a message is a column with the field's path as name.
+"""Logs of messages: each topic is a table, and each number of a message is a column named by the field's path.
 
 ``received`` is the receive time and ``stamp`` the time in the message, mostly in its header, both in ns.
 """
@@ -48,7 +48,7 @@ Stream = Callable[[Collection[str]], Iterator[Message]]
 
 
 def message_log(path: Path, tables: Mapping[str, Table], stream: Stream, unread: Sequence[str] = ()) -> Log:
-    """Make a log of messages; ``unread``: topics that can't be decoded."""
+    """Make a log of messages. ``unread`` contains topics that can't be decoded."""
     messages = _Messages(path, tables, stream)
 
     def guess(choice: TableChoice) -> Guess:
@@ -191,7 +191,7 @@ class _Collector:
 
 
 def _numbers(values: Sequence[Any]) -> pl.Series:
-    """Make a column (n,); integers remain integers, since times in ns have more digits than a float."""
+    """Make a column (n,). Integers remain integers, since times in ns have more digits than a float."""
     if {type(v) for v in values} <= {int, type(None)}:
         try:
             return pl.Series(values, dtype=pl.Int64)

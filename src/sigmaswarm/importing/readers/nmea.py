@@ -163,6 +163,6 @@ def _values(message: Any) -> dict[str, float]:
 
 
 def _row(day: date, clock: time, fix: dict[str, float]) -> tuple[float, ...]:
-    """Return the row of a fix; the position is from RMC or GLL only if no other sentence has one."""
+    """Return the row of a fix. The position is from RMC or GLL only if no other sentence has one."""
     seconds = datetime.combine(day, clock, UTC).timestamp()
     return (seconds, *(fix.get(name, fix.get(f"rmc_{name}", math.nan)) for name in COLUMNS[1:]))

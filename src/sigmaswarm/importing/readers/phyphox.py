@@ -47,7 +47,7 @@ MIN_GRAVITY = 5.0
 
 
 def recognizes(path: Path) -> bool:
-    """Return True for a zip or folder with phyphox's files; in a folder, the tables' headers must also fit."""
+    """Return True for a zip or folder with phyphox's files. In a folder, the tables' headers must also fit."""
     names = names_in(path)
     english = {*FILES[:2]} <= names
     if path.is_file():

@@ -31,14 +31,14 @@ def recognizes(path: Path) -> bool:
 
 
 def bag_paths(path: Path) -> list[Path]:
-    """Return the paths for rosbags: a file, a folder with metadata, or the bags of a folder without metadata."""
+    """Return the paths for rosbags: a file, a folder with metadata, or the bags in a folder without metadata."""
     if path.is_file() or (path / "metadata.yaml").exists():
         return [path]
     return sorted(f for f in path.iterdir() if f.suffix in _FILES)
 
 
 def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence[Path] = ()) -> Log:
-    """Open a bag; the .msg files ``definitions`` replace the bag's definitions or, if it has none, those of ROS 2."""
+    """Open a bag. The .msg files ``definitions`` replace the bag's definitions or, if it has none, those of ROS 2."""
     anyreader = import_library("rosbags.highlevel", "ros")
     typesys = import_library("rosbags.typesys", "ros")
     paths = bag_paths(path)
@@ -59,8 +59,8 @@ def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence
 def _define(reader: Any, definitions: Sequence[Path], typesys: Any) -> None:
     """Add the definitions in .msg files to those of a bag.
 
-    A file defines the types of the bag that have the name of the file. If there are no such types, the folder that
-    contains ``msg/`` names the package.
+    A file defines the types of the bag with the same name as the file. If there are none, the folder that contains
+    ``msg/`` names the package.
     """
     kinds = {c.msgtype for c in reader.connections}
     for given in definitions:

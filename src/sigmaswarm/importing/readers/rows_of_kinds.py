@@ -1,4 +1,4 @@
-"""Refuse texts whose rows are no table: several kinds of rows, or cells with names or several numbers."""
+"""Refuse texts whose rows are not a table: several kinds of rows, or cells with names or several numbers."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -64,7 +64,7 @@ def require_one_kind(rows: Sequence[Sequence[str]], separator: str, shown_as: Pa
 
 
 def _words(rows: Sequence[Sequence[str]]) -> set[str]:
-    """Return the words with which all rows begin, if rows with different words have different lengths; else {}."""
+    """Return the first words of all rows if rows with different first words have different lengths; otherwise {}."""
     found = [_WORD.match(row[0]) for row in rows]
     last = [max(k for k, cell in enumerate(row) if k == 0 or cell.strip()) for row in rows]
     # A row with only a name and a time, such as an invalid fix, is not a separate kind.
@@ -75,9 +75,9 @@ def _words(rows: Sequence[Sequence[str]]) -> set[str]:
 
 
 def _codes(rows: Sequence[Sequence[str]], place: int) -> set[str]:
-    """Return the codes (words or numbers) in a column if they determine the lengths of the rows; else {}.
+    """Return the codes (words or numbers) in a column if they determine the lengths of the rows; otherwise {}.
 
-    Rows with the same code must have the same length, and at least two codes must have different lengths, unless one of
+    Rows with the same code must have the same length. At least two codes must have different lengths, unless one of
     them names a sensor of an IMU. A row with only a code and a time is not a separate kind.
     """
     sizes: dict[str, set[int]] = {}
@@ -94,7 +94,7 @@ def _codes(rows: Sequence[Sequence[str]], place: int) -> set[str]:
 
 
 def _are_cut(rows: Sequence[Sequence[str]], place: int) -> bool:
-    """Return True if the rows with a flag of no fix have only the first cells of the other rows, in the same ranges."""
+    """Return True if rows with the flag "no fix" have only the first cells of the other rows, in the same ranges."""
     whole = [row for row in rows if len(row) > KIND_CELLS]
     flag = min(whole, key=len)[place].strip() if whole else ""
     kinds = [[row for row in whole if (row[place].strip() == flag) == cut] for cut in (True, False)]
@@ -120,7 +120,8 @@ def _are_cut(rows: Sequence[Sequence[str]], place: int) -> bool:
 def packed_cells(lines: Sequence[str], shown_as: Path) -> str:
     """Return a message on cells with several numbers, and a command that splits them; "" if there are none.
 
-    Raise an `InputError` instead if the cells contain separators or names, or rows begin with a serial monitor's times.
+    An `InputError` is raised instead if the cells contain separators or names, or if rows begin with the times of a
+    serial monitor.
     """
     rows = [_OUTER.sub("", line.strip()) for line in lines if line.strip()]
     if not rows:

@@ -32,9 +32,9 @@ _STEP, _RANGE = 0.01, 0.1
 
 
 def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.LazyFrame:
-    """Scan a table file; the types of a CSV's columns are determined from all rows.
+    """Scan a table file. The types of a CSV's columns are determined from all rows.
 
-    ``shown_as``: name of the file in messages. ``remarks``: receives sentences for the user.
+    ``shown_as`` is the name of the file in messages. ``remarks`` receives sentences for the user.
     """
     require_filled(file, shown_as)
     if first_bytes(file, 4) == b"PAR1":
@@ -152,7 +152,7 @@ def _grouped(frame: pl.LazyFrame, columns: Sequence[str], shown_as: Path) -> dic
 
 
 def _separated(file: Path, dialect: Dialect, columns: Sequence[str] | None, **options: Any) -> pl.LazyFrame:
-    """Scan cells; the types are determined once, since polars would determine them again at each reading."""
+    """Scan cells. The types are determined once, since polars would determine them again at each reading."""
     settings: dict[str, Any] = {
         "separator": dialect.separator,
         "has_header": False,
@@ -168,7 +168,7 @@ def _separated(file: Path, dialect: Dialect, columns: Sequence[str] | None, **op
 
 
 def text_lines(file: Path, skip: int, encoding: str = "utf8-lossy", **options: Any) -> pl.LazyFrame:
-    """Scan the lines of a text, without the first ``skip``, as a column ``line``; empty lines are null."""
+    """Scan the lines of a text, without the first ``skip``, as a column ``line``. Empty lines are null."""
     return pl.scan_csv(
         **one_file(file),
         separator="\x1f",
@@ -217,7 +217,7 @@ def collect(
     table: str,
     read: Callable[[pl.LazyFrame], pl.DataFrame] = pl.LazyFrame.collect,
 ) -> pl.DataFrame:
-    """Return the rows that ``read`` selects, by default all; convert errors of polars to one-line errors."""
+    """Return the rows that ``read`` selects, by default all. Errors of polars become one-line errors."""
     try:
         return read(rows)
     except POLARS_ERRORS as error:
@@ -233,9 +233,9 @@ def broken_table(path: Path, table: str, error: Exception) -> InputError:
 def with_points(rows: pl.LazyFrame) -> pl.LazyFrame:
     """Replace each column of points by two columns of numbers: longitude and latitude, or x and y in m.
 
-    A new name is the old name with the axis in place of a word for points: gt_geom becomes gt_x and gt_y. The names are
-    the axes alone if the table has only one column of points, this column is not truth, and the new names would have
-    no meaning.
+    A new name is the old name with the axis in place of the word for points: gt_geom becomes gt_x and gt_y. The names
+    are the axes alone if the table has only one column of points, if this column is not truth, and if the new names
+    would not be recognized.
     """
     schema = rows.collect_schema()
     texts = [name for name, kind in schema.items() if kind == pl.String]

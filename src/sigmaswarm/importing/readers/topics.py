@@ -144,7 +144,7 @@ class Topics:
         return next((at + path for at, path in found if at is not None), "")
 
     def _imu(self, topic: str) -> tuple[Part, dict[str, Any], str]:
-        """Return the part of the IMU, keys of drive.toml, and a sentence if the z axis points down, else "".
+        """Return the part of the IMU, keys of drive.toml, and a sentence if the z axis points down, otherwise "".
 
         The first message contains the direction of gravity and may state the variances of gz and ax.
         """
@@ -219,7 +219,7 @@ class Topics:
         return found
 
     def _part(self, topic: str, columns: dict[str, str]) -> Part:
-        """Make a part with its time: the header stamp, or receive times if the user chose them or no stamp is set."""
+        """Make a part with its time: the header stamp, or the receive time if the user chose it or no stamp is set."""
         time = "received*1e-9"
         if "stamp" not in self.tables[topic].columns:
             self.notes.append(f"{topic}: the messages have no header, so receive times are used")
@@ -248,8 +248,8 @@ def frame_of(message: Any) -> str:
 def placement(messages: Iterable[Any], imu: str, antenna: str) -> Placement | None:
     """Find the poses of IMU and antenna in the vehicle's frame or, without it, in a common ancestor of their frames.
 
-    Return None if the transforms do not connect the IMU with such a frame. ``messages`` are of type tf2_msgs/TFMessage;
-    a later transform of the same frame replaces an earlier one.
+    Return None if the transforms do not connect the IMU with such a frame. ``messages`` are of type tf2_msgs/TFMessage.
+    A later transform of the same frame replaces an earlier one.
     """
     tree: dict[str, tuple[str, Pose]] = {}
     for message in messages:

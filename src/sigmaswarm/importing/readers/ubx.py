@@ -101,7 +101,7 @@ def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[f
 
 
 def _headings(path: Path, pyubx2: Any) -> dict[int, tuple[float, float]]:
-    """Return the heading of two antennas and its accuracy, deg, by time of week, where the ambiguities are fixed."""
+    """Return the heading of two antennas and its accuracy, deg, by time of week, if the ambiguities are fixed."""
     found: dict[int, tuple[float, float]] = {}
     for raw, _ in _messages(path):
         if raw is None or raw[2:4] != NAV_RELPOSNED:
@@ -117,7 +117,7 @@ def _headings(path: Path, pyubx2: Any) -> dict[int, tuple[float, float]]:
 
 
 def _time(message: Any) -> float:
-    """Return s since 1970; raise ValueError for an impossible date or time."""
+    """Return s since 1970. Raises ValueError for an impossible date or time."""
     day = date(message.year, message.month, message.day)
     if not (message.hour < 24 and message.min < 60 and message.second <= 60):  # 60 is a leap second
         raise ValueError("impossible time of day")
@@ -126,7 +126,7 @@ def _time(message: Any) -> float:
 
 
 def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
-    """Yield one row per time of week, from all messages with this time; the week is the last stated week."""
+    """Yield one row per time of week, from all messages with this time. The week is the last week that was stated."""
     week = broken = 0
     fix: dict[str, float] = {}
     for raw, done in _messages(path):
@@ -195,6 +195,6 @@ def _messages(path: Path) -> Iterator[tuple[bytes | None, float]]:
 
 
 def _checksum(content: bytes) -> bytes:
-    """Return Fletcher's 8-bit checksum: section 32.4 of the description."""
+    """Return Fletcher's 8-bit checksum (section 32.4 of the description)."""
     values = np.frombuffer(content, dtype=np.uint8).astype(np.int64)
     return bytes([int(values.sum()) & 255, int(np.cumsum(values).sum()) & 255])

@@ -7,7 +7,7 @@ All optimizers implement the protocol `Optimizer` and are used in the same loop:
         optimizer.tell(costs_of(points))
     print(optimizer.global_best, optimizer.global_cost)
 
-A custom class needs a constructor and four methods; pass it to ``tune(drives, optimizer=Halton)``::
+A custom class needs a constructor and four methods. Pass it to ``tune(drives, optimizer=Halton)``::
 
     import scipy.stats
 

@@ -1,4 +1,4 @@
-"""Protocol and base classes of optimizers, and two searches without memory as baselines."""
+"""Protocol and base classes of optimizers, and two searches that do not learn from costs, as baselines."""
 
 from collections import ChainMap
 from inspect import get_annotations
@@ -12,7 +12,7 @@ from sigmaswarm.errors import InputError
 FIRST_STEP = 0.3
 """Standard deviation of the first points around a start point, in widths of the bounds.
 
-With 0.1, parameters that the cost hardly determines stayed near the start point: after tuning with truth on 30 s of
+With 0.1, parameters that the cost hardly determines stayed near the start point. After tuning with truth on 30 s of
 comma2k19, the position RMSE on the remaining part was 10 to 30% larger than after a uniform first generation. With 0.3,
 the RMSE was the same as after a uniform first generation.
 """
@@ -74,10 +74,10 @@ class AskTell:
         self.told = False
 
     def begin_near(self, point: Array) -> None:
-        """Begin around a point, shape (d,), which is in the first batch; call this before the first `ask`.
+        """Begin around a point, shape (d,), which is in the first batch. Call this before the first `ask`.
 
-        The other first points of `bo` and `sobol`, which cover the search space, do not change. `cma-es` draws all
-        first points around the given point, without this point itself.
+        The other first points of `bo` and `sobol` do not change, since they cover the search space. `cma-es` draws all
+        first points around the given point, but does not include the point itself.
         """
         self.center = point
         self.positions = np.clip(self._begin(), self.low, self.high)
@@ -103,7 +103,7 @@ class AskTell:
         self.told = True
 
     def _begin(self) -> Array:
-        """Initialize the subclass's state; return the first points, by default random points."""
+        """Initialize the subclass's state. Return the first points, by default random points."""
         return self._drawn_first()
 
     def _drawn_first(self) -> Array:

@@ -93,7 +93,7 @@ def next_points(
 ) -> Array:
     """Select ``count`` points with the highest expected improvement in the unit cube, shape (count, d).
 
-    ``effort``: numbers of candidates and of local searches.
+    ``effort`` contains the numbers of candidates and of local searches.
     """
     # One thread, since the rounding depends on the number of threads. For small matrices, more threads are not faster.
     from threadpoolctl import threadpool_limits
@@ -148,7 +148,7 @@ class Improvement:
         return self.middle + self.scale * float(self._kernel(point[np.newaxis])[0][0] @ self.weights)
 
     def __call__(self, at: Array) -> Array:
-        """Return the expected improvement, (m,), at candidates, shape (m, d): Jones et al. (1998), equation 15."""
+        """Return the expected improvement, (m,), at candidates, shape (m, d) (Jones et al. 1998, equation 15)."""
         near = self._kernel(at)[0]
         variance = 1 - np.sum(near * self._solved(self.factor, near.T).T, axis=1)
         deviation = np.sqrt(np.maximum(variance, MIN_VARIANCE))

@@ -27,7 +27,8 @@ class NelderMead(AskTell):
     size: float = 0.05
     """Edge length of the first simplex, in widths of the bounds."""
     parallel: int = 1
-    """Number of vertices, those with the highest costs, that are moved at a time; at most half of all vertices."""
+    """Number of vertices that are moved at a time, namely those with the highest costs; at most half of all
+    vertices."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
@@ -92,7 +93,7 @@ class NelderMead(AskTell):
             self._settle(self.moved, self.positions, costs)
 
     def _judge_followers(self, costs: Array) -> None:
-        """Keep the expansions and contractions that lower the cost; shrink the simplex if no vertex improves."""
+        """Keep the expansions and contractions that lower the cost. Shrink the simplex if no vertex improves."""
         reach = self.reach[self.reach != 0]
         inside, outside = reach < 0, reach == self.contraction
         followed = np.flatnonzero(self.reach)
@@ -171,7 +172,7 @@ class Budgeted:
         self.spent += len(costs)
 
     def end_global_search(self) -> bool:
-        """End the global search; return True if evaluations remain for a local search."""
+        """End the global search. Return True if evaluations remain for a local search."""
         if self.local is None:
             if not self.polish or not np.isfinite(self.global_cost):
                 return False

@@ -74,7 +74,7 @@ def offspring(
 ) -> Array:
     """Return children, shape (n, d), of parents that won tournaments of two.
 
-    ``parents``, shape (m, d), have ``costs``, shape (m,). ``bounds``: lower and upper bounds, shape (d,).
+    ``parents``, shape (m, d), have ``costs``, shape (m,). ``bounds`` are the lower and upper bounds, shape (d,).
     """
     pairs = (n + 1) // 2
     # Winners of the same round are paired, so that a member is rarely paired with itself.

@@ -19,7 +19,7 @@ class MovingSwarm(Swarm):
     social: float = ACCELERATION
 
     def _accelerated(self, velocities: Array, positions: Array, best: Array) -> Array:
-        """Return the next velocities (eq. 2); ``best`` are the particles' best positions; all shapes are (n, d)."""
+        """Return the next velocities (eq. 2). ``best`` are the particles' best positions. All shapes are (n, d)."""
         r1, r2 = self.rng.random((2, *positions.shape))
         return (
             self.inertia * velocities
@@ -83,7 +83,7 @@ class GeneticSwarm(MovingSwarm):
 
 
 EXPANSION = (1.0, 0.5)
-"""Contraction-expansion coefficient at the start and after ``generations``; it falls linearly."""
+"""Contraction-expansion coefficient at the start and after ``generations``, between which it falls linearly."""
 DIFFERENTIAL, SCALE, CROSSOVER = 0.5, (0.5, 1.0), 0.7
 """Probability of a differential move, range of its scale factor F, and crossover probability CR."""
 
