@@ -54,6 +54,21 @@ def test_the_remedy_of_mirrored_fixes_names_the_columns_of_the_log(sigmaswarm: C
     assert maps == ["gps.x=y", "gps.y=x"] and "mirrored-fixes" not in ended.out
 
 
+def test_the_remedy_of_a_velocity_of_the_vehicle_omits_the_columns(sigmaswarm: Command, here: Path):
+    drive = library.simulate("urban", run=3, duration=90.0, imu_rate=50.0, gps="white-1m")
+    gps, truth = drive.gps, drive.truth
+    assert truth is not None
+    pl.DataFrame({n: v for n, v in vars(drive.imu).items() if v is not None}).write_csv("imu.csv")
+    forward = np.interp(gps.time, truth.time, np.hypot(truth.vx, truth.vy))
+    places = {"time": gps.time, "x": gps.x, "y": gps.y}
+    pl.DataFrame(places | {"vx": forward, "vy": 0 * forward}).write_csv("gps.csv")
+    ended = sigmaswarm("import", "imu.csv", "--gps", "gps.csv", "--out", "drive")
+    assert "course-convention" in ended.out
+    maps = re.findall(r'"(gps\.\w+=)"', " ".join(ended.out.split()))
+    ended = sigmaswarm("import", "imu.csv", "--gps", "gps.csv", "--out", "right", "--map", *maps)
+    assert maps == ["gps.vx=", "gps.vy="] and "course-convention" not in ended.out
+
+
 def test_from_a_bag_to_a_bag_with_the_estimate(sigmaswarm: Command, here: Path, tuned: Path):
     from rosbags.highlevel import AnyReader
 

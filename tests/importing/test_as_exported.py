@@ -341,6 +341,13 @@ LANGUAGES = {
         "Latitude",
         "Longitude",
     ),
+    "French, of a spreadsheet": (
+        "Temps (s)",
+        "Accélération {} (m/s²)",
+        "Vitesse de rotation {} (rad/s)",
+        "lat",
+        "lon",
+    ),
     "Spanish": ("tiempo", "aceleración_{}", "velocidad_angular_{}", "latitud", "longitud"),
     "Italian": ("tempo", "accelerazione_{}", "velocità_angolare_{}", "latitudine", "longitudine"),
     "Portuguese": ("tempo", "aceleração_{}", "velocidade_angular_{}", "latitude", "longitude"),
@@ -884,10 +891,23 @@ FORCE = {"time": (T * 1e9).astype(int) + EPOCH * 10**9, "x": IMU["ax"], "y": IMU
 TURN = {"time": FORCE["time"], "x": IMU["gx"], "y": IMU["gy"], "z": IMU["gz"]}
 PLACE = {"time": FORCE["time"][::EVERY], "latitude": FIXES["lat"], "longitude": FIXES["lon"]}
 SENSORS = {"Accelerometer": FORCE, "Gyroscope": TURN, "Location": PLACE}
+PAIR = {"imu": {"t": T, **IMU}, "gps": {"t": T[::EVERY], **FIXES}}
+JOINED = {"t": T, **IMU, **{n: np.repeat(v, EVERY) for n, v in FIXES.items()}}
 JSON: dict[str, Callable[[], str]] = {
     "a list for each sensor": lambda: json.dumps({name: records(table) for name, table in SENSORS.items()}),
     "one list of all sensors, numbers as texts": lambda: json.dumps(
         [row for name, table in SENSORS.items() for row in with_kind(name, table)]
+    ),
+    "columns": lambda: json.dumps({n: {k: c.tolist() for k, c in table.items()} for n, table in PAIR.items()}),
+    "columns of pandas": lambda: json.dumps(
+        {n: {k: dict(enumerate(c.tolist())) for k, c in table.items()} for n, table in PAIR.items()}
+    ),
+    "split by pandas": lambda: json.dumps(
+        {"columns": [*JOINED], "index": [*range(N)], "data": pl.DataFrame(JOINED).rows()}
+    ),
+    "a value on each line": lambda: "\n".join(
+        json.dumps({"name": n, "value": float(v[i]), "timestamp": float(T[i])})
+        for i in range(N) for n, v in JOINED.items() if n != "t" and (n in IMU or i % EVERY == 0)
     ),
     "lines of nested objects, the last one cut off": lambda: "\n".join([*map(nested, range(N)), '{"t": 40.0, "acc']),
 }  # fmt: skip

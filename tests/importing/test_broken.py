@@ -425,10 +425,12 @@ def test_a_stamp_years_before_all_others_costs_them_no_digit(tmp_path: Path):
     assert len(drive.gps) == len(gps) - 1
 
 
-@pytest.mark.parametrize("encoding", ["utf-16", "utf-32"])
-def test_tables_in_another_encoding(tmp_path: Path, encoding: str):
+@pytest.mark.parametrize(("encoding", "cut"), [("utf-32", 0), ("utf-16", 1)])
+def test_tables_in_another_encoding(tmp_path: Path, encoding: str, cut: int):
+    """UTF-16 is read (`test_dialects`), unless its last byte is missing."""
     text = "t,ax,ay,gz,x,y,é\n" + "\n".join(f"{i / 100},0,0,0,{i},0,é" for i in range(300)) + "\n"
-    (tmp_path / "log.csv").write_bytes(text.encode(encoding))
+    content = text.encode(encoding)
+    (tmp_path / "log.csv").write_bytes(content[: len(content) - cut])
     refused("log.csv", lambda: imported(tmp_path / "log.csv", form="csv"))
 
 

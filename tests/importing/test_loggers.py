@@ -139,6 +139,7 @@ NAMES = {
     "sketch": ("timestamp_unix", "mpu_a{}", "mpu_g{}", "gps_lat", "gps_lon"),
     "unknown prefix": ("time", "bosch_a{}", "bosch_w{}", "gps_lat", "gps_lon"),
     "letters of turns": ("time", "imu_a{}", ("gyro_r", "gyro_p", "gyro_y"), "lat", "lon"),
+    "letters of rates": ("t", "a{}", ("p", "q", "r"), "lat", "lon"),
     "only units": ("Zeit [s]", "S{} [mg]", "R{} [°/s]", "P1 [°]", "P2 [°]"),
     "only units, exchanged": ("Zeit [s]", "S{} [mg]", "R{} [°/s]", "P2 [°]", "P1 [°]"),
 }
@@ -212,6 +213,7 @@ def test_rows_of_several_kinds_are_separated_by_the_named_command(tmp_path: Path
     lines += [(t + 1e-3, fix(t + 5, [f"{lat:.9f}", f"{lon:.9f}"])) for t, lat, lon in fixes]
     log = tmp_path / "my log.txt"
     heads = {"numbers below a header": "info;time;text\n"}
+    heads["words"] = "% made by a logger\n% ACC;t;x\n"
     heads["marks below other kinds"] = "$COL,IMU,t,ax,ay,az\n$COL,GNSS,t,lat,lon,alt,acc\n$DATA\n"
     log.write_text(heads.get(form, "") + "\n".join(line for _, line in sorted(lines)) + "\n")
     with pytest.raises(InputError, match="rows of several kinds") as caught:
@@ -789,7 +791,7 @@ def test_accelerations_in_mg_that_were_mapped_by_hand_get_the_factor_of_mg(tmp_p
         imported(tmp_path / "log.csv", maps=maps)
 
 
-@pytest.mark.parametrize("between", ["\t", "; ", ", "])
+@pytest.mark.parametrize("between", ["\t", "; ", ", ", " | "])
 def test_numbers_with_names_are_separated_by_the_named_command(tmp_path: Path, between: str):
     cells = {"t": TIME, **IMU, "lat": np.interp(TIME, FIXED, LAT), "lon": np.interp(TIME, FIXED, LON)}
     rows = (
@@ -1028,3 +1030,109 @@ def test_settings_in_a_json_file_do_not_hide_tables(tmp_path: Path):
     pl.DataFrame({"t": DRIVE.gps.time, "x": DRIVE.gps.x, "y": DRIVE.gps.y}).write_csv(tmp_path / "gps.dat")
     (tmp_path / "settings.json").write_text('{"device": "x", "rate": 100}')
     assert len(imported(tmp_path).drive.imu) == len(DRIVE.imu)
+
+
+def test_next_to_an_axis_down_a_lateral_axis_points_to_the_right(tmp_path: Path):
+    names = {"x": "Forward", "y": "Lateral", "z": "Down"}
+    axes = {
+        f"{'Accel' if n[0] == 'a' else 'AngRate'}{names[n[1]]} ({'m/s²' if n[0] == 'a' else 'rad/s'})": v
+        * (n[1] == "x" or -1)
+        for n, v in IMU.items()
+    }
+    write(tmp_path / "log.csv", {"Time (s)": TIME, **axes, "lat": sparse(LAT), "lon": sparse(LON)})
+    require_same(as_proposed(tmp_path / "log.csv"))
+
+
+def test_a_racelogic_file_is_converted_by_the_named_command(tmp_path: Path):
+    """Latitude and longitude are in minutes, and the longitude is positive to the west."""
+    heads = ["time", "lat", "long", *(f"X{n}" for n in AXES)]
+    places = [np.interp(TIME, FIXED, v) * factor for v, factor in ((LAT, 60), (LON, -60))]
+    rows = np.column_stack([TIME + 10, *places, *IMU.values()])
+    lines = [
+        "File created on 01/05/2024",
+        "",
+        "[header]",
+        "time",
+        "",
+        "[column names]",
+        " ".join(heads),
+        "",
+        "[data]",
+    ]
+    lines += [" ".join(f"{v:+.9f}" for v in row) for row in rows]
+    for name in ("run.vbo", "run.txt"):
+        (tmp_path / name).write_text("\n".join(lines) + "\n")
+        with pytest.raises(InputError, match="since it is a Racelogic file") as caught:
+            imported(tmp_path / name)
+    run(str(caught.value).partition("in degrees: ")[2].replace("FILE", "run.txt"), tmp_path)
+    maps = [f"{n}=X{n}" for n in AXES]
+    got = imported(tmp_path / "new.txt", maps=maps).drive
+    assert got.origin is not None and got.origin[:2] == pytest.approx((LAT[0], LON[0]), abs=1e-4)
+
+
+@pytest.mark.parametrize("form", ["{{'x': {}, 'y': {}, 'z': {}}}", '{{""x"": {}, ""y"": {}, ""z"": {}}}'])
+def test_cells_with_an_object_are_split_by_the_named_command(tmp_path: Path, form: str):
+    cells = {
+        name: [form.format(*(f"{IMU[k + i][n]:.6f}" for i in "xyz")) for n in range(len(TIME))]
+        for name, k in (("acc", "a"), ("gyro", "g"))
+    }
+    rows = [f'{t:.3f},"{a}","{g}"' for t, a, g in zip(TIME, cells["acc"], cells["gyro"], strict=True)]
+    (tmp_path / "imu.csv").write_text("\n".join(["t,acc,gyro", *rows]) + "\n")
+    write(tmp_path / "gps.csv", {"t": FIXED, "lat": LAT, "lon": LON})
+    with pytest.raises(InputError, match="cells contain several numbers") as caught:
+        imported(tmp_path)
+    run(str(caught.value).partition("for example with: ")[2].partition("; or name")[0], tmp_path)
+    require_same(imported(tmp_path / "new.csv", gps=tmp_path / "gps.csv").drive)
+
+
+def test_units_in_cells_are_removed_by_the_named_command(tmp_path: Path):
+    cells = {n: [f"{x:.6f} {'m/s²' if n[0] == 'a' else 'rad/s'}" for x in v] for n, v in IMU.items()}
+    write(tmp_path / "log.csv", {"t": TIME, **cells, "lat": sparse(LAT), "lon": sparse(LON)})
+    with pytest.raises(InputError, match="has a unit; write the units to the header") as caught:
+        imported(tmp_path / "log.csv")
+    run(str(caught.value).partition("for example with: ")[2], tmp_path)
+    require_same(imported(tmp_path / "new.csv").drive)
+
+
+@pytest.mark.parametrize("accuracy", [False, True])
+def test_accelerations_with_the_sign_of_gravity_are_proposed_in_the_axes_of_a_car(
+    tmp_path: Path, *, accuracy: bool
+):
+    """Of a phone, x points to the right and y forward; a proposal of the accuracy does not hide the sign."""
+    turned = {"x": ("y", -1), "y": ("x", 1), "z": ("z", 1)}
+    axes = {f"accelerometerAcceleration{i.upper()}(G)": -s * IMU[f"a{k}"] / G for i, (k, s) in turned.items()}
+    axes |= {f"gyroRotation{i.upper()}(rad/s)": s * IMU[f"g{k}"] for i, (k, s) in turned.items()}
+    place = {"locationLatitude(WGS84)": sparse(LAT), "locationLongitude(WGS84)": sparse(LON)}
+    place |= {"locationHorizontalAccuracy(m)": sparse(0 * FIXED + 1.5)} if accuracy else {}
+    write(tmp_path / "log.csv", {"timestamp": TIME, **axes, **place})
+    require_same(as_proposed(tmp_path / "log.csv"))
+    maps = [
+        f"{n}={text}" for n, text in inspect_request(Request(tmp_path / "log.csv")).settings["maps"].items()
+    ]
+    got = imported(tmp_path / "log.csv", maps=maps)
+    assert not any("z axis points down" in note for note in (*got.notes, *got.assumed))
+
+
+def test_of_a_receiver_the_clock_that_overlaps_with_the_imu_is_read(tmp_path: Path):
+    start = datetime.datetime(2024, 5, 1, 10, tzinfo=datetime.UTC)
+    dates = [start + datetime.timedelta(seconds=round(t, 3)) for t in FIXED.tolist()]
+    parts = {n: [getattr(d, n) for d in dates] for n in ("year", "month", "day", "hour", "minute", "second")}
+    nano = [d.microsecond * 1000 for d in dates]
+    fixes = {
+        "iTOW": np.round((295_218 + FIXED) * 1e3).astype(int),
+        **parts,
+        "nano": nano,
+        "lat": LAT,
+        "lon": LON,
+    }
+    write(tmp_path / "gps.csv", fixes | {"hAcc": 0 * FIXED + 1500})
+    write(tmp_path / "imu.csv", {"t": start.timestamp() + TIME, **IMU})
+    require_same(imported(tmp_path).drive)
+
+
+def test_an_accuracy_without_a_unit_is_not_proposed_unchecked(tmp_path: Path):
+    write(tmp_path / "gps.csv", {"t": 5e8 + FIXED, "lat": LAT, "lon": LON, "hAcc": 0 * FIXED + 1500})
+    write(tmp_path / "imu.csv", {"t": TIME, **IMU})
+    seen = inspect_request(Request(tmp_path))
+    assert not seen.proposal and not seen.works
+    assert any("do not overlap" in note for note in seen.notes)

@@ -93,6 +93,31 @@ DIALECTS: dict[str, str] = {
     "an index without a name": table(
         [",".join(["", *HEAD]), *(f"{k},{row}" for k, row in enumerate(joined(ROWS)))]
     ),
+    "minus signs of typesetting": table([",".join(HEAD), *joined(ROWS)]).replace(",-", ",\u2212"),
+    "a header below properties": table(
+        [
+            *(
+                "Properties",
+                "Channels\t7\t",
+                "Samples" + "\t300" * 6,
+                "Unit" + "\t1" * 6,
+                "***End***" + "\t" * 6,
+            ),
+            *("\t".join(HEAD), *joined(ROWS, "\t")),
+        ]
+    ),
+    "names of several words, parted by blanks": table(
+        [
+            f"{'Time':>9}" + "".join(f"{w} {i}".rjust(14) for w in ("Acc", "Gyro") for i in "XYZ"),
+            *joined(ROWS, "  "),
+        ]
+    ),
+    "axes behind the names of their vectors": table(
+        [
+            "seq,time,orientation,x,y,z,w,angular_velocity,x,y,z,linear_acceleration,x,y,z",
+            *(f"{k},{r[0]},,0,0,0,1,,{','.join(r[4:])},,{','.join(r[1:4])}" for k, r in enumerate(ROWS)),
+        ]
+    ),
     "comments among the rows": table(
         [",".join(HEAD), *joined(ROWS[:50]), "# a marker, pressed", *joined(ROWS[50:])]
     ),
@@ -106,6 +131,23 @@ def test_dialects(tmp_path: Path, form: str):
     got = imported(tmp_path)
     assert_close(got.drive.imu, IMU, "time ax ay az gx gy gz", 1e-12)
     assert any("decimal commas" in n for n in got.notes) == ("decimal commas" in form)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("folder", [False, True])
+def test_unicode_text_of_spreadsheets(tmp_path: Path, encoding: str, *, folder: bool):
+    text = "\ufeff" * (encoding != "utf-16") + table(["\t".join(HEAD), *joined(ROWS, "\t")], "\r\n")
+    (tmp_path / "imu.txt").write_bytes(text.encode(encoding))
+    write_fixes(tmp_path)
+    got = imported(tmp_path) if folder else imported(tmp_path / "imu.txt", gps=tmp_path / "gps.csv")
+    assert_close(got.drive.imu, IMU, "time ax ay az gx gy gz", 1e-12)
+
+
+def test_prose_in_a_comment_is_no_header(tmp_path: Path):
+    (tmp_path / "imu.txt").write_text(table(["# Created at Wed May 01 2024 here", *joined(ROWS, " ")]))
+    assert dialect.dialect_of(tmp_path / "imu.txt", tmp_path / "imu.txt").names == (
+        *(f"c{k}" for k in range(1, 8)),
+    )
 
 
 def test_of_a_table_with_a_header_few_rows_are_split(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -490,6 +490,17 @@ def test_rows_that_all_have_one_time_are_refused_and_the_remedy_helps(tmp_path: 
     assert apart(tmp_path, maps=[remedy]) < 1e-9
 
 
+@pytest.mark.parametrize(
+    ("name", "first"),
+    [("Date (DMY)", "%d/%m/%Y"), ("date (MM/DD/YYYY)", "%m/%d/%Y"), ("Date [dd/mm/yy]", "%d/%m/%y")],
+)
+def test_the_name_of_a_column_states_the_order_of_day_and_month(tmp_path: Path, name: str, first: str):
+    begin = 1_717_459_200  # 4 June 2024
+    form = f"{first} %H:%M:%S.%f"
+    write(tmp_path, name, lambda t: datetime.datetime.fromtimestamp(begin + t, datetime.UTC).strftime(form))
+    assert imported(tmp_path).drive.metadata["time_origin_s"] == begin
+
+
 @pytest.mark.parametrize("first", some(["%d/%m/%Y", "%m/%d/%Y", "%d/%m/%y", "%y/%m/%d"], 3))
 def test_a_date_that_may_be_two_days_is_refused_and_the_remedy_helps(tmp_path: Path, first: str):
     begin = 1_717_459_200  # 4 June 2024

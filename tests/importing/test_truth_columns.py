@@ -178,3 +178,15 @@ def test_a_magnetometer_whose_table_has_no_name_is_no_position(tmp_path: Path, i
     got = imported(tmp_path)
     assert np.ptp(got.drive.gps.x) == pytest.approx(np.ptp(GPS.x), rel=1e-3)
     assert not [note for note in got.notes if "m.csv" in note]
+
+
+@pytest.mark.parametrize("names", ["tx ty tz qx qy qz qw", "x y z qx qy qz qw"])
+def test_poses_as_of_tum_are_a_truth(tmp_path: Path, names: str):
+    placed({"lat": GPS.lat, "lon": GPS.lon}).write_csv(tmp_path / "gps.csv")
+    pl.DataFrame({"t": IMU.time - IMU.time[0], **AXES}).write_csv(tmp_path / "imu.csv")
+    zeros = np.zeros(len(IMU))
+    rows = np.column_stack([IMU.time - IMU.time[0], TRUE["x"], TRUE["y"], *[zeros] * 4, zeros + 1])
+    np.savetxt(tmp_path / "groundtruth.txt", rows, fmt="%.9f", header=f"timestamp {names}")
+    truth = imported(tmp_path).drive.truth
+    assert truth is not None
+    np.testing.assert_allclose(truth.x, TRUE["x"], atol=1e-6)

@@ -270,7 +270,14 @@ def _with_columns(diagnosis: "Diagnosis", imported: "ImportResult") -> "Diagnosi
     parts = [part for role in ("imu", "gps") for part in imported.recipe.roles.get(role, ())]
     texts = {name: text for part in parts for name, text in part.columns.items()}
 
+    omitted = " ".join(f'"gps.{name}="' for name in ("course", "vx", "vy") if name in texts)
+
     def named(text: str) -> str:
+        text = (
+            text.replace("leave the column out", f"leave it out: import with --map {omitted}")
+            if omitted
+            else text
+        )
         return re.sub(r"COLUMN_OF_([A-Z]+)", lambda m: texts.get(m[1].lower(), m[0]), text)
 
     findings = tuple(replace(finding, remedy=named(finding.remedy)) for finding in diagnosis.findings)

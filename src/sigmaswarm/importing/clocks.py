@@ -11,7 +11,7 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.importing.dates import SECOND
-from sigmaswarm.importing.expressions import ROW, row_times, time_span
+from sigmaswarm.importing.expressions import ROW, compile_expression, row_times, time_span
 from sigmaswarm.importing.imu_units import MIN_CONFIRMED, MIN_EXPLAINED, turn_ratio
 from sigmaswarm.importing.names import CLOCK, is_time, read_name, read_names
 from sigmaswarm.importing.source import Part, Role, TickRate
@@ -60,6 +60,16 @@ def on_common_clock(roles: Roles, samples: Mapping[str, pl.DataFrame]) -> tuple[
             note = f"the time of IMU and fixes is {column}, since {apart}"
             both: tuple[Role, ...] = ("imu", "gps")
             return {**roles, **{r: (_at(roles[r][0], text), *roles[r][1:]) for r in both}}, [note]
+    parts: tuple[tuple[Role, Part], ...] = (("gps", gps), ("imu", imu))
+    for (role, part), (_, fixed) in (parts, parts[::-1]):  # another clock of one of the tables
+        frame = samples[part.table]
+        rest = frame.drop(compile_expression(part.columns["t"], (*frame.columns, ROW)).columns, strict=False)
+        other = find_time(rest, role)
+        text = other.expression if other and not other.ticks else ""
+        if text and _overlap((frame, samples[fixed.table]), (text, fixed.columns["t"])):
+            apart = f"{part.columns['t']} and {fixed.columns['t']} do not overlap"
+            note = f"the time of {part.table} is {text}, since {apart}"
+            return {**roles, role: (_at(part, text), *roles[role][1:])}, [note]
     return roles, []
 
 

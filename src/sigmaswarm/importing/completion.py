@@ -99,7 +99,15 @@ def notes_of(plan: Plan) -> list[str]:
 def assumed_mounting(plan: Plan) -> tuple[str, ...]:
     """Return the readers' sentences on an assumed mounting; empty if the recipe contains a mounting."""
     found = () if plan.recipe.mount else plan.guesses.values()
-    return tuple(dict.fromkeys(note for guess in found for note in (guess.flat, guess.downward) if note))
+    return tuple(dict.fromkeys(filter(None, [*(guess.flat for guess in found), points_down(plan)])))
+
+
+def points_down(plan: Plan) -> str:
+    """Return the sentence on a z axis that points down; "" with a mounting, or if the user has mapped az."""
+    az = texts_of(plan.parts("imu")).get("az")
+    found = () if plan.recipe.mount else plan.guesses.values()
+    kept = (guess.downward for guess in found if texts_of(guess.roles.get("imu", ())).get("az") == az)
+    return next(filter(None, kept), "")
 
 
 def with_tables(plan: Plan, first: Beginnings | None = None) -> tuple[Plan, list[str]]:

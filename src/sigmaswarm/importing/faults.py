@@ -229,11 +229,13 @@ def _headers(log: Log) -> str:
     folders = dict.fromkeys(quote(str(Path("named", name).parent)) for name in log.tables)
     lines = [f"(echo {quote(text)}; cat {quote(name)}) > {new[name]}" for name, text in headers.items()]
     left = [name for name, table in log.tables.items() if name not in headers and table.columns[0] == "c1"]
+    placed = any("lat" in header.split(",") for header in headers.values())
     lines += [f"cp {quote(name)} {new[name]}" for name in log.tables if name not in (*headers, *left)]
     command = " && ".join([f"cd {quote(str(log.path))}", f"mkdir -p {' '.join(folders)}", *lines])
     there = quote(str(log.path / "named"))
     more = f"; copy {list_names(left)} to {there} with a header, such as t,lat,lon, since the values suggest none"
-    return f"add the headers that the values suggest: ({command}){more * bool(left)}, and import the folder {there}"
+    more = more if left and not placed else ""
+    return f"add the headers that the values suggest: ({command}){more}, and import the folder {there}"
 
 
 def describe_kinds(log: Log) -> str:

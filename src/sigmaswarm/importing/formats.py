@@ -65,7 +65,12 @@ NOT_READ = {
     ".feather .arrow .orc .avro": "a table in another binary format; save it as Parquet or CSV",
     ".gz .bz2 .xz .zst .7z .tar .tgz .rar": "a compressed file or an archive; unpack it",
     ".db .sqlite": "a database; export its tables as CSV (a ROS 2 bag has the suffix .db3)",
-    ".vbo": "a Racelogic file; export it as CSV, with the channels of the IMU",
+    ".vbo": "a Racelogic file; import new.txt, which this command writes, with latitude and longitude in degrees: awk "
+    '\'/^\\[column names/ {getline; print; for (i = 1; i <= NF; i++) n[$i] = i} d && NF > 3 {$n["lat"] = '
+    'sprintf("%.9f", $n["lat"] / 60); $n["long"] = sprintf("%.9f", -$n["long"] / 60); print} '
+    "/^\\[data/ {d = 1}' FILE > new.txt",
+    ".fitcsv": "the messages of a FIT file; import the file that ends in _data.csv, which FitCSVTool writes with the "
+    "option --data accelerometer_data,gyroscope_data,gps_metadata",
     ".ld .xrk .drk": "a race car log; export it as CSV with the logger's program (MoTeC i2, Race Studio)",
     ".blf": "a CAN bus log; decode its signals with their DBC file, for example with asammdf, and export CSV",
     ".novatel": "a NovAtel log; convert the fixes to NMEA with NovAtel Convert, and the IMU to CSV",
@@ -80,6 +85,8 @@ NOT_READ = {
 _MAGIC = {
     **{rb"H Product:Blackbox": ".bbl", rb"MDF  ": ".mf4", rb"\x89HDF": ".h5", rb"\x1f\x8b": ".gz"},
     rb"(?:#BESTPOSA|#INSPVA|[#%]RAWIMU|\xaaD\x12)": ".novatel",
+    rb"(?:File created on [^\n]*\s*)?\[header\]": ".vbo",
+    rb"Type,Local Number,Message,": ".fitcsv",
     rb"\s*header: *\r?\n +(?:seq|stamp|frame_id):": ".echo",
     rb"CDF[\x01\x02\x05]": ".nc",
     rb"TDSm": ".tdms",

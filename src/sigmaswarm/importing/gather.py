@@ -1,8 +1,10 @@
 """Evaluate the expressions of a drive's columns for the batches of a log. Unusable rows are left out and counted."""
 
+import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 import polars as pl
@@ -35,6 +37,8 @@ MIN_PLACEHOLDER_DISTANCE = 10
 MIN_FORCE = 0.3
 # Smallest share of the rows of a column of a sensor in which another column of this sensor has a value
 MIN_COMMON_ROWS = 0.7
+# A number with a unit
+_UNIT = re.compile(r"[+-]?\d*\.?\d+ ?(?!e[+-]?\d)([A-Za-z°µμ%][\w/²³°^*·.-]*)")
 MAX_ROW_STEPS = 3.0  # largest step between the rows of a slower sensor, in median steps
 
 
@@ -160,6 +164,13 @@ class PartColumns:
             wrong = wrong & ~timeless if timeless is not None else wrong
             if wrong.fill_null(False).any():
                 i = int(wrong.fill_null(False).arg_max() or 0)
+                stated = [_UNIT.fullmatch(str(frame[other][i])) for other in sorted(texts)]
+                if units := "|".join(dict.fromkeys(re.escape(cell[1]) for cell in stated if cell)):
+                    edit = f"sed -E 's#([0-9]) ?({units})#\\1#g' {quote(self.part.table)} > new.csv"
+                    raise InputError(
+                        f"{log.path}, {printable(self.part.table)}, column {printable(name)}: {quoted(cells[i])} has a "
+                        f"unit; write the units to the header, and remove them from the cells, for example with: {edit}"
+                    )
                 raise InputError(
                     f"{log.path}, {printable(self.part.table)}, row {self.seen + i + 1} of the data, "
                     f"column {printable(name)}: {quoted(cells[i])} is not a number; correct or delete "

@@ -124,8 +124,9 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) 
                 faults += [Fault(role, what, table, fault)] if fault else []
                 expressions |= {what: found_as.expression} if found_as.expression else {}
             roles[role] = (*roles.get(role, ()), Part(table, expressions))
-    roles, shared_clock = on_common_clock(roles, samples)
+    own, (roles, shared_clock) = roles, on_common_clock(roles, samples)
     notes += shared_clock
+    ticks = {role: text for role, text in ticks.items() if roles[role] == own[role]}
     downward = _downward(found[roles["imu"][0].table]) if "imu" in roles else ""
     tables = [found[part.table] for part in roles.get("imu", ())]
     unitless = {

@@ -12,7 +12,14 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import missing_columns
-from sigmaswarm.importing.completion import Beginnings, assumed_mounting, completed, notes_of, with_tables
+from sigmaswarm.importing.completion import (
+    Beginnings,
+    assumed_mounting,
+    completed,
+    notes_of,
+    points_down,
+    with_tables,
+)
 from sigmaswarm.importing.convert import import_drive
 from sigmaswarm.importing.expressions import ROW, compile_expression, is_valid_expression, time_span
 from sigmaswarm.importing.faults import faults_left, missing_sensor, with_rate_of_rows
@@ -102,16 +109,20 @@ def inspect_request(request: Request, progress: ImportProgress = lambda done: No
         if not notes and not proposal:
             notes = _obstacles(plan, first)
         works = not notes
-        down = not plan.recipe.mount and any(guess.downward for guess in plan.guesses.values())
+        down = bool(points_down(plan))
         mount, tilted = tilted_mount(plan.recipe, first[request.home("imu")], downward=down)
         notes += [*notes_of(plan), *([tilted] if tilted else assumed_mounting(plan))]
     make = partial(_imported, request, progress)
-    if down and works and not proposal and (proposal := reversed_forces(plan.parts("imu"), make)):
-        down = False
+    others = proposal or Proposal({}, {})
+    sound = down and works and "imu" not in others.columns
+    if sound and (turned := reversed_forces(plan.parts("imu"), make)):
+        down, proposal = False, replace(others, columns={**turned.columns, **others.columns})
         notes = [note for note in notes if f"--mount {Z_DOWN}" not in note]
     evidence = ""
     if proposal:
         proposal, evidence, works = check_proposal(proposal, make)
+        if not works and not proposal.maps:
+            notes.append(evidence.partition("could not be checked: ")[2])
         if "row/" in proposal.columns.get("imu", {}).get("t", ""):
             evidence += (
                 "; imu.t assumes a constant rate, and that the rows of the IMU begin and end with the fixes"

@@ -52,7 +52,7 @@ _ACCELERATION = _any_of(
 _RATE = _any_of(
     "g w pqr gyr gyro gyroscope gyro_rotation gyroscope_gyro_?uncalibrated omega",
     "ang(?:ular)?_?vel(?:ocity)? ang(?:ular)?_?rate rot rotation_?rate rate w_?b w_rs_s angular",
-    "(?:velocidade?|velocita|vitesse)_ang[uo]lai?re?",
+    "(?:velocidade?|velocita|vitesse)_(?:ang[uo]lai?re?|d[ei]_rota(?:tion|zione|cion|cao))",
 )
 _STD = "(?:std|stdev|std_?dev|sigma|sd)"  # survey-grade receivers log these in m, also for latitude and longitude
 TURNS = {"roll": "gx", "pitch": "gy", "yaw": "gz"}
@@ -89,8 +89,9 @@ _AMBIGUOUS = ("g", "mg", "ug", "gal", "mgal")
 _AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 _PLACES = ("lat", "lon", "alt", "ns", "ew")
 _TOTAL = {"gfx", "gfy", "gfz"}  # specific force in g, in logs of Physics Toolbox
-# Names in common Arduino sketches for an MPU-6050
+# Names that have a meaning only together: of Arduino sketches for an MPU-6050, of rates, and of TUM's poses
 _MPU = {f"{s}{i}": f"{name}_{i}" for s, name in (("ac", "acc"), ("gy", "gyro")) for i in "xyz"}
+_PQR, _POSE = {"p": "gyro_x", "q": "gyro_y", "r": "gyro_z"}, {"tx": "x", "ty": "y", "tz": "z", "qw": "qw"}
 # Dimension, column and names. A name has this meaning only with a unit of the dimension: "x_acc" may be an accuracy.
 # Names of angles and speeds also have their meaning without a unit, in a table with latitude and longitude.
 _STATED: tuple[tuple[UnitDimension, str, str], ...] = (
@@ -249,7 +250,7 @@ def read_names(columns: Sequence[str]) -> list[Name]:
 def _one_sensor(names: list[Name]) -> list[Name]:
     """If several groups of columns may be the specific force or the rates, keep one group for each.
 
-    Interpret the names in `_TOTAL` (Physics Toolbox) and `_MPU` (Arduino sketches).
+    Interpret the names in `_TOTAL` (Physics Toolbox), `_MPU`, `_PQR` and `_POSE`.
     """
     plains = {n.plain for n in names}
     forces = {n.plain for n in names if n.meaning in _AXES[:3] and not _family(n)}
@@ -257,8 +258,10 @@ def _one_sensor(names: list[Name]) -> list[Name]:
         g = parse_unit("g")
         kept = [n if n.plain not in forces else replace(n, plain="") for n in names]
         names = [Name(n.column, f"acc_{n.plain[-1]}", n.unit or g) if n.plain in _TOTAL else n for n in kept]
-    if plains >= _MPU.keys() and not any(n.meaning in _AXES for n in names):
-        names = [n if n.plain not in _MPU else replace(n, plain=_MPU[n.plain]) for n in names]
+    there = {n.meaning for n in names}
+    for together, others in ((_MPU, _AXES), (_PQR, _AXES[3:]), (_POSE, ("x", "y"))):
+        if plains >= together.keys() and there.isdisjoint(others):
+            names = [replace(n, plain=together.get(n.plain, n.plain)) for n in names]
     # roll_rate and pitch_rate may be derivatives of the attitude, so a gyro's names take precedence
     turns = {n.meaning for n in names if not n.is_one("(?:roll|pitch)_?rate")}
     names = [

@@ -49,7 +49,7 @@ class Proposal:
     def options(self) -> str:
         """The proposal as options, quoted so that a shell does not run text from a log's header."""
         tables = [f"--{role}-table {shlex.quote(table)}" for role, table in self.tables.items()]
-        return " ".join([*tables, "--map", *map(shlex.quote, self.maps)])
+        return " ".join([*tables, *["--map"] * bool(self.maps), *map(shlex.quote, self.maps)])
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,11 @@ def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tup
     def made(proposal: Proposal) -> Drive:
         return _busiest_part(make(proposal))
 
+    places = proposal.columns.get("gps", {})
+    column = places.get("std_x", "").partition("/")[0].strip("`")
+    stated = not column or (
+        (unit := unit_of(plain_words(column)[-1:] or [""])) and unit.known
+    )  # hAcc may be in mm
     try:
         drive = _plausible(made(proposal))
         named = proposal
@@ -46,25 +51,20 @@ def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tup
             proposal, drive = scaled, made(scaled)
         first = diagnose(drive)
         corrected = _corrected(proposal, drive, first)
-        places = proposal.columns.get("gps", {})
         if "mirrored-fixes" in first.codes and {"lat", "lon"} <= places.keys():
             exchanged = {**places, "lat": places["lon"], "lon": places["lat"]}
             corrected = replace(proposal, columns={**proposal.columns, "gps": exchanged})
         last = diagnose(made(corrected)) if corrected != proposal else first
     except SigmaswarmError as error:
         return (
-            proposal,
+            proposal if stated else _without_accuracy(proposal),
             f"the mapping follows from the columns' names and values alone and could not be checked: {error}",
             False,
         )
     if corrected != proposal and _faults(last) >= _faults(first):
         corrected, last = proposal, first
-    column = places.get("std_x", "").partition("/")[0].strip("`")
-    stated = (unit := unit_of(plain_words(column)[-1:] or [""])) and unit.known
-    if column and not stated and "gps-noise" in last.codes:  # hAcc may be in mm
-        fixes = {name: text for name, text in corrected.columns["gps"].items() if name != "std_x"}
-        columns = {**corrected.columns, "gps": fixes}
-        corrected = replace(corrected, columns={role: texts for role, texts in columns.items() if texts})
+    if column and not stated and "gps-noise" in last.codes:
+        corrected = _without_accuracy(corrected)
         last = replace(last, findings=tuple(f for f in last.findings if f.code != "gps-noise"))
     changed = "corrected with" if corrected != named else "checked with"
     basis = (
@@ -79,6 +79,11 @@ def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tup
     blind = f", but this log does not show all of them ({', '.join(unseen)})" if unseen else ""
     also = f"; the doctor also warns of {', '.join(warned)}" if warned else ""
     return corrected, f"{basis}: signs, axes and units agree{blind}{also}", True
+
+
+def _without_accuracy(proposal: Proposal) -> Proposal:
+    columns = {r: {n: t for n, t in texts.items() if n != "std_x"} for r, texts in proposal.columns.items()}
+    return replace(proposal, columns={role: texts for role, texts in columns.items() if texts})
 
 
 def _busiest_part(drive: Drive) -> Drive:
@@ -147,13 +152,15 @@ def reversed_forces(parts: Sequence[Part], make: Callable[[Proposal], Drive]) ->
 
     Phones with iOS report accelerations with the sign of gravity, which no rotation corrects.
     """
-    texts = {name: text for name, text in texts_of(parts).items() if name in AXES[:3]}
+    texts = {
+        name: text for name, text in texts_of(parts).items() if name in AXES
+    }  # a rotation concerns all axes
     named = Proposal({}, {"imu": texts})
     try:
         codes = diagnose(_busiest_part(_plausible(make(named)))).codes
     except SigmaswarmError:
         return None
-    other = {name: _times(text, -1.0) for name, text in texts.items()}
+    other = {name: _times(text, -1.0) if name in AXES[:3] else text for name, text in texts.items()}
     return Proposal({}, {"imu": other}) if "accelerometer-sign" in codes else None
 
 

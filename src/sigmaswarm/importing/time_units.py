@@ -1,5 +1,6 @@
 """Convert the time in one column to seconds: the formats of dates, and the units of numbers."""
 
+import re
 from collections.abc import Iterable, Sequence
 
 import polars as pl
@@ -55,6 +56,8 @@ DATE_FORMATS = (
     *("%Y%m%d%H%M%S", "%Y%m%d%H%M%S%3f"),
     *("%H:%M:%S%.f", "%H:%M:%S:%3f", "%I:%M:%S%.f %p", "%M:%S%.f"),
 )
+# Order of day and month in the name of a column
+_ORDER = re.compile(r"(?<![a-z])(?:(d)d?\W?mm?|(m)m?\W?dd?)\W?y{1,4}(?![a-z])", re.IGNORECASE)
 # Smallest fraction of dates that must fit a format; the others are presumably damaged
 MIN_FITTING_SHARE = 0.99
 FORMAT_SAMPLE = 50  # number of evenly spaced texts; a format that reads none of them is excluded
@@ -143,6 +146,9 @@ def date_time(columns: Sequence[str], frame: pl.DataFrame) -> Conversion:
             f"--time \"utc({called}, '%d.%m.%Y %H:%M:%S%.f')\" with its format, or write the times as numbers"
         )
         return refused(f"column {quoted(columns[0])}: {message}; write {option}")
+    if order := _ORDER.search(" ".join(columns)):  # Date (DMY)
+        first = f"%{(order[1] or order[2]).lower()}/"
+        fitting = [f for f in fitting if f.startswith(first)] or fitting
     form = fitting[0]
     if most < MIN_FITTING_SHARE * len(texts):
         left = texts.to_frame("date").filter(_date_in(form).is_null()).item(0, 0)

@@ -4,7 +4,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from sigmaswarm.importing.names import plain_words, read_name, unit_of
 from sigmaswarm.importing.positions import RADIUS_68
@@ -50,6 +50,7 @@ NO_PLACE = {
     *("v", "vertical", "altitude", "alt", "height", "speed", "vel", "velocity", "time"),
     *("heading", "bearing", "course", "roll", "pitch"),
 }
+_DOWN, _SIDE = re.compile("down", re.IGNORECASE), re.compile("left|right|port|starboard", re.IGNORECASE)
 _AXIS = r"\W*[xyzXYZ012]\W*(?:[(\[].*)?$"  # axis and unit at the end of a name
 
 
@@ -129,6 +130,15 @@ def propose_columns(
         meant = [(stem, m) for stem, m in read if m and m.role == wanted and m.column not in known]
         if {read_name(name).plain for name in names} >= _ATTITUDE:  # three angles, not rates
             meant = [(stem, m) for stem, m in meant if not (m.weak and m.column in AXES[3:])]
+        down = {m.column[0] for _, m in meant if m.column[1:] == "z" and _DOWN.search(m.expression)}
+        # next to an axis down, a lateral axis without a stated side points to the right
+        rightward = [
+            m.column[1:] == "y" and m.column[0] in down and not _SIDE.search(m.expression) for _, m in meant
+        ]
+        meant = [
+            (stem, replace(m, expression=f"-{m.expression}") if right else m)
+            for right, (stem, m) in zip(rightward, meant, strict=True)
+        ]
         alike = Counter(stem for stem, _ in meant)
         chosen: dict[str, Meaning] = {}
         for _, meaning in sorted(meant, key=lambda pair: (pair[1].weak, -alike[pair[0]])):

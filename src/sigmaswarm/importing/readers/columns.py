@@ -90,14 +90,29 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     files, folder = [path], path.parent
     if path.is_dir():
         folder, found = path, _files(path)
-        files = [file for file in found if not _is_prose(file)]
+        files = [file for file in found if not _is_prose(_as_utf8(file, stack))]
         remarks += [f"{file.name}: is not a table and is not read" for file in found if file not in files]
         empty = sorted(f.name for f in path.iterdir() if f.suffix.lower() in SUFFIXES and is_empty(f))
         remarks += [f"{name} is empty; copy it again" for name in empty]
         if not files:
             raise no_log_error(path)
-    scans = {f.relative_to(folder).as_posix(): scan(f, f, limits, remarks) for f in files}
+    scans = {f.relative_to(folder).as_posix(): scan(_as_utf8(f, stack), f, limits, remarks) for f in files}
     return log_of_files(path, _joined(scans, remarks), FILES, None, remarks)
+
+
+def _as_utf8(file: Path, stack: ExitStack) -> Path:
+    """Return a file, or a temporary copy in UTF-8 of a text in UTF-16, as spreadsheets write "Unicode text"."""
+    head = first_bytes(file, 4)
+    if head[:2] not in (b"\xff\xfe", b"\xfe\xff") or head[2:] == b"\0\0":
+        return file
+    copy = Path(stack.enter_context(tempfile.TemporaryDirectory())) / file.name
+    with (
+        errors_as_damage(file, "is damaged text in UTF-16", "export it again"),
+        file.open(encoding="utf-16") as text,
+        copy.open("w", encoding="utf-8") as new,
+    ):
+        shutil.copyfileobj(text, new)
+    return copy
 
 
 def _joined(scans: Mapping[str, pl.LazyFrame], remarks: list[str]) -> dict[str, pl.LazyFrame]:
@@ -149,7 +164,7 @@ def log_of_names(
     """Open those of the named tables that a folder or zip contains. For ``guessed`` see `log_of_files`."""
     folder, remarks = unpacked(path, names, limits, stack), list[str]()
     there = [name for name in names if (folder / name).is_file()]
-    scans = {name: scan(folder / name, path / name, limits, remarks) for name in there}
+    scans = {name: scan(_as_utf8(folder / name, stack), path / name, limits, remarks) for name in there}
     return log_of_files(path, scans if guessed else _joined(scans, remarks), "CSV", guessed, remarks)
 
 

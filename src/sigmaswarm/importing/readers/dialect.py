@@ -22,6 +22,7 @@ HEADER_BYTES = 4_000_000
 SAMPLE, MAX_LINES = 200_000, 300
 # In order of preference if two fit equally well; the comma is last, since it may be a decimal comma
 SEPARATORS = (";", "\t", "|", ",")
+MINUS = "\u2212"  # minus sign of spreadsheets and typesetting
 BLANKS = " "  # separator that stands for any number of blanks
 COMMENTS = "#%!"
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
@@ -29,6 +30,7 @@ _GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'’ \u00a0\u202f])\d{3})(?:\1\d{3})*
 _DIGITS = re.compile(r"\d{8} ?\d{4,6}[\d.]{0,10}")  # a date and a time of day without separators
 _OTHER_SEPARATORS = frozenset(SEPARATORS) - {","}
 _EMPTY, _NO_NUMBER = frozenset((*NO_VALUE, "inf", "-inf")), re.compile(NO_NUMBER)
+_AXES = ("x", "y", "z", "w")
 Rows = Sequence[Sequence[str]]
 _HEADER, _COVARIANCE = ("sec", "nanosec", "frame_id"), [f"_covariance[{k}]" for k in range(9)]
 _VECTORS = (("orientation", "xyzw"), ("angular_velocity", "xyz"), ("linear_acceleration", "xyz"))
@@ -71,6 +73,12 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
         names = _titles(lines[rows[0]], separator) if rows else []
         skip, remarks = rows[0] + 1 if rows else 0, (packed,) if packed else ()
         return Dialect(separator, tuple(names), skip, encoding, remarks=remarks)
+    # a header below a table of properties, whose rows begin with words (LabVIEW)
+    heads = [i for i in rows if i > first and not _is_data(cells[i], numeric) and _meanings(cells[i]) > 2]
+    if heads and not any(
+        map(is_value, (c for i in rows if first <= i < heads[0] for c in cells[i][numeric[0] :][:1]))
+    ):
+        first = next((i for i in rows if i > heads[0] and _is_data(cells[i], numeric)), first)
     data = [cells[i] for i in rows if i >= first]
     above = [i for i in range(begin, first) if lines[i].strip()]
     width, most = Counter(map(len, data)).most_common(1)[0][0], max(map(len, data))
@@ -79,7 +87,12 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
     ]
     empty = width - max(filled)
     names = _header([lines[i] for i in above], separator, width, most, empty)
-    if all(row[0].lstrip()[:1] == "$" for row in data):
+    names = names or next(
+        filter(None, (_with_parts(_titles(lines[i], separator), width) for i in above[-4:])), []
+    )
+    if all(row[0].lstrip()[:1] == "$" for row in data) or all(
+        lines[i].lstrip()[0] in COMMENTS for i in above
+    ):
         _require_one_kind(lines[first : first + MAX_ROWS], separator, shown_as)
     surplus = width - len(names) if 0 < width - len(names) <= empty else 0
     notes = [packed] if packed else []
@@ -159,11 +172,8 @@ def _has_decimal_commas(cells: Sequence[str]) -> bool:
 
 def _lines(file: Path, shown_as: Path) -> tuple[list[str], str]:
     head = first_bytes(file, HEADER_BYTES)
-    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise InputError(
-            f"{shown_as}: is text in UTF-16; save it as UTF-8, for example with: iconv -f UTF-16 -t UTF-8 "
-            f"{quote(shown_as.name)} > new.csv"
-        )
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff") or head[:4] == b"\0\0\xfe\xff":
+        raise InputError(f"{shown_as}: is text in UTF-32; save it as UTF-8")
     if b"\r" in head and b"\n" not in head:
         raise InputError(
             f"{shown_as}: lines end with a carriage return alone; convert the file, for example with: "
@@ -171,7 +181,7 @@ def _lines(file: Path, shown_as: Path) -> tuple[list[str], str]:
         )
     cut = head if len(head) < HEADER_BYTES else head[: head.rfind(b"\n") + 1]
     try:
-        return cut.decode("utf-8-sig").split("\n"), "utf8"
+        return cut.decode("utf-8-sig").replace(MINUS, "-").split("\n"), "utf8"
     except UnicodeDecodeError:
         return cut.decode("latin-1").split("\n"), "utf8-lossy"
 
@@ -254,6 +264,11 @@ def _header(above: Sequence[str], separator: str, width: int, most: int, empty: 
     that are always empty.
     """
     fitting = [_fitting(line, separator, width, most, empty) for line in above]
+    # a comment without a known name is prose
+    fitting = [
+        [] if line.lstrip()[:1] in COMMENTS and not _meanings(cells) else cells
+        for line, cells in zip(above, fitting, strict=True)
+    ]
     places = [k for k in range(max(len(above) - 4, 0), len(above)) if fitting[k]]
     if not places:
         return []
@@ -271,6 +286,13 @@ def _header(above: Sequence[str], separator: str, width: int, most: int, empty: 
         titles = [f"{group} {title}".strip() for group, title in zip(filled, titles, strict=True)]
     while empty and len(titles) == width and not titles[-1].strip():
         titles, width, empty = titles[:-1], width - 1, empty - 1
+    # x, y, z after each of several vectors, as bags are printed
+    if any(titles.count(axis) > 1 for axis in _AXES):
+        last = accumulate(titles, lambda before, title: before if title in _AXES else title)
+        titles = [
+            f"{vector} {title}" if title in _AXES else title
+            for vector, title in zip(last, titles, strict=True)
+        ]
     counted = titles[1:] if not titles[0] else titles
     # pandas writes 0, 1, 2 ... for columns without names
     if counted == [str(k) for k in range(len(counted))]:
@@ -278,10 +300,25 @@ def _header(above: Sequence[str], separator: str, width: int, most: int, empty: 
     return titles
 
 
+def _with_parts(titles: Sequence[str], width: int) -> list[str]:
+    """Return the titles if latitude and longitude have cells for degrees, minutes and seconds; otherwise []."""
+    parts = {
+        t: [f"{t} {part}" for part in ("deg", "min", "sec")]
+        for t in titles
+        if read_name(t).meaning in ("lat", "lon")
+    }
+    named = [name for title in titles for name in parts.get(title, [title])]
+    return named if len(parts) == 2 and len(named) == width else []
+
+
 def _fitting(line: str, separator: str, width: int, most: int, empty: int) -> list[str]:
     """Split a line into one cell for each column, with any separator, preferably that of the rows; [] if none fits."""
     for other in (separator, *(s for s in (*SEPARATORS, BLANKS) if s != separator)):
         cells = _titles(line, other)
+        if (
+            other == BLANKS and len(wide := re.split(r"\s{2,}", line.strip())) == width
+        ):  # names of several words
+            cells = wide
         if len(cells) == width + 1 and not cells[-1].strip():
             cells = cells[:-1]
         short = 0 < width - len(cells) <= empty

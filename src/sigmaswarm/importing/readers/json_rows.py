@@ -13,6 +13,7 @@ from typing import Any, cast
 import polars as pl
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.names import is_time, read_name
 from sigmaswarm.importing.readers import columns as tables_of_columns
 from sigmaswarm.importing.readers.columns import log_of_files
 from sigmaswarm.importing.readers.fields import MAX_DEPTH, MAX_ELEMENTS
@@ -52,6 +53,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 def _frames(path: Path, limits: Limits) -> dict[str, pl.LazyFrame]:
     limits.check_unpacked(path.stat().st_size, path)
     content = _parsed(path)
+    content = _with_rows(cast("dict[str, Any]", content)) if isinstance(content, dict) else content
     named = cast("Mapping[str, Any]", content) if isinstance(content, dict) else {"": content}
     tables: dict[str, list[Row]] = {}
     for name, records in named.items():
@@ -90,11 +92,48 @@ def _parsed(path: Path) -> Any:
         ) from None
 
 
+def _with_rows(content: dict[str, Any]) -> Any:
+    """Convert columns to rows: lists of equal length, objects by row number, or the orientation "split" of pandas."""
+    if {"columns", "data"} <= content.keys() and all(
+        isinstance(content[k], list) for k in ("columns", "data")
+    ):
+        return [
+            dict(zip(content["columns"], row, strict=False))
+            for row in content["data"]
+            if isinstance(row, list)
+        ]
+    columns = {
+        name: [*cast("dict[str, Any]", cells).values()] if isinstance(cells, dict) else cells
+        for name, cells in content.items()
+    }
+    plain = {
+        name: c
+        for name, c in columns.items()
+        if isinstance(c, list) and c and not isinstance(c[0], dict | list)
+    }
+    if len(plain) > 1 and len(set(map(len, plain.values()))) == 1 < len(next(iter(plain.values()))):
+        return [dict(zip(plain, row, strict=True)) for row in zip(*plain.values(), strict=True)]
+    return {name: _with_rows(part) if isinstance(part, dict) else part for name, part in content.items()}
+
+
 def _by_kind(rows: list[Row]) -> dict[str, list[Row]]:
-    """Group objects by the first key of `KINDS` that all objects have and that has 2 to `MAX_KINDS` values."""
+    """Group objects by the first key of `KINDS` that all objects have and that has 2 to `MAX_KINDS` values.
+
+    If the objects have only a time and a value, each kind becomes a column of one table.
+    """
     for key in KINDS:
         kinds = {row.get(key) for row in rows}
         if rows and None not in kinds and 1 < len(kinds) <= MAX_KINDS:
+            rest = sorted(
+                {k for row in rows for k in row} - {key}, key=lambda k: not is_time(read_name(k).plain)
+            )
+            if len(rest) == 2 and is_time(read_name(rest[0]).plain):
+                at: dict[Any, Row] = {}
+                for row in rows:
+                    at.setdefault(row.get(rest[0]), {rest[0]: row.get(rest[0])})[str(row[key])] = row.get(
+                        rest[1]
+                    )
+                return {"": [*at.values()]}
             return {str(kind): [row for row in rows if row[key] == kind] for kind in sorted(kinds, key=str)}
     return {"": rows}
 

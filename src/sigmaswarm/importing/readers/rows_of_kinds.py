@@ -34,7 +34,11 @@ _VECTOR = re.compile(
 _OUTER = re.compile(r"\"(?=[\[({])|(?<=[\])}])\"")  # quotes around brackets
 _CELL = re.compile(rf"{_VALUE}|[\w.:+-]*\d[\w.:+-]*")
 _NO_NAMES, _NO_BRACKETS = r"s/[A-Za-z_][A-Za-z0-9_]* *[:=] *//g", r"s/[]\"(){}[]//g"
-_SEPARATED = "s/[[:space:]]*[,;[:space:]][[:space:]]*/,/g"
+_KEYS = re.compile(
+    r"(?:'|\"\"?)?[xyzw](?:'|\"\"?)? *: *"
+)  # keys of a cell such as {'x': 0.1, 'y': 0.2, 'z': 9.8}
+_NO_KEYS = r"s/[\x27\"]*[xyzw][\x27\"]* *: *//g"
+_SEPARATED = "s/[[:space:]]*[,;|[:space:]][[:space:]]*/,/g"
 _POINTS = re.compile(r"\bPOINT *(?:Z|M|ZM)? *\(", re.IGNORECASE)
 _PRINTED = re.compile(r"[\d:.]+ -> ")
 PARTS = {2: "xy", 3: "xyz", 4: "xyzw"}
@@ -126,6 +130,8 @@ def packed_cells(lines: Sequence[str], shown_as: Path) -> str:
     rows = [_OUTER.sub("", line.strip()) for line in lines if line.strip()]
     if not rows:
         return ""
+    keyed = "{" in rows[-1] and _KEYS.search(rows[-1]) is not None
+    rows = [_KEYS.sub("", row) for row in rows] if keyed else rows
     last = rows[-1]
     if _POINTS.search(last):  # see `with_points` in `scanning`
         return ""
@@ -145,7 +151,7 @@ def packed_cells(lines: Sequence[str], shown_as: Path) -> str:
         what = f"cells contain several numbers ({vectors[0][:40]})"
         titles = 0 if _VECTOR.search(rows[0]) else 1
         header = [*_titles(rows[0], last)] if titles else []
-        edit = f"{_NO_BRACKETS}; {_SEPARATED}"
+        edit = f"{f'{_NO_KEYS}; ' * keyed}{_NO_BRACKETS}; {_SEPARATED}"
         message = _sentence(shown_as, rows, what, header, edit, named=False, titles=titles)
         if ";" in vectors[0] or ("," in vectors[0] and '"' not in lines[-1]):
             raise InputError(message)
@@ -163,7 +169,7 @@ def _start(row: str) -> int:
 
 
 def _cells(text: str) -> list[str]:
-    return [cell for cell in re.split(r"\s*[,;\s]\s*", text.strip(" \t,;")) if cell]
+    return [cell for cell in re.split(r"\s*[,;|\s]\s*", text.strip(" \t,;|")) if cell]
 
 
 def _titles(header: str, row: str) -> Iterator[str]:

@@ -15,7 +15,7 @@ from sigmaswarm.drives.table_files import POLARS_ERRORS, one_file
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.guess import TRUTH
 from sigmaswarm.importing.names import read_name
-from sigmaswarm.importing.readers.dialect import BLANKS, Dialect, dialect_of, uneven_row
+from sigmaswarm.importing.readers.dialect import BLANKS, MINUS, Dialect, dialect_of, uneven_row
 from sigmaswarm.importing.source import Limits, first_bytes, require_filled
 from sigmaswarm.wording import list_names, printable, quoted
 
@@ -123,6 +123,7 @@ def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
             raise broken_table(shown_as, shown_as.name, error) from None
     missing = [pl.lit(None, pl.Float64).alias(c) for c in columns if c not in there]
     texts = [columns[k] for k in dialect.numeric if there.get(columns[k]) == pl.String]
+    frame = frame.with_columns(pl.col(texts).str.replace(MINUS, "-", literal=True))
     grouped = _grouped(frame, texts, shown_as)
     commas = {columns[k] for k in dialect.comma_columns if columns[k] in texts}
     commas = commas - grouped.keys() | {c for c, group in grouped.items() if group != ","}
