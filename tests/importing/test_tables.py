@@ -904,7 +904,7 @@ def test_a_truth_with_other_axes_is_refused_and_the_remedy_helps(
     rows = [f"{t!r},{a!r},{b!r}" for t, a, b in np.column_stack([TRUTH.time, z.real, z.imag]).tolist()]
     (tmp_path / "truth.csv").write_text(table(["t,y,x" if mirrored else "t,x,y", *rows]))
     with pytest.raises(
-        InputError, match="the truth's x and y, read as m east and north, do not fit"
+        InputError, match="the truth's x and y, read as m east and north, do not match"
     ) as caught:
         imported(tmp_path)
     maps = re.findall(r'"(truth\.[^"]+)"', str(caught.value))

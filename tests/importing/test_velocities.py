@@ -43,8 +43,11 @@ WRONG: dict[str, tuple[Callable[[Columns], Columns], str]] = {
     "knots": (lambda c: c | {"speed": c["speed"] * 1.944}, "left out, since the speed is 1.9"),
     "mph": (lambda c: c | {"speed": c["speed"] * 2.237}, "left out, since the speed is 2.2"),
     "mph read as km/h": (lambda c: c | {"speed": c["speed"] / 1.609}, "left out, since the speed is 0.6"),
-    "degrees": (lambda c: (c | {"course [rad]": degrees(c["course"])}) , "course differs from the course between"),
-    "constant": (lambda c: c | {"course": c["course"] * 0 - 2}, "course differs from the course between"),
+    "degrees": (
+        lambda c: c | {"course [rad]": degrees(c["course"])},
+        "course differs from that computed from the positions",
+    ),
+    "constant": (lambda c: c | {"course": c["course"] * 0 - 2}, "course differs from that computed from the positions"),
     "velocity": (
         lambda c: c | {"vx": 1e3 * np.cos(c["course"]), "vy": 1e3 * np.sin(c["course"])},
         "vx=vx, vy=vy are left out, since ",

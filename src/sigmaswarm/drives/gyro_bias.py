@@ -67,8 +67,9 @@ def mix_biases(
 ) -> None:
     """Combine the observed biases and their variances with a prior. Write the mean and variance of each estimated bias.
 
-    The prior is a mixture of two normal distributions with mean 0. Their standard deviations are ``std`` (rad/s)
-    and, for a far worse gyro with the probability `OUTLIER_PROBABILITY`, `OUTLIER_STD`. The likelihood of all axes determines the weights.
+    The prior is a mixture of two normal distributions with mean 0. Their standard deviations are ``std`` (rad/s) and,
+    for a far worse gyro with the probability `OUTLIER_PROBABILITY`, `OUTLIER_STD`. The likelihood of all axes
+    determines the weights.
     """
     usual, outlier = std * std, OUTLIER_STD * OUTLIER_STD
     odds = np.log((1.0 - OUTLIER_PROBABILITY) / OUTLIER_PROBABILITY)

@@ -176,7 +176,7 @@ class StudyConfig(BaseModel):
     learn_minutes: float = Field(default=20.0, ge=2)
     """With --rivals: minutes of training data for each network, after the filters' start."""
     elsewhere: tuple[str, ...] = ()
-    """With --rivals: drives with truth from other sensors or another car. Default: simulated drives, except with --drives."""
+    """With --rivals: drives with truth from other sensors or another car; without --drives, simulated by default."""
 
     @property
     def simulated(self) -> dict[str, Any]:
