@@ -11,7 +11,7 @@ from itertools import permutations, product
 from typing import Literal
 
 import numpy as np
-from scipy.stats import spearmanr
+from scipy.stats import rankdata
 
 from sigmaswarm.arrays import Array
 from sigmaswarm.doctor.acceleration_fit import (
@@ -337,7 +337,7 @@ def _slip(tilt: Array) -> float:
     if third < 2:
         return 0.0
     change = np.median(tilt[-third:], axis=0) - np.median(tilt[:third], axis=0)
-    trend = float(spearmanr(tilt @ change, np.arange(len(tilt)))[0])
+    trend = np.corrcoef(rankdata(tilt @ change), np.arange(len(tilt)))[0, 1]
     size = float(np.hypot(*change))
     return size if size > MIN_SLIP and trend > MIN_TREND else 0.0
 
