@@ -902,8 +902,11 @@ JSON: dict[str, Callable[[], str]] = {
     "columns of pandas": lambda: json.dumps(
         {n: {k: dict(enumerate(c.tolist())) for k, c in table.items()} for n, table in PAIR.items()}
     ),
-    "split by pandas": lambda: json.dumps(
-        {"columns": [*JOINED], "index": [*range(N)], "data": pl.DataFrame(JOINED).rows()}
+    "columns of vectors": lambda: json.dumps(
+        {
+            "imu": {"t": T.tolist(), "acc": SIX[:, :3].tolist(), "gyr": SIX[:, 3:].tolist()},
+            "gps": {k: c.tolist() for k, c in PAIR["gps"].items()},
+        }
     ),
     "a value on each line": lambda: "\n".join(
         json.dumps({"name": n, "value": float(v[i]), "timestamp": float(T[i])})

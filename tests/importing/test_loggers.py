@@ -287,6 +287,11 @@ def test_rows_between_sentences_are_separated_by_the_named_command(tmp_path: Pat
 DEGREES = {
     "seconds": ("lat_deg lat_min lat_sec", "lon_deg lon_min lon_sec", 1),
     "minutes": ("LatDeg LatMin", "LonDeg LonMin", 1),
+    "indicators": (
+        "GPS_Latitude_Degree GPS_Latitude_Minutes",
+        "GPS_Longitude_Degree GPS_Longitude_Minutes",
+        1,
+    ),
     "south": (
         "Latitude (deg)|Latitude (min)|Latitude (sec)",
         "Longitude (deg)|Longitude (min)|Longitude (sec)",
@@ -304,11 +309,13 @@ def test_degrees_minutes_and_seconds_in_columns_are_added(tmp_path: Path, form: 
         parts = [np.floor(value) * sign, np.floor(value % 1 * 60), value * 3600 % 60]
         parts = parts if len(names) == 3 else [parts[0], value % 1 * 60]
         columns |= dict(zip(names, parts, strict=True))
+    west = -1 if form == "indicators" else sign
+    columns |= {"GPS_IndicatorNS": "N", "GPS_IndicatorEW": "W"} if form == "indicators" else {}
     write(tmp_path / "log" / "gps.csv", columns)
     write(tmp_path / "log" / "imu.csv", {"t": TIME, **IMU})
     drive = imported(tmp_path / "log").drive
     assert drive.origin is not None
-    assert drive.origin[:2] == pytest.approx((sign * LAT[0], sign * LON[0]), abs=1e-9)
+    assert drive.origin[:2] == pytest.approx((sign * LAT[0], west * LON[0]), abs=1e-9)
     apart = np.hypot(drive.gps.x - drive.gps.x[0], drive.gps.y - drive.gps.y[0])
     right = np.hypot(DRIVE.gps.x - DRIVE.gps.x[0], DRIVE.gps.y - DRIVE.gps.y[0])
     np.testing.assert_allclose(apart, right, atol=0.05)
@@ -1085,8 +1092,10 @@ def test_cells_with_an_object_are_split_by_the_named_command(tmp_path: Path, for
     require_same(imported(tmp_path / "new.csv", gps=tmp_path / "gps.csv").drive)
 
 
-def test_units_in_cells_are_removed_by_the_named_command(tmp_path: Path):
+@pytest.mark.parametrize("comma", [False, True])
+def test_units_in_cells_are_removed_by_the_named_command(tmp_path: Path, *, comma: bool):
     cells = {n: [f"{x:.6f} {'m/s²' if n[0] == 'a' else 'rad/s'}" for x in v] for n, v in IMU.items()}
+    cells = {n: [c.replace(".", ",") if comma else c for c in v] for n, v in cells.items()}
     write(tmp_path / "log.csv", {"t": TIME, **cells, "lat": sparse(LAT), "lon": sparse(LON)})
     with pytest.raises(InputError, match="has a unit; write the units to the header") as caught:
         imported(tmp_path / "log.csv")
@@ -1136,3 +1145,65 @@ def test_an_accuracy_without_a_unit_is_not_proposed_unchecked(tmp_path: Path):
     seen = inspect_request(Request(tmp_path))
     assert not seen.proposal and not seen.works
     assert any("do not overlap" in note for note in seen.notes)
+
+
+def test_a_complete_imu_goes_before_accelerations_and_rates_of_another_source(tmp_path: Path):
+    """A filter's log also has the accelerations east and north, and a car's log the yaw rate of the bus."""
+    others = {
+        "Ax": 9 * IMU["ax"],
+        "Ay": 9 * IMU["ay"],
+        "Az": IMU["az"] - G,
+        "yaw_rate_dps": np.degrees(IMU["gz"]) + 2,
+    }
+    own = {f"imu_{n}": v for n, v in IMU.items()}
+    write(tmp_path / "log.csv", {"time_s": TIME, **others, **own, "lat": sparse(LAT), "lon": sparse(LON)})
+    require_same(imported(tmp_path / "log.csv").drive)
+
+
+@pytest.mark.parametrize("body", [False, True])
+def test_accelerations_in_the_axes_of_the_earth_are_not_proposed(tmp_path: Path, *, body: bool):
+    earth = {f"FreeAcc_{i}": IMU[f"a{i.lower()}"] for i in "XYZ"} | {
+        f"acc_{i}_world": IMU[f"a{i}"] for i in "xyz"
+    }
+    earth |= {f"acc_{i}_body": IMU[f"a{i}"] for i in "xyz"} if body else {}
+    rates = {f"Gyr_{i}": np.degrees(IMU[f"g{i.lower()}"]) for i in "XYZ"}
+    write(tmp_path / "log.csv", {"t": TIME, **earth, **rates, "lat": sparse(LAT), "lon": sparse(LON)})
+    with pytest.raises(InputError, match="in the axes of the earth can't be used; log those of the sensor"):
+        imported(tmp_path / "log.csv")
+    proposal = inspect_request(Request(tmp_path / "log.csv")).proposal
+    assert "Free" not in proposal and "world" not in proposal
+    if body:
+        require_same(as_proposed(tmp_path / "log.csv"))
+
+
+@pytest.mark.parametrize(
+    "names", ["hour minute second millisecond", "Hour Min Sec ms", "gps_hr gps_min gps_sec gps_ms"]
+)
+def test_a_time_of_day_in_columns(tmp_path: Path, names: str):
+    """Without hours and minutes, the seconds would restart in each minute."""
+    whole = np.floor(TIME + 1e-6) + 36_030
+    parts = [
+        whole // 3600,
+        whole // 60 % 60,
+        whole % 60,
+        np.round((TIME - np.floor(TIME + 1e-6)) * 1e3) % 1000,
+    ]
+    clock = {n: v.astype(int) for n, v in zip(names.split(), parts, strict=True)}
+    write(tmp_path / "log.csv", clock | IMU | {"lat": sparse(LAT), "lon": sparse(LON)})
+    drive = imported(tmp_path / "log.csv").drive
+    assert drive.imu.time[0] == pytest.approx(36_030 + TIME[0], abs=1e-6)
+    require_same(drive)
+
+
+def test_a_flag_is_no_axis_and_an_angle_no_rate_of_a_suggested_header(tmp_path: Path):
+    """Files of phones: a flag before the accelerations, and filtered accelerations before the attitude."""
+    forces = [IMU[n] / G for n in AXES[:3]]
+    angles = [0.1 * np.sin(TIME), 0.1 * np.cos(TIME), np.cumsum(IMU["gz"]) / 50]
+    rows = np.column_stack([TIME, 0 * TIME + 1, *forces, *(0.99 * f for f in forces), *angles])
+    np.savetxt(tmp_path / "acc.txt", rows, fmt="%.5f")
+    np.savetxt(tmp_path / "gps.txt", np.column_stack([FIXED, LAT, LON]), fmt="%.9f")
+    with pytest.raises(InputError, match="no IMU samples") as caught:
+        imported(tmp_path)
+    assert "write headers" not in str(caught.value)
+    seen = inspect_request(Request(tmp_path))
+    assert "az=c5*9.80665" in seen.proposal and "unseen-yaw" in seen.evidence

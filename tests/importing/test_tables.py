@@ -148,6 +148,8 @@ def test_prose_in_a_comment_is_no_header(tmp_path: Path):
     assert dialect.dialect_of(tmp_path / "imu.txt", tmp_path / "imu.txt").names == (
         *(f"c{k}" for k in range(1, 8)),
     )
+    (tmp_path / "imu.txt").write_text(table(["# A, B, C, D, E, F, G", *joined(ROWS)]))
+    assert dialect.dialect_of(tmp_path / "imu.txt", tmp_path / "imu.txt").names == (*"ABCDEFG",)
 
 
 def test_of_a_table_with_a_header_few_rows_are_split(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -273,11 +273,8 @@ def _with_columns(diagnosis: "Diagnosis", imported: "ImportResult") -> "Diagnosi
     omitted = " ".join(f'"gps.{name}="' for name in ("course", "vx", "vy") if name in texts)
 
     def named(text: str) -> str:
-        text = (
-            text.replace("leave the column out", f"leave it out: import with --map {omitted}")
-            if omitted
-            else text
-        )
+        if omitted:
+            text = text.replace("leave the column out", f"leave it out: import with --map {omitted}")
         return re.sub(r"COLUMN_OF_([A-Z]+)", lambda m: texts.get(m[1].lower(), m[0]), text)
 
     findings = tuple(replace(finding, remedy=named(finding.remedy)) for finding in diagnosis.findings)

@@ -19,7 +19,7 @@ from sigmaswarm.importing.formats import unsupported_format
 from sigmaswarm.importing.gather import Gathered, durations, gather_all, joined_faults
 from sigmaswarm.importing.guess import FORCES, PLACES, RATES
 from sigmaswarm.importing.imu_units import unit_of_rates
-from sigmaswarm.importing.names import is_time, read_name, read_names
+from sigmaswarm.importing.names import is_time, read_name, read_names, split_words
 from sigmaswarm.importing.opening import Plan
 from sigmaswarm.importing.recipe import with_maps
 from sigmaswarm.importing.source import Log, Part, Role, first_bytes, texts_of
@@ -27,6 +27,7 @@ from sigmaswarm.importing.table_columns import column_numbers
 from sigmaswarm.importing.time_units import UNKNOWN_TICK
 from sigmaswarm.importing.times import of_one_table
 from sigmaswarm.importing.unnamed import header_by_values
+from sigmaswarm.importing.word_meanings import EARTH, FORCE
 from sigmaswarm.wording import list_names, printable
 
 # Trial rates, Hz, of a counter of unknown rate. The first rate with which the import succeeds is then corrected by
@@ -183,6 +184,12 @@ def _without(role: Role, what: str, remedy: str, plan: Plan) -> str:
     if role == "imu":
         columns = {name.meaning for table in log.tables.values() for name in read_names(table.columns)}
         lacking = [IMU[n] for n in REQUIRED["imu"] if n not in columns]
+        words = [{*split_words(c)} for table in log.tables.values() for c in table.columns]
+        if lacking and any(of & EARTH and of & FORCE for of in words):
+            why = (
+                "accelerations in the axes of the earth can't be used; log those of the sensor, such as Acc_X"
+            )
+            remedy = f"{why}; or {remedy}"
         if lacking and columns & {*IMU}:
             return f"{path}: the IMU has no column for {list_names(lacking)}; {remedy}"
         return f"{path}: no {what} found in {there + _lacking_table(log) or 'the log'}; {remedy}"

@@ -38,7 +38,7 @@ MIN_FORCE = 0.3
 # Smallest share of the rows of a column of a sensor in which another column of this sensor has a value
 MIN_COMMON_ROWS = 0.7
 # A number with a unit
-_UNIT = re.compile(r"[+-]?\d*\.?\d+ ?(?!e[+-]?\d)([A-Za-z°µμ%][\w/²³°^*·.-]*)")
+_UNIT = re.compile(r"[+-]?\d*[.,]?\d+ ?(?!e[+-]?\d)([A-Za-z°µμ%][\w/²³°^*·.-]*)")
 MAX_ROW_STEPS = 3.0  # largest step between the rows of a slower sensor, in median steps
 
 

@@ -63,8 +63,14 @@ NAMES: tuple[tuple[str, str], ...] = (
     *((axis, f"{turn}_?rate") for turn, axis in TURNS.items()),
     ("lat", "(?:gps|gnss)?(?:lat|latitude)|gps_coord_x|(?:pos_)?lla_x"),
     ("lon", "(?:gps|gnss)?(?:lon|lng|long|longitude)|gps_coord_y|(?:pos_)?lla_y"),
-    ("ns", "n_s|ns_indicator|(?:lat|latitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ns|n_s)|north_south"),
-    ("ew", "e_?w|ew_indicator|(?:lon|lng|longitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ew|e_w)|east_west"),
+    (
+        "ns",
+        "n_s|ns_indicator|indicator_ns|(?:lat|latitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ns|n_s)|north_south",
+    ),
+    (
+        "ew",
+        "e_?w|ew_indicator|indicator_ew|(?:lon|lng|longitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ew|e_w)|east_west",
+    ),
     ("alt", "alt|altitude|height|elevation|ele|(?:pos_)?lla_z"),
     ("x", "x|ecef_?x|x_ecef|east|easting|e|pe|pos(?:ition)?_?[xe]|utm_?(?:x|e|east|easting)|x_utm"),
     ("y", "y|ecef_?y|y_ecef|north|northing|n|pn|pos(?:ition)?_?[yn]|utm_?(?:y|n|north|northing)|y_utm"),
@@ -273,6 +279,15 @@ def _one_sensor(names: list[Name]) -> list[Name]:
         ):  # roll, pitch, yaw
             turned = {f"{stem}{letter}": f"{stem}{axis}" for letter, axis in zip("rpy", "xyz", strict=True)}
             names = [replace(n, plain=turned.get(n.plain, n.plain)) for n in names]
+    # a complete IMU goes before the accelerations or the yaw rate of another source
+    known = {n.meaning for n in names if not _family(n)}
+    for imu in sorted({n.words[:1] for n in names if re.fullmatch(r"imu\d?_ax", n.plain)}):
+        own = {n.meaning for n in names if n.words[:1] == imu}
+        if own >= {*_AXES} and not known >= {*_AXES}:
+            names = [
+                n if n.words[:1] == imu or n.meaning not in _AXES else replace(n, plain="") for n in names
+            ]
+            break
     stated = {n.column: _meaning_in_table(n) for n in names if n.meaning is None and n.unit is None}
     known = {n.meaning for n in names} | {*stated.values()}
     if known >= {"lat", "lon"}:  # the values of a course and of a speed are compared with the positions

@@ -41,9 +41,8 @@ def check_proposal(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tup
 
     places = proposal.columns.get("gps", {})
     column = places.get("std_x", "").partition("/")[0].strip("`")
-    stated = not column or (
-        (unit := unit_of(plain_words(column)[-1:] or [""])) and unit.known
-    )  # hAcc may be in mm
+    unit = unit_of(plain_words(column)[-1:] or [""])
+    stated = not column or (unit is not None and unit.known)  # hAcc may be in mm
     try:
         drive = _plausible(made(proposal))
         named = proposal
@@ -152,9 +151,7 @@ def reversed_forces(parts: Sequence[Part], make: Callable[[Proposal], Drive]) ->
 
     Phones with iOS report accelerations with the sign of gravity, which no rotation corrects.
     """
-    texts = {
-        name: text for name, text in texts_of(parts).items() if name in AXES
-    }  # a rotation concerns all axes
+    texts = {name: text for name, text in texts_of(parts).items() if name in AXES}  # a rotation turns all
     named = Proposal({}, {"imu": texts})
     try:
         codes = diagnose(_busiest_part(_plausible(make(named)))).codes

@@ -156,18 +156,25 @@ def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[Conversion | 
     for begin in dict.fromkeys(name.words[:-1] for name in names):
         alike = {n.words[-1]: n for n in names if n.words and n.words[:-1] == begin}
         found = {_CALENDAR[word]: n for word, n in reversed(alike.items()) if word in _CALENDAR}
+        rest = [(n, parts[word]) for word, n in alike.items() if word in parts]
+        more = "".join(f" + {scaled(quoted_column(n.column), scale)}" for n, scale in rest)
+        if found.keys() == {*CALENDAR[3:]}:
+            hour, minute, second = (quoted_column(found[part].column) for part in CALENDAR[3:])
+            note = "the time is computed from the columns of hour, minute and second"
+            return Conversion(f"{hour}*3600 + {minute}*60 + {second}{more}", note), [
+                *found.values(),
+                *(n for n, _ in rest),
+            ]
         if found.keys() != {*CALENDAR}:
             continue
         columns = [found[part].column for part in CALENDAR]
         year = "%Y" if median_of(column_numbers(frame[columns[0]])) > 99 else "%y"
         form = f"{year} %m %d %H %M %S%.f"
         dates = frame.select(parse_dates(as_text(columns), form).alias("date"))["date"]
-        rest = [(n, parts[word]) for word, n in alike.items() if word in parts]
         most = sum(scale * float(column_numbers(frame[n.column]).max() or 0) for n, scale in rest)  # pyright: ignore
         if dates.null_count() > 0.1 * len(dates) or most > 1:
             continue
-        text = f"utc({', '.join(map(quoted_column, columns))}, '{form}')"
-        text += "".join(f" + {scaled(quoted_column(n.column), scale)}" for n, scale in rest)
+        text = f"utc({', '.join(map(quoted_column, columns))}, '{form}'){more}"
         note = "the time is computed from the columns of year, month, day, hour, minute and second"
         return Conversion(text, note), [*found.values(), *(n for n, _ in rest)]
     return None, ()
@@ -182,6 +189,8 @@ def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> Conversion 
         for rest in names
         if rest.words and rest.words[:-1] == first.words[:-1] and rest.words[-1] in PARTS_OF_SECONDS
     ]
+    minutes = {n.words[:-1] for n in names if n.words and _CALENDAR.get(n.words[-1]) == "minute"}
+    pairs = [pair for pair in pairs if pair[0].words[:-1] not in minutes]  # see `_calendar`
     for first, rest, scale in sorted(pairs, key=lambda p: "stamp" not in p[0].words):
         whole, part = column_numbers(frame[first.column]), column_numbers(frame[rest.column])
         fits = (whole == whole.round()).all() and part.is_between(0, 1 / scale - 0.5).all()

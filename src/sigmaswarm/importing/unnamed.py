@@ -166,7 +166,9 @@ def header_by_values(frame: pl.DataFrame) -> str:
     }
     if len(frame) < 2 or len(values) < len(frame.columns):
         return ""
-    axes = _axes(values)
+    axes, order = _axes(values), [*values]
+    if "gx" in axes and abs(order.index(axes["gx"]) - order.index(axes["ax"])) != 3:
+        axes = {what: axes[what] for what in AXES[:3]}  # other columns may also be angles
     found = axes if "gx" in axes else _place(values) or axes
     time = next(_times(frame, "gps" if "lat" in found else "imu", {}), "")
     clock = next((n for n in values if re.search(rf"\b{n}\b", time)), "")
@@ -183,6 +185,8 @@ def _axes(values: dict[str, Array], gravity: Sequence[float] = GRAVITY) -> dict[
     place = _place(values).values()  # with an altitude, their magnitude is about constant
     names = [name for name, column in values.items() if np.isfinite(column).any() and name not in place]
     names = [name for name in names if not np.all(np.diff(values[name]) > 0)]  # without times
+    # a constant whole number is a flag
+    names = [n for n in names if np.ptp(v := values[n]) or not v[0] or v[0] % 1]
     for k in _forces(values, names, gravity):
         return dict(zip(AXES, [*names[k : k + 3], *_rates(values, names, k)], strict=False))
     return {}

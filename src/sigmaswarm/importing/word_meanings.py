@@ -33,7 +33,9 @@ RATE = {
     *("yawrate", "rollrate", "pitchrate", "yaw", "turn"),
 }
 # Words in the names of angles, and of accelerations without gravity
-ANGLES, FREE = {"attitude", "euler", "orientation", "angle", "angles"}, {"user", "linear", "lin", "free"}
+ANGLES, FREE = {"attitude", "euler", "orientation", "angle", "angles"}, {"user", "linear", "lin"}
+# Words in the names of vectors in the axes of the earth; the free accelerations of Xsens are among them
+EARTH = {"world", "earth", "global", "free", "freeacc"}
 _ESTIMATES = {
     *("est", "estimate", "estimated", "kf", "ekf", "ukf", "filter", "filtered", "fused", "pred", "cmd"),
 }
@@ -101,7 +103,7 @@ def meaning_of(name: str) -> Meaning | None:
         # phones report the radius of a 68% circle as accuracy; receivers report hAcc or eph, for both axes together
         return Meaning("gps", "std_x", f"{column_text}/{RADIUS_68 if 'accuracy' in rest else 'sqrt(2)'}")
     rates = RATE | ({"roll", "pitch"} if unit and unit.dimension == "rate" else set())
-    if rest & ACCURACY or not rest & (rates | FORCE) or "gps" in rest:
+    if rest & (ACCURACY | EARTH) or not rest & (rates | FORCE) or "gps" in rest:
         return None
     angle = not rest & (FORCE | RATE - {"yaw", "turn"})  # the name may be that of an angle
     dimensions = ("acceleration",) if rest & FORCE else ("rate",) if angle else ("rate", "angle")

@@ -75,9 +75,8 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
         return Dialect(separator, tuple(names), skip, encoding, remarks=remarks)
     # a header below a table of properties, whose rows begin with words (LabVIEW)
     heads = [i for i in rows if i > first and not _is_data(cells[i], numeric) and _meanings(cells[i]) > 2]
-    if heads and not any(
-        map(is_value, (c for i in rows if first <= i < heads[0] for c in cells[i][numeric[0] :][:1]))
-    ):
+    begins = [cell for i in rows if heads and first <= i < heads[0] for cell in cells[i][numeric[0] :][:1]]
+    if heads and not any(map(is_value, begins)):
         first = next((i for i in rows if i > heads[0] and _is_data(cells[i], numeric)), first)
     data = [cells[i] for i in rows if i >= first]
     above = [i for i in range(begin, first) if lines[i].strip()]
@@ -87,17 +86,12 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
     ]
     empty = width - max(filled)
     names = _header([lines[i] for i in above], separator, width, most, empty)
-    names = names or next(
-        filter(None, (_with_parts(_titles(lines[i], separator), width) for i in above[-4:])), []
-    )
-    if all(row[0].lstrip()[:1] == "$" for row in data) or all(
-        lines[i].lstrip()[0] in COMMENTS for i in above
-    ):
+    commented = all(lines[i].lstrip()[0] in COMMENTS for i in above)
+    if not names or commented or all(row[0].lstrip()[:1] == "$" for row in data):
         _require_one_kind(lines[first : first + MAX_ROWS], separator, shown_as)
     surplus = width - len(names) if 0 < width - len(names) <= empty else 0
     notes = [packed] if packed else []
     if not names:
-        _require_one_kind(lines[first : first + MAX_ROWS], separator, shown_as)
         last = lines[above[-1]] if above else "#"
         if last.lstrip()[:1] not in COMMENTS and len(found := _titles(last, separator)) > 1:
             remedy = f"write a header with {width} names"
@@ -264,11 +258,12 @@ def _header(above: Sequence[str], separator: str, width: int, most: int, empty: 
     that are always empty.
     """
     fitting = [_fitting(line, separator, width, most, empty) for line in above]
-    # a comment without a known name is prose
-    fitting = [
-        [] if line.lstrip()[:1] in COMMENTS and not _meanings(cells) else cells
-        for line, cells in zip(above, fitting, strict=True)
+    # words in a comment are prose if no name is known
+    prose = [
+        line.lstrip()[:1] in COMMENTS and _titles(line, BLANKS) == c and not _meanings(c)
+        for line, c in zip(above, fitting, strict=True)
     ]
+    fitting = [[] if words else cells for words, cells in zip(prose, fitting, strict=True)]
     places = [k for k in range(max(len(above) - 4, 0), len(above)) if fitting[k]]
     if not places:
         return []
@@ -300,25 +295,12 @@ def _header(above: Sequence[str], separator: str, width: int, most: int, empty: 
     return titles
 
 
-def _with_parts(titles: Sequence[str], width: int) -> list[str]:
-    """Return the titles if latitude and longitude have cells for degrees, minutes and seconds; otherwise []."""
-    parts = {
-        t: [f"{t} {part}" for part in ("deg", "min", "sec")]
-        for t in titles
-        if read_name(t).meaning in ("lat", "lon")
-    }
-    named = [name for title in titles for name in parts.get(title, [title])]
-    return named if len(parts) == 2 and len(named) == width else []
-
-
 def _fitting(line: str, separator: str, width: int, most: int, empty: int) -> list[str]:
     """Split a line into one cell for each column, with any separator, preferably that of the rows; [] if none fits."""
     for other in (separator, *(s for s in (*SEPARATORS, BLANKS) if s != separator)):
         cells = _titles(line, other)
-        if (
-            other == BLANKS and len(wide := re.split(r"\s{2,}", line.strip())) == width
-        ):  # names of several words
-            cells = wide
+        wide = re.split(r"\s{2,}", line.strip()) if other == BLANKS else []  # names of several words
+        cells = wide if len(wide) == width else cells
         if len(cells) == width + 1 and not cells[-1].strip():
             cells = cells[:-1]
         short = 0 < width - len(cells) <= empty

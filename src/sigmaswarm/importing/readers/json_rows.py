@@ -93,24 +93,13 @@ def _parsed(path: Path) -> Any:
 
 
 def _with_rows(content: dict[str, Any]) -> Any:
-    """Convert columns to rows: lists of equal length, objects by row number, or the orientation "split" of pandas."""
-    if {"columns", "data"} <= content.keys() and all(
-        isinstance(content[k], list) for k in ("columns", "data")
-    ):
-        return [
-            dict(zip(content["columns"], row, strict=False))
-            for row in content["data"]
-            if isinstance(row, list)
-        ]
-    columns = {
-        name: [*cast("dict[str, Any]", cells).values()] if isinstance(cells, dict) else cells
-        for name, cells in content.items()
-    }
-    plain = {
-        name: c
-        for name, c in columns.items()
-        if isinstance(c, list) and c and not isinstance(c[0], dict | list)
-    }
+    """Convert columns to rows: lists of equal length, or objects by row number, as pandas writes them."""
+    plain: dict[str, list[Any]] = {}
+    for name, cells in content.items():
+        column = [*cast("dict[str, Any]", cells).values()] if isinstance(cells, dict) else cells
+        nested = (dict, list) if isinstance(cells, dict) else (dict,)
+        if isinstance(column, list) and column and not isinstance(column[0], nested):
+            plain[name] = column
     if len(plain) > 1 and len(set(map(len, plain.values()))) == 1 < len(next(iter(plain.values()))):
         return [dict(zip(plain, row, strict=True)) for row in zip(*plain.values(), strict=True)]
     return {name: _with_rows(part) if isinstance(part, dict) else part for name, part in content.items()}
@@ -124,15 +113,12 @@ def _by_kind(rows: list[Row]) -> dict[str, list[Row]]:
     for key in KINDS:
         kinds = {row.get(key) for row in rows}
         if rows and None not in kinds and 1 < len(kinds) <= MAX_KINDS:
-            rest = sorted(
-                {k for row in rows for k in row} - {key}, key=lambda k: not is_time(read_name(k).plain)
-            )
-            if len(rest) == 2 and is_time(read_name(rest[0]).plain):
-                at: dict[Any, Row] = {}
+            rest = {k for row in rows for k in row} - {key}
+            times = [k for k in rest if is_time(read_name(k).plain)]
+            if len(rest) == 2 and len(times) == 1:
+                (time,), (value,), at = times, rest - {*times}, dict[Any, Row]()
                 for row in rows:
-                    at.setdefault(row.get(rest[0]), {rest[0]: row.get(rest[0])})[str(row[key])] = row.get(
-                        rest[1]
-                    )
+                    at.setdefault(row.get(time), {time: row.get(time)})[str(row[key])] = row.get(value)
                 return {"": [*at.values()]}
             return {str(kind): [row for row in rows if row[key] == kind] for kind in sorted(kinds, key=str)}
     return {"": rows}

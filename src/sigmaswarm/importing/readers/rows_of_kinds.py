@@ -34,9 +34,8 @@ _VECTOR = re.compile(
 _OUTER = re.compile(r"\"(?=[\[({])|(?<=[\])}])\"")  # quotes around brackets
 _CELL = re.compile(rf"{_VALUE}|[\w.:+-]*\d[\w.:+-]*")
 _NO_NAMES, _NO_BRACKETS = r"s/[A-Za-z_][A-Za-z0-9_]* *[:=] *//g", r"s/[]\"(){}[]//g"
-_KEYS = re.compile(
-    r"(?:'|\"\"?)?[xyzw](?:'|\"\"?)? *: *"
-)  # keys of a cell such as {'x': 0.1, 'y': 0.2, 'z': 9.8}
+# Keys of a cell such as {'x': 0.1, 'y': 0.2, 'z': 9.8}
+_KEYS = re.compile(r"(?:'|\"\"?)?[xyzw](?:'|\"\"?)? *: *")
 _NO_KEYS = r"s/[\x27\"]*[xyzw][\x27\"]* *: *//g"
 _SEPARATED = "s/[[:space:]]*[,;|[:space:]][[:space:]]*/,/g"
 _POINTS = re.compile(r"\bPOINT *(?:Z|M|ZM)? *\(", re.IGNORECASE)
