@@ -16,12 +16,14 @@ from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.doctor.mounting import rotate_imu
 from sigmaswarm.doctor.repairs import repair
 from sigmaswarm.geodesy import rotation_of
-from support import DRIVES, needs_shared, quickly
+from support import DRIVES, needs_shared, quickly, some
 
 
 @cache
 def drive(duration: float = 100.0) -> Drive:
-    return sigmaswarm.simulate("urban", run=3, duration=duration, gps="white-1m", imu_rate=50)
+    """Return a drive without truth, whose diagnosis takes half the time."""
+    drive = sigmaswarm.simulate("urban", run=3, duration=duration, gps="white-1m", imu_rate=50)
+    return replace(drive, truth=None)
 
 
 @pytest.mark.parametrize(
@@ -189,7 +191,7 @@ def test_a_start_in_reverse_before_strong_turns(turn: float, seed: int):
         + [
             (30.0, 8.0, mount) for mount in ((180, 0, 0), (0, 180, 0), (0, 0, 90), (20, -30, 70), (0, 0, 180))
         ],
-        lambda until, fast, mount: until == 45.0 or mount == (180, 0, 0),
+        lambda until, fast, mount: mount == (180, 0, 0),
     ),
 )
 def test_a_long_start_in_reverse_is_one_finding(until: float, fast: float, mount: tuple[float, float, float]):
@@ -250,7 +252,7 @@ def test_errors_of_a_slow_robot_s_course_are_not_faults_of_its_gyro(seed: int):
         assert told == any("no column of the gyro" in f.what for f in sigmaswarm.diagnose(drive).findings)
 
 
-@pytest.mark.parametrize("factor", [0.0, 0.5])
+@pytest.mark.parametrize("factor", some([0.5, 0.0]))
 def test_rates_of_zero_are_not_a_finding(factor: float):
     """Many drivers write 0 for gx and gy of a planar IMU."""
     sound = drive(80.0)
