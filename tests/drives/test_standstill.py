@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sigmaswarm.drives.drive import Drive, Gps, Imu
+from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.stale_fixes import STALE_MOVING, classify_fixes
 from sigmaswarm.drives.standstill import MEANS, detect_standstills, fixes_are_still, is_calm, new_memory
@@ -165,6 +166,17 @@ def test_a_steady_departure_after_an_outage_is_not_a_standstill():
         stands = detect_standstills(replace(drive, gps=left), classify_fixes(left))
         speed = np.interp(drive.imu.time, drive.truth.time, np.hypot(drive.truth.vx, drive.truth.vy))
         assert speed[stands].max() < 0.3
+
+
+def test_timelines_without_some_fixes_detect_the_same_standstills_as_their_drives():
+    ready = PreparedDrive(urban(100.0))
+    time = ready.drive.gps.time
+    hidden = (time > 20.0) & (time < 40.0)
+    for removed in (False, True):
+        line = ready.timeline(hidden, removed=removed)
+        assert line.like is ready.timeline()
+        np.testing.assert_array_equal(line.stands, detect_standstills(line.drive, line.kinds)[line.sample])
+        assert (line.stands.sum() > 0) and line.stands.sum() < ready.timeline().stands.sum()
 
 
 def test_stale_fixes_of_a_driving_car_are_no_evidence():

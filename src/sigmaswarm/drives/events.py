@@ -67,6 +67,8 @@ def events_of(line: Timeline, used: Set[str]) -> Events:
     if "ay" in used:
         flags[line.sampled] |= STANDSTILL
     bits = bits_of(used)
+    if not bits:
+        return Events(flags, np.empty((0, 3)))
     stands = line.stands if bits & STANDSTILL else np.zeros(len(flags), dtype=np.bool_)
     readings, odometer = NO_READINGS, line.drive.odometer
     if bits & ODOMETER and odometer is not None:

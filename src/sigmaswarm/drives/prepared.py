@@ -63,8 +63,8 @@ class PreparedDrive:
             else:
                 seen = replace(self.drive, gps=self.drive.gps.select(~hidden)) if removed else self.drive
                 start, kinds = self.initial.time, self.kinds[~hidden]
-                driving = self.timeline().driving if removed else None
-                line = build_timeline(seen, start, kinds, as_recorded=self.as_recorded, driving=driving)
+                like = self.timeline() if removed else None
+                line = build_timeline(seen, start, kinds, as_recorded=self.as_recorded, like=like)
             self._timelines[key] = line
         return self._timelines[key]
 

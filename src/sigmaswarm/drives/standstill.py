@@ -13,6 +13,7 @@ FRESH is the total of the stack that is being filled.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.stale_fixes import STALE_MOVING
+from sigmaswarm.drives.tables import Imu
 
 BLOCK = 0.05  # s, length of a block
 SECOND = 20  # number of complete blocks in the second that must be calm
@@ -64,16 +66,35 @@ LAST = 6  # column of LEVEL: time of the last sample
 PIECE = 100_000  # samples per copy, to limit the memory
 
 
-def detect_standstills(drive: Drive, kinds: Array) -> NDArray[np.bool_]:
-    """Detect standstill at each IMU sample, (n,), from earlier data. ``kinds`` of the fixes are as in `stale_fixes`."""
-    imu, gps = drive.imu, drive.gps
-    stands = np.zeros(len(imu.time), dtype=np.bool_)
-    fixes = np.column_stack([gps.time, gps.x, gps.y])
-    memory, stop = new_memory(), np.array([-np.inf, 0.0, 0.0, 0.0])
-    for first in range(0, len(stands), PIECE):
+class CalmSamples(NamedTuple):
+    """The IMU samples at which the IMU is calm: times (s), indices, and rows MEANS of the detector's memory, (c, 4)."""
+
+    time: Array
+    sample: NDArray[np.intp]
+    means: Array
+
+
+def find_calm(imu: Imu) -> CalmSamples:
+    """Find the samples at which the IMU is calm; they do not depend on the fixes."""
+    memory, found = new_memory(), list[CalmSamples]()
+    for first in range(0, len(imu), PIECE):
         part = slice(first, first + PIECE)
         samples = np.column_stack([imu.time[part], imu.ax[part], imu.ay[part], imu.gz[part]])
-        _find_standstills(samples, fixes, kinds, memory, stop, stands[part])
+        calm, means = np.zeros(len(samples), dtype=np.bool_), np.empty((len(samples), 4))
+        _find_calm(samples, memory, calm, means)
+        found.append(CalmSamples(samples[calm, 0], first + np.flatnonzero(calm), means[calm]))
+    return CalmSamples(*map(np.concatenate, zip(*found, strict=True)))
+
+
+def detect_standstills(drive: Drive, kinds: Array, calm: CalmSamples | None = None) -> NDArray[np.bool_]:
+    """Detect standstill at each IMU sample, (n,), from earlier data. ``kinds`` of the fixes are as in `stale_fixes`.
+
+    ``calm``: the result of `find_calm`, if it is known.
+    """
+    gps, calm = drive.gps, find_calm(drive.imu) if calm is None else calm
+    stands = np.zeros(len(drive.imu), dtype=np.bool_)
+    fixes = np.column_stack([gps.time, gps.x, gps.y])
+    stands[calm.sample] = _find_standstills(calm.time, calm.means, fixes, kinds)
     return stands
 
 
@@ -85,20 +106,28 @@ def new_memory() -> Array:
 
 
 @cached
-def _find_standstills(
-    samples: Array, fixes: Array, kinds: Array, memory: Array, stop: Array, stands: NDArray[np.bool_]
-) -> None:
-    end, known, still, until = 0, -1, False, np.empty(1)
+def _find_calm(samples: Array, memory: Array, calm: NDArray[np.bool_], means: Array) -> None:
     for k in range(len(samples)):
-        t = samples[k, 0]
+        calm[k] = is_calm(memory, samples[k, 0], samples[k, 1], samples[k, 2], samples[k, 3])
+        if calm[k]:
+            for c in range(4):
+                means[k, c] = memory[MEANS, c]
+
+
+@cached
+def _find_standstills(time: Array, means: Array, fixes: Array, kinds: Array) -> NDArray[np.bool_]:
+    stands, stop = np.zeros(len(time), dtype=np.bool_), np.array([-np.inf, 0.0, 0.0, 0.0])
+    end, known, still, until = 0, -1, False, np.empty(1)
+    for k in range(len(time)):
+        t = time[k]
         while end < len(fixes) and fixes[end, 0] <= t:
             end += 1
-        if is_calm(memory, t, samples[k, 1], samples[k, 2], samples[k, 3]):
-            if end != known or t >= until[0]:
-                known, still = end, fixes_are_still(fixes, kinds, end, t, until)
-            if still:
-                passed, stop[0] = t - stop[0], t
-                stands[k] = matches_stop(stop[1:], passed, memory[MEANS])
+        if end != known or t >= until[0]:
+            known, still = end, fixes_are_still(fixes, kinds, end, t, until)
+        if still:
+            passed, stop[0] = t - stop[0], t
+            stands[k] = matches_stop(stop[1:], passed, means[k])
+    return stands
 
 
 @cached

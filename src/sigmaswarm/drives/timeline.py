@@ -21,7 +21,7 @@ from sigmaswarm.drives.alignment import Alignments
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.gaps import gaps_before
 from sigmaswarm.drives.stale_fixes import STALE
-from sigmaswarm.drives.standstill import detect_standstills
+from sigmaswarm.drives.standstill import CalmSamples, detect_standstills, find_calm
 from sigmaswarm.drives.tables import Gps, Indices, Mask, headings_of
 
 DT, Q_SCALE, GAP, AX, AY, GZ, AZ, GX, GY = range(9)
@@ -53,6 +53,7 @@ class Timeline:
     kinds: (
         Array  # (g,), kind of each fix of ``drive``: see `drives.stale_fixes`; all `NEW` with ``as_recorded``
     )
+    like: "Timeline | None" = None  # a timeline of the same IMU samples with all fixes
 
     @cached_property
     def imu_time(self) -> Array:
@@ -62,7 +63,7 @@ class Timeline:
 
     @cached_property
     def nominal_interval(self) -> float:
-        return self.drive.nominal_interval
+        return self.like.nominal_interval if self.like else self.drive.nominal_interval
 
     @cached_property
     def lever(self) -> Array:
@@ -117,7 +118,11 @@ class Timeline:
     @cached_property
     def stands(self) -> Mask:
         """True if the car is stationary at the step's end, (k,)."""
-        return detect_standstills(self.drive, self.kinds)[self.sample]
+        return detect_standstills(self.drive, self.kinds, self._calm)[self.sample]
+
+    @cached_property
+    def _calm(self) -> CalmSamples:
+        return self.like._calm if self.like else find_calm(self.drive.imu)
 
     @cached_property
     def alignments(self) -> Alignments:
@@ -128,18 +133,17 @@ class Timeline:
         hides = np.zeros(len(self.end), dtype=np.bool_)
         hides[self.updates] = hidden[_usable(self.drive, self.start, self.kinds)]
         seen = replace(self.drive, gps=self.drive.gps.select(~hidden))
-        return replace(
-            self, updates=self.updates & ~hides, hides=hides, drive=seen, kinds=self.kinds[~hidden]
-        )
+        kinds = self.kinds[~hidden]
+        return replace(self, updates=self.updates & ~hides, hides=hides, drive=seen, kinds=kinds, like=self)
 
 
 def build_timeline(
-    drive: Drive, start: float, kinds: Array, *, as_recorded: bool, driving: Array | None = None
+    drive: Drive, start: float, kinds: Array, *, as_recorded: bool, like: Timeline | None = None
 ) -> Timeline:
     """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out.
 
-    ``kinds`` (g,) are the kinds of the fixes. With ``as_recorded``, IMU gaps are ordinary steps. ``driving`` is the
-    array of another timeline of the same IMU samples, to save memory.
+    ``kinds`` (g,) are the kinds of the fixes. With ``as_recorded``, IMU gaps are ordinary steps. ``like`` is a timeline
+    of the same IMU samples with all fixes, to save time and memory.
     """
     imu, first = drive.imu, int(np.searchsorted(drive.imu.time, start, side="right"))
     fixes = drive.gps.select(_usable(drive, start, kinds))
@@ -155,13 +159,12 @@ def build_timeline(
     gaps = np.zeros(len(imu)) if as_recorded else gaps_before(imu.time)
     steps = np.empty((len(ends), FIRST_AXIS))  # filled by column, to save memory
     steps[:, DT] = np.diff(ends, prepend=start)
-    steps[:, Q_SCALE] = steps[:, DT] / drive.nominal_interval
+    steps[:, Q_SCALE] = steps[:, DT] / (like or drive).nominal_interval
     steps[:, GAP] = gaps[sample]
-    driving = _driving(drive, np.flatnonzero(gaps)) if driving is None else driving
+    driving = like.driving if like else _driving(drive, np.flatnonzero(gaps))
     hides, columns = np.zeros(len(ends), dtype=np.bool_), _columns(fixes)
-    return Timeline(
-        start, ends, steps, sample.astype(np.int32), driving, updates, hides, sampled, columns, drive, kinds
-    )
+    sample = sample.astype(np.int32)
+    return Timeline(start, ends, steps, sample, driving, updates, hides, sampled, columns, drive, kinds, like)
 
 
 def _usable(drive: Drive, start: float, kinds: Array) -> Mask:

@@ -192,7 +192,9 @@ def _grid(options: GridOptions, training: Dataset, held_out: Dataset) -> _Grid:
     for name in set(REJECTED_OPTIONS).intersection(options):
         raise InputError(f"{name} {REJECTED_OPTIONS[name]}")
     rivals = _contenders(options, [*training.map(log_properties), *held_out.map(log_properties)])
-    problem = car_problem(training, rivals[0].config)
+    problem = car_problem(
+        training, rivals[0].config, branched=False
+    )  # so that comparisons of 0.3.0 can be resumed
     test = problem.with_data(held_out) if len(held_out) else None
     if test:
         check_disjoint(problem, test)

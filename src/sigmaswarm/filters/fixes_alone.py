@@ -103,6 +103,10 @@ class FixesAlone:
         self.initial: InitialState = drive_pass.initial
 
     def __iter__(self) -> Iterator[EstimateChunk]:
+        yield self.at(self._line.imu_time)
+
+    def at(self, time: Array) -> EstimateChunk:
+        """Return the estimates at times from the start on, s."""
         line, noise = self._line, self._noise
         variance = noise.fix * _variances(line)
         moments = np.concatenate([[self.initial.time], line.fix_time])
@@ -111,14 +115,14 @@ class FixesAlone:
         states[0] = *self.initial.mean[:4], first, 0.0, UNKNOWN_SPEED**2
         fixes = np.ascontiguousarray(line.fixes[:, FIX_X : FIX_X + 2])
         _filter(np.diff(moments), fixes, variance, noise.acceleration, states[0].copy(), states[1:])
-        last = np.searchsorted(moments, line.imu_time, side="right") - 1
+        last = np.searchsorted(moments, time, side="right") - 1
         u, v = states[:, 2:4].T
         headings = np.where(np.hypot(u, v) > 0, np.arctan2(v, u), self.initial.mean[4])
         x, y, u, v, pp, pv, vv = states[last].T
-        t, heading = line.imu_time - moments[last], headings[last]
+        t, heading = time - moments[last], headings[last]
         covariance = np.zeros((len(t), 5, 5))
         spread = pp + 2 * t * pv + t**2 * vv + noise.acceleration * t**3 / 3
         covariance[:, [0, 1], [0, 1]] = spread[:, np.newaxis]
         mean = np.column_stack([x + t * u, y + t * v, u, v, heading])
         sound = np.ones(len(t), dtype=np.bool_)
-        yield EstimateChunk(line.imu_time, mean, covariance, sound, ~sound)
+        return EstimateChunk(time, mean, covariance, sound, ~sound)

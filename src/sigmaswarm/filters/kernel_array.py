@@ -135,6 +135,13 @@ class KernelSums:
     def __getitem__(self, name: str) -> Array:
         return self.numbers[SUMS.index(name)]
 
+    @property
+    def of_branches(self) -> "KernelSums":
+        """The sums with the position errors of the branches (see `passes.FilterPass`)."""
+        numbers = self.numbers.copy()
+        numbers[SUMS.index("SQ_POSITION")] = self["SQ_BRANCH"]
+        return KernelSums(numbers, self.failed)
+
     def put(self, passes: slice, sets: Indices, part: "KernelSums") -> None:
         self.numbers[:, passes, sets] = part.numbers
         self.failed[passes, sets] = part.failed

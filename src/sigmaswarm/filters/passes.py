@@ -1,16 +1,17 @@
 """Run any number of filters over drives, and return the sums from which scores and costs are computed."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import cycle
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.arrays import Array
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.events import COMPARED, events_of
+from sigmaswarm.drives.events import COMPARED, FIX, HIDDEN, ODOMETER, events_of
 from sigmaswarm.drives.tables import Indices, Mask
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled import run
@@ -69,11 +70,19 @@ class Targets:
 
 @dataclass(frozen=True, eq=False)
 class FilterPass:
-    """Inputs of filters for one pass over a drive: start, steps and targets."""
+    """Inputs of filters for one pass over a drive: start, steps and targets.
+
+    ``windows``: times in which fixes are hidden, (k, 2) s. ``branches``: passes over the same drive in which fixes are
+    hidden in windows. Filters run over each window of a branch from their state before it, in which all fixes were
+    used, and then return to this state. The sums of the pass include SQ_BRANCH, SQ_FORECAST and FORECAST_T of its
+    branches; its other sums do not depend on branches.
+    """
 
     timeline: Timeline
     initial: InitialState
     targets: Targets
+    windows: Array = field(default_factory=lambda: np.empty((0, 2)))
+    branches: "tuple[FilterPass, ...]" = ()
     _arrays: dict[frozenset[str], run.DriveArrays] = field(default_factory=dict)
     readable: set[tuple[ModelName, bool, frozenset[str]]] = field(default_factory=set)
 
@@ -81,15 +90,106 @@ class FilterPass:
     def n_hidden(self) -> int:
         return int(self.timeline.hides.sum())
 
+    @cached_property
+    def n_steps(self) -> int:
+        """Number of steps, including those of the branches."""
+        return sum(piece.last - piece.first for piece in self._pieces)
+
     def arrays(self, used: frozenset[str]) -> run.DriveArrays:
         """Return the drive as kernel arrays, with the flags of the ``used`` measurements (`MEASURED`)."""
         if used not in self._arrays:
-            line, targets = self.timeline, self.targets
-            flags, wheels = events_of(line, used)
-            flags[targets.compared(line)] |= COMPARED
-            read = line.steps, line.sample, line.driving, flags, line.fixes, wheels, line.lever
-            self._arrays[used] = *read, targets.columns, targets.end
+            own = self._arrays_of_pass(used)
+            if self.branches:
+                parts = [own, *(branch._arrays_of_pass(used) for branch in self.branches)]
+                own = _joined(parts, self._pieces)
+            self._arrays[used] = own
         return self._arrays[used]
+
+    def _arrays_of_pass(self, used: frozenset[str]) -> run.DriveArrays:
+        line, targets = self.timeline, self.targets
+        flags, wheels = events_of(line, used)
+        flags[targets.compared(line)] |= COMPARED
+        read = line.steps, line.sample, line.driving, flags, line.fixes, wheels, line.lever
+        return *read, targets.columns, targets.end
+
+    @cached_property
+    def _pieces(self) -> "list[_Piece]":
+        """The pieces of the pass and of its branches, in the order in which filters run over them."""
+        windows = sorted(
+            (
+                (*window, number)
+                for number, branch in enumerate(self.branches, 1)
+                for window in _windows_of(branch, self.timeline)
+            ),
+            key=lambda window: window[0],
+        )
+        pieces, done = list[_Piece](), 0
+        for at, first, last, number in windows:
+            if at > done:
+                pieces.append(_Piece(0, done, at))
+                done = at
+            pieces.append(_Piece(number, first, last))
+        return [*pieces, _Piece(0, done, len(self.timeline.end))]
+
+
+STEP, OF_FIX, WHEEL, TARGET = range(4)
+"""Kinds of rows of a pass: one row per step, fix, wheel speed or target."""
+
+
+class _Piece(NamedTuple):
+    """The steps from ``first`` to before ``last`` of a pass (0) or of its branch ``number``."""
+
+    number: int
+    first: int
+    last: int
+
+
+def _windows_of(branch: FilterPass, line: Timeline) -> Iterator[tuple[int, int, int]]:
+    """Yield for each window the step of ``line`` before which the branch begins, and its own first and last step.
+
+    A branch begins after the last IMU sample before the first hidden fix (or, without hidden fixes, before the end of
+    the window). It ends with the last hidden fix or target.
+    """
+    own, time = branch.timeline, line.imu_time
+    samples, own_samples = np.flatnonzero(line.sampled), np.flatnonzero(own.sampled)
+    scored = np.flatnonzero(own.hides | (np.diff(branch.targets.end, prepend=0) > 0))
+    ends = own.end[scored]
+    for start, end in branch.windows:
+        k = int(np.searchsorted(line.fix_time, start, side="left"))
+        begin = line.fix_time[k] if k < len(line.fix_time) and line.fix_time[k] <= end else end
+        before = int(np.searchsorted(time, begin, side="left"))
+        until = time[min(int(np.searchsorted(time, end, side="left")), len(time) - 1)]
+        last = int(np.searchsorted(ends, until, side="right"))
+        at, first = (int(s[before - 1]) + 1 if before else 0 for s in (samples, own_samples))
+        if last and scored[last - 1] >= first:
+            yield at, first, int(scored[last - 1]) + 1
+
+
+def _joined(parts: Sequence[run.DriveArrays], pieces: Sequence[_Piece]) -> run.DriveArrays:
+    """Join the arrays of a pass and of its branches, piece by piece."""
+    steps, samples, (driving, *_), flags, fixes, wheels, (lever, *_), targets, ends = zip(*parts, strict=True)
+    before = list[
+        list[NDArray[np.int64]]
+    ]()  # numbers of steps, fixes, wheel speeds and targets before each step
+    for bits, end in zip(flags, ends, strict=True):
+        counts = (np.cumsum(which != 0) for which in (bits & (FIX | HIDDEN), bits & ODOMETER))
+        before.append([np.append(0, count) for count in (np.arange(1, len(bits) + 1), *counts, end)])
+    rows = [[slice(int(n[first]), int(n[last])) for n in before[number]] for number, first, last in pieces]
+
+    def joined(arrays: Sequence[NDArray[Any]], kind: int) -> NDArray[Any]:
+        return np.concatenate([arrays[p.number][at[kind]] for p, at in zip(pieces, rows, strict=True)])
+
+    bits = joined(flags, STEP)
+    begins = np.cumsum([0, *(piece.last - piece.first for piece in pieces)])
+    for begin, earlier, piece in zip(begins, (None, *pieces), pieces, strict=False):
+        bits[begin] |= run.RETURN if earlier and earlier.number else 0
+        bits[begin] |= run.BRANCH if piece.number else 0
+    weight, x, y, theta, counts, noise = (joined(column, TARGET) for column in zip(*targets, strict=True))
+    weight, x, y, theta, noise = (run.readonly(column) for column in (weight, x, y, theta, noise))
+    end = np.cumsum(joined([np.diff(end, prepend=end[:1] * 0) for end in ends], STEP), dtype=np.int32)
+    read = joined(steps, STEP), joined(samples, STEP), driving, bits
+    of_fixes = joined(fixes, OF_FIX), joined(wheels, WHEEL)
+    return *read, *of_fixes, lever, (weight, x, y, theta, counts, noise), end
 
 
 def run_passes(passes: Sequence[FilterPass], parameter_sets: Sequence[FilterParameters]) -> KernelSums:
@@ -103,7 +203,7 @@ def run_passes(passes: Sequence[FilterPass], parameter_sets: Sequence[FilterPara
 def run_array(passes: Sequence[FilterPass], array: KernelArray) -> KernelSums:
     rows = start_passes(passes, array)
     for drive_pass, block in zip(cycle(passes), rows, strict=False):
-        run_steps(drive_pass, array, block, run.new_cursor(), len(drive_pass.timeline.dt))
+        run_steps(drive_pass, array, block, run.new_cursor(), drive_pass.n_steps)
     return array.sums(rows)
 
 

@@ -142,6 +142,7 @@ class PassOptions:
     - ``outages``: a pass with outages of ``outage_length`` s.
     - ``forecasts``: a pass in which fixes are hidden in windows of 3 to 5 s.
 
+    With ``branched``, these passes are branches of the pass with all fixes, which takes less time: see `FilterPass`.
     For ``as_recorded`` see `PreparedDrive`. It has no effect on drives that are already prepared.
     """
 
@@ -149,6 +150,7 @@ class PassOptions:
     forecasts: bool = False
     outage_length: float = OUTAGE_LENGTH
     outage_seed: int = 0
+    branched: bool = False
     as_recorded: bool = False
 
 
@@ -173,6 +175,12 @@ class BatchScorer:
             passes["outages"] = tuple(outage_pass(one, length=length, seed=seed) for one in ready)
         if options.forecasts:
             passes["forecasts"] = tuple(forecast_pass(one, seed=seed) for one in ready)
+        if options.branched and len(passes) > 1:
+            tracking, *others = passes.values()
+            passes["tracking"] = tuple(
+                replace(one, branches=tuple(branches))
+                for one, *branches in zip(tracking, *others, strict=True)
+            )
         return cls(ready, passes)
 
     @classmethod
@@ -205,8 +213,14 @@ class BatchScorer:
         return np.sum(np.array([*self._steps.values()], dtype=np.int64), axis=0)
 
     @cached_property
+    def _separate(self) -> dict[str, tuple[FilterPass, ...]]:
+        """Passes that are not branches, by name."""
+        branched = any(one.branches for one in self.passes["tracking"])
+        return {"tracking": self.passes["tracking"]} if branched else self.passes
+
+    @cached_property
     def _steps(self) -> dict[str, list[int]]:
-        return {name: [len(r.timeline.dt) for r in replays] for name, replays in self.passes.items()}
+        return {name: [one.n_steps for one in passes] for name, passes in self._separate.items()}
 
     @cached_property
     def _divisors(self) -> dict[str, Array]:
@@ -221,7 +235,10 @@ class BatchScorer:
         """Return the scores of the parameter sets. The scores do not depend on the executor."""
         if not parameter_sets or not self.drives:
             return Scores(_no_numbers(len(self.drives), len(parameter_sets)))
-        return _scores_by(self._divisors, self._run(parameter_sets, executor))
+        sums = self._run(parameter_sets, executor)
+        missing = self.passes.keys() - sums.keys()
+        sums |= dict.fromkeys(missing, sums["tracking"].of_branches) if missing else {}
+        return _scores_by(self._divisors, sums)
 
     def measured(
         self,
@@ -254,7 +271,7 @@ class BatchScorer:
         # The longest jobs start first, so that all workers end at about the same time.
         work.sort(key=lambda item: item[0].work, reverse=True)
         tasks = [(self.passes[job.name][job.drives.start : job.drives.stop], array) for job, _, array in work]
-        sums = {name: KernelSums.empty(len(self.drives), len(parameter_sets)) for name in self.passes}
+        sums = {name: KernelSums.empty(len(self.drives), len(parameter_sets)) for name in self._separate}
         for (job, places, _), part in zip(work, run_jobs(run_array, tasks, executor), strict=True):
             sums[job.name].put(slice(job.drives.start, job.drives.stop), places, part)
         return sums

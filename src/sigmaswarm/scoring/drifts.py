@@ -9,6 +9,7 @@ from sigmaswarm.arrays import Array
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.tables import Indices
 from sigmaswarm.filters.filter_run import EstimateChunk, FilterRun
+from sigmaswarm.filters.fixes_alone import FixesAlone
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.passes import FilterPass, join_sums, run_passes
 from sigmaswarm.filters.run import Estimate, Run
@@ -85,7 +86,8 @@ class OutageDrifts:
             self._add(method, scores[i, 0].outage_drift, failed=scores[i, 0].failed)
         for method, make in also.items():
             run = make(outages)
-            positions = [np.empty((0, 2)), *(piece.mean[_rows_at(ends, piece), :2] for piece in run)]
+            pieces = [run.at(ends)] if isinstance(run, FixesAlone) else run
+            positions = [np.empty((0, 2)), *(piece.mean[_rows_at(ends, piece), :2] for piece in pieces)]
             self._add(method, _drift(self._ready, ends, np.vstack(positions)), failed=bool(run.failure))
 
     def _recorded(

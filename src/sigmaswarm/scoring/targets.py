@@ -42,7 +42,7 @@ def outage_pass(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: Se
     weights = drift_weights(ready, ends)
     noise = np.empty((0, 4)) if weights is None else np.column_stack([weights, np.zeros((len(ends), 3))])
     targets = Targets(np.ones_like(ends), x, y, *no_headings, _end(timeline, ends), noise)
-    return FilterPass(timeline, ready.initial, targets)
+    return FilterPass(timeline, ready.initial, targets, windows)
 
 
 def drift_reference(ready: PreparedDrive) -> Gps | Truth:
@@ -61,7 +61,7 @@ def forecast_pass(ready: PreparedDrive, *, seed: int) -> FilterPass:
     """Create a pass in which fixes are hidden in random windows of 3 to 5 s."""
     windows = forecast_windows(ready.drive, ready.initial, seed=seed)
     timeline = ready.timeline(hidden_fixes(ready.drive.gps.time, windows))
-    return FilterPass(timeline, ready.initial, Targets.none(timeline))
+    return FilterPass(timeline, ready.initial, Targets.none(timeline), windows)
 
 
 def forecast_windows(drive: Drive, initial: InitialState, *, seed: int) -> Array:

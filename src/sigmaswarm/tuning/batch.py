@@ -113,9 +113,15 @@ def check_drives(drives: Sequence[Drive | LogProperties], objective: Objective) 
         )
 
 
-def scorer_for(objective: Objective, dataset: Dataset, seed: int, *, as_recorded: bool) -> AnyBatchScorer:
+def scorer_for(
+    objective: Objective, dataset: Dataset, seed: int, *, as_recorded: bool, branched: bool = True
+) -> AnyBatchScorer:
     passes = PassOptions(
-        objective.needs_outages, objective.needs_forecasts, outage_seed=seed, as_recorded=as_recorded
+        objective.needs_outages,
+        objective.needs_forecasts,
+        outage_seed=seed,
+        branched=branched,
+        as_recorded=as_recorded,
     )
     return make_scorer(dataset, passes, partial(require_fit, objective=objective.name, seed=seed))
 

@@ -124,13 +124,15 @@ class Problem(ABC, Generic[P]):
 class CarProblem(Problem[FilterParameters]):
     """Tuning of a built-in model on drives, made by `car_problem`.
 
-    ``std_check`` is the standard deviation of the fixes that replaces an assumed one.
+    ``std_check`` is the standard deviation of the fixes that replaces an assumed one. For ``branched`` see
+    `PassOptions`.
     """
 
     config: TuneConfig
     space: SearchSpace
     scorer: AnyBatchScorer
     std_check: StdCheck | None = None
+    branched: bool = True
 
     @cached_property
     def objective(self) -> Objective:
@@ -208,7 +210,7 @@ class CarProblem(Problem[FilterParameters]):
         return self.objective.relative_increase(costs, best)
 
     def with_data(self, data: Sequence[Drive] | Dataset) -> "CarProblem":
-        return car_problem(data, self.config, self.space, self.std_check)
+        return car_problem(data, self.config, self.space, self.std_check, branched=self.branched)
 
     def baseline_point(self) -> Array:
         """Return the baseline for the first drive as a point in the search space, shape (d,)."""
@@ -278,6 +280,8 @@ def car_problem(
     config: TuneConfig,
     space: SearchSpace | None = None,
     std_check: StdCheck | None = None,
+    *,
+    branched: bool = True,
 ) -> CarProblem:
     """Create the optimization problem. If ``space`` is None, also determine the space and ``std_check``."""
     objective = parse_objective(config.objective)
@@ -290,13 +294,15 @@ def car_problem(
     have = dataset.map(log_properties)
     check_drives(have, objective)
     _check_columns(have, config)
-    scorer = scorer_for(objective, dataset, config.outage_seed, as_recorded=config.as_recorded)
+    scorer = scorer_for(
+        objective, dataset, config.outage_seed, as_recorded=config.as_recorded, branched=branched
+    )
     data = dataset.map(drive_record)
     # Compiled before the threads start; otherwise all threads would wait for the kernel.
     run_kernel(kernel_name(config.model, config.kind, "fix-error" in config.use))
     if space is None:
         space, std_check = car_space(config, have), _std_check(scorer, config, have)
-    return CarProblem(config, space, data, scorer, std_check)
+    return CarProblem(config, space, data, scorer, std_check, branched)
 
 
 def _std_check(scorer: AnyBatchScorer, config: TuneConfig, have: Sequence[LogProperties]) -> StdCheck | None:

@@ -65,6 +65,7 @@ SUMS = (
     "SQ_FIX", "SQ_FORECAST",  # m2, squared residuals of fixes after their update; squared innovations of hidden fixes
     "NIS", "LOG_TAIL",  # nu^T S^-1 nu; ln(1 + NIS / c), with c of `innovation-t`; over all fixes, including hidden ones
     "FORECAST_T",  # ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over the hidden fixes, with v and c of `forecast-t`
+    "SQ_BRANCH",  # the sum SQ_POSITION of branches, m2: see `passes.FilterPass`
     "LOG_DET",  # ln det S over all fixes
     "DET", "TAIL", "OK", "REJECTED", "RECENT",
     "OUTLIERS", "SPAN",  # number of consecutive outliers, and the nominal steps from the first to the last

@@ -28,6 +28,12 @@ from sigmaswarm.filters.kernels import FILTERS
 
 # Cursor of a run in pieces: the next step, fix and target, nominal steps since the last fix, the next wheel speed.
 NEXT_STEP, NEXT_FIX, NEXT_TARGET, SINCE, NEXT_SPEED = range(5)
+BRANCH, RETURN = 512, 1024
+"""Bits of a step's flags, in addition to those of `drives.events`: see `passes.FilterPass`.
+
+Before a step with the bit BRANCH, the filters are copied. Before a step with the bit RETURN, the copies replace them,
+except for the sums of branches. A step may have both bits; then the filters first return.
+"""
 NO_RECORD, NO_INNOVATIONS = np.empty((0, 0, 0)), np.empty((0, 5))
 
 
@@ -65,6 +71,32 @@ def new_cursor() -> Array:
 
 _TWO_PI = 2 * math.pi
 _DETERMINANTS_PER_LOG = 8  # determinants per logarithm; a double can contain their product
+
+
+@njit(**OPTIONS)
+def _keep_copy(w, kept):
+    """Copy the filters ``w`` to ``kept``, (N_KEPT, columns), and begin the sum of a branch's position errors."""
+    _store(w, kept)
+    for first in range(0, w.shape[1], LANES):
+        for lane in range(LANES):
+            w[first // LANES * N_ROWS + R.SQ_POSITION, lane] = 0.0
+
+
+@njit(**OPTIONS)
+def _return(w, kept):
+    """Replace the filters ``w`` at the end of a branch by their copies, and keep the sums of the branch."""
+    for first in range(0, kept.shape[1], LANES):
+        below = first // LANES * N_ROWS
+        for lane in range(first, min(first + LANES, kept.shape[1])):
+            l = lane - first
+            kept[R.SQ_BRANCH, lane] += w[below + R.SQ_POSITION, l]
+            kept[R.SQ_FORECAST, lane] = w[below + R.SQ_FORECAST, l]
+            kept[R.FORECAST_T, lane] = w[below + R.FORECAST_T, l]
+            kept[R.OK, lane] = min(kept[R.OK, lane], w[below + R.OK, l])
+            w[below + R.SIN_COS_VALID_ALL, l] = 0.0
+        for r in range(N_KEPT):
+            for lane in range(first, min(first + LANES, kept.shape[1])):
+                w[below + r, lane - first] = kept[r, lane]
 
 
 @kernel
@@ -153,10 +185,19 @@ def _run(
     n_fixes = int(cursor[NEXT_FIX])
     n_targets = int(cursor[NEXT_TARGET])
     n_recorded = 0
+    n_products = n_fixes  # number of factors of DET and TAIL, also those before the last logarithm
     since = cursor[SINCE]
+    kept, kept_since, kept_products = np.empty((N_KEPT, w.shape[1])), since, n_products
     interval_starts = True
     weight, true_x, true_y, true_theta, scores_heading, deviations = targets
     for s in range(int(cursor[NEXT_STEP]), stop):
+        events = int(flags[s])
+        if events & RETURN:
+            _return(w, kept)
+            since, n_products, interval_starts = kept_since, kept_products, True
+        if events & BRANCH:
+            _keep_copy(w, kept)
+            kept_since, kept_products = since, n_products
         if (
             interval_starts
             and n_targets < len(weight)
@@ -168,7 +209,6 @@ def _run(
                 w.BEFORE_T = w[heading]
         m = sample[s]
         u = tuple(steps[s, k] for k in range(3)) + tuple(driving[m, k] for k in range(n_axes))
-        events = int(flags[s])
         since += u[Q_SCALE]
         if events & (FIX | HIDDEN):
             z = tuple(fixes[n_fixes, k] for k in range(8))
@@ -183,7 +223,8 @@ def _run(
                 for r in range(5):
                     innovations[n_fixes, r] = w[(R.NU1, R.NU2, R.V11, R.V12, R.V22)[r], 0]
             n_fixes += 1
-            if n_fixes % _DETERMINANTS_PER_LOG == 0:
+            n_products += 1
+            if n_products % _DETERMINANTS_PER_LOG == 0:
                 _take_logarithm(w)
         interval_starts = (events & IMU) != 0
         while n_targets < target_end[s]:
