@@ -4,8 +4,8 @@ import gc
 import os
 import signal
 import sys
-from collections.abc import Generator, Iterator
-from functools import lru_cache
+from collections.abc import Callable, Generator, Iterator
+from functools import lru_cache, partial
 from pathlib import Path
 
 # Set before NumPy and Polars are imported: one test process runs per core, so more threads only cost time.
@@ -64,13 +64,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.nodeid.startswith(LONG_PAGES):
             item.add_marker(pytest.mark.long)
+        if item.nodeid.startswith(
+            "README.md"
+        ):  # hooks for single tests are not called outside of this folder
+            item.runtest = partial(with_short_drives, item.runtest)
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
+def with_short_drives(test: Callable[[], None]) -> None:
     """Simulate drives of 60 s instead of 180 s for the example of README.md, which tunes and evaluates."""
-    if not item.nodeid.startswith("README.md"):
-        return (yield)
     import sigmaswarm
 
     simulate = sigmaswarm.simulate
@@ -78,7 +79,7 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
         patch.setattr(
             sigmaswarm, "simulate", lambda *given, **more: simulate(*given, **more | {"duration": 60})
         )
-        return (yield)
+        test()
 
 
 def pytest_collection_finish() -> None:

@@ -51,7 +51,7 @@ def alone(p: FilterParameters) -> None:
 LASTING: dict[str, Any] = {"kind": "ekf", "fix_error": 1.3, "fix_error_time": 2.0}
 FILTERS = [
     (parameters("tilted12", kind="ukf"), (run,)),
-    (parameters("tilted12"), (lagged, run, smoothed, live, many)),
+    (parameters("tilted12"), (lagged, run, smoothed, live)),
     (parameters("tilted12", **LASTING), (run,)),
     (parameters("planar8", **LASTING), (run, smoothed, live)),
     (parameters("planar8"), (run, lagged, smoothed, live, many)),

@@ -48,7 +48,7 @@ def test_a_fast_or_slow_clock_is_found_and_repaired(run: int, drift: float):
     assert "clock-drift" not in diagnose(again).codes
 
 
-@pytest.mark.parametrize("run", some(range(3)))
+@pytest.mark.parametrize("run", some(range(3), 3))
 def test_a_correct_clock_has_no_drift(run: int):
     assert "clock-drift" not in diagnose(simulated(run)).codes
 
@@ -56,13 +56,13 @@ def test_a_correct_clock_has_no_drift(run: int):
 def test_few_turns_and_noise_of_five_meters_are_no_drift():
     """The residuals of the windows alone give a drift of 6.9 standard deviations."""
     drive = simulate("urban", run=0, duration=300.0, imu_rate=50.0, gps="gnss-ins-sim")
-    assert gather(drive).clock_drift is None
+    assert gather(replace(drive, truth=None)).clock_drift is None
 
 
 def test_turns_at_falling_speeds_are_no_drift():
     """The delay between heading and course depends on the speed; this alone looks like a drift of 10 deviations."""
     drive = simulate("urban", run=153, duration=120.0, imu="icm-20602", gps="white-1m", vibration=0.0)
-    assert gather(drive).clock_drift is None
+    assert gather(replace(drive, truth=None)).clock_drift is None
 
 
 def test_the_odometer_has_the_clock_of_the_imu():

@@ -21,7 +21,9 @@ from support import DRIVES, needs_shared, quickly
 
 @cache
 def drive(duration: float = 100.0) -> Drive:
-    return sigmaswarm.simulate("urban", run=3, duration=duration, gps="white-1m", imu_rate=50)
+    """Return a drive without truth, whose diagnosis takes half the time."""
+    drive = sigmaswarm.simulate("urban", run=3, duration=duration, gps="white-1m", imu_rate=50)
+    return replace(drive, truth=None)
 
 
 @pytest.mark.parametrize(
@@ -189,7 +191,7 @@ def test_a_start_in_reverse_before_strong_turns(turn: float, seed: int):
         + [
             (30.0, 8.0, mount) for mount in ((180, 0, 0), (0, 180, 0), (0, 0, 90), (20, -30, 70), (0, 0, 180))
         ],
-        lambda until, fast, mount: until == 45.0 or mount == (180, 0, 0),
+        lambda until, fast, mount: mount == (180, 0, 0),
     ),
 )
 def test_a_long_start_in_reverse_is_one_finding(until: float, fast: float, mount: tuple[float, float, float]):

@@ -13,22 +13,23 @@ from sigmaswarm.doctor.clocks import ClockOffset, leveled_delay
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.drives.split import clip
 from sigmaswarm.simulation import GPS_GRADES
-from support import several
+from support import several, some
 
 
 @cache
 def drive_of(run: int, imu: str) -> Drive:
-    """Simulate a hilly drive with 1 m of white noise in the fixes."""
-    return sigmaswarm.simulate(
+    """Simulate a hilly drive with 1 m of white noise in the fixes, without truth, which also shows a delay."""
+    drive = sigmaswarm.simulate(
         "urban", run=run, imu=imu, gps="white-1m", duration=120.0, terrain="hilly", imu_rate=50.0
     )
+    return replace(drive, truth=None)
 
 
 def planar(drive: Drive) -> Drive:
     return replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None))
 
 
-@pytest.mark.parametrize(("run", "imu"), several([(6, "icm-20602"), (9, "mpu-6050"), (18, "adis16465")]))
+@pytest.mark.parametrize(("run", "imu"), several([(6, "icm-20602"), (9, "mpu-6050"), (18, "adis16465")], 3))
 def test_a_delay_of_a_fifth_of_a_second_is_found_with_a_meter_of_noise(run: int, imu: str):
     for seconds in (0.2, -0.2):
         drive = fixes_late(seconds)(drive_of(run, imu))
@@ -39,7 +40,7 @@ def test_a_delay_of_a_fifth_of_a_second_is_found_with_a_meter_of_noise(run: int,
     assert "clock-offset" not in sigmaswarm.diagnose(drive_of(run, imu)).codes
 
 
-@pytest.mark.parametrize("start", [-0.5, 0.5])
+@pytest.mark.parametrize("start", some([-0.5, 0.5]))
 def test_the_result_does_not_depend_on_the_initial_value(start: float):
     evidence = gather(drive_of(9, "mpu-6050"))
     assert evidence.course
@@ -51,7 +52,7 @@ def test_a_known_lever_arm_is_not_a_delay():
     """In turns, 6 m at 6 m/s look like 1 s."""
     receiver = replace(GPS_GRADES["white-1m"], lever_arm=(6.0, 0.0, 1.0))
     drive = sigmaswarm.simulate("urban", run=9, imu="icm-20602", gps=receiver, duration=120.0, imu_rate=50.0)
-    clock = gather(drive).clock
+    clock = gather(replace(drive, truth=None)).clock
     assert clock.std < 0.06 and abs(clock.delay) < 2 * clock.std
 
 

@@ -22,8 +22,9 @@ SIMULATED = {
 
 @cache
 def drive_of(name: str) -> Drive:
+    """Return a drive; simulated ones have no truth, so their diagnosis takes half the time."""
     if name in SIMULATED:
-        return sigmaswarm.simulate("urban", duration=90.0, **SIMULATED[name])
+        return replace(sigmaswarm.simulate("urban", duration=90.0, **SIMULATED[name]), truth=None)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", sigmaswarm.SigmaswarmWarning)
         return sigmaswarm.read_drive(DRIVES / name)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from sigmaswarm.doctor.truth import truth_delay
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.simulation.scenarios import simulate
-from support import diagonal
+from support import diagonal, quickly, some
 
 DRIVES: dict[str, dict[str, Any]] = {
     "urban": {"run": 3, "duration": 120.0, "gps": "white-1m"},
@@ -34,7 +35,13 @@ def shifted(drive: Drive, seconds: float, *, move: float = 0.0) -> Drive:
     return replace(drive, truth=replace(truth, time=truth.time + seconds, x=truth.x + move))
 
 
-@pytest.mark.parametrize(("name", "seconds"), diagonal(DRIVES, [50.0, 18.0, -18.0, 3600.0, -7.3]))
+@pytest.mark.parametrize(
+    ("name", "seconds"),
+    quickly(
+        product(DRIVES, [50.0, 18.0, -18.0, 3600.0, -7.3]),
+        lambda *case: case in (("urban", 50.0), ("slippery", -18.0), ("rain", 3600.0)),
+    ),
+)
 def test_a_wrong_clock_of_the_truth_is_found_and_repaired(name: str, seconds: float):
     drive = shifted(simulated(name), seconds)
     diagnosis = diagnose(drive)
@@ -46,7 +53,7 @@ def test_a_wrong_clock_of_the_truth_is_found_and_repaired(name: str, seconds: fl
     assert "truth-clock" not in diagnose(again).codes
 
 
-@pytest.mark.parametrize("seconds", [50.0, 18.0, -50.0])
+@pytest.mark.parametrize("seconds", some([50.0, 18.0, -50.0]))
 def test_a_wrong_clock_of_the_truth_is_found_in_a_part_and_with_another_origin(seconds: float):
     whole = simulated("urban")
     part = replace(whole, truth=clip(whole, 20.0, 90.0).truth)
@@ -93,7 +100,7 @@ def test_a_wrong_clock_of_the_fixes_is_not_a_fault_of_the_truth():
     np.testing.assert_array_equal(again.truth.time, drive.truth.time)
 
 
-@pytest.mark.parametrize("seconds", [18.0, -7.3, 1.2, -0.6])
+@pytest.mark.parametrize("seconds", some([18.0, -7.3, 1.2, -0.6]))
 def test_fixes_and_truth_with_one_clock_move_together(seconds: float):
     """Only the clock of the IMU differs: one cause is one finding."""
     drive = simulated("urban")

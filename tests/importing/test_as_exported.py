@@ -26,7 +26,7 @@ from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.row_times import _gaps_of, gaps_by_distance
 from sigmaswarm.importing.source import TableChoice
 from sigmaswarm.workbench.columns import assign
-from support import diagonal, make_drive, some
+from support import diagonal, make_drive, several, some
 
 N, HZ, EVERY = 800, 20, 4
 T = np.arange(N) / HZ
@@ -162,7 +162,7 @@ def write_rates(folder: Path, unit: str, columns: Columns) -> None:
 
 
 @pytest.mark.parametrize(
-    "unit", some(["grad/s", "Grad/s", "grad/sek", "Grad pro Sekunde", "gr/s", "grade/s"])
+    "unit", some(["grad/s", "Grad/s", "grad/sek", "Grad pro Sekunde", "gr/s", "grade/s"], 3)
 )
 def test_grad_per_second_may_be_degrees_or_gradians(tmp_path: Path, unit: str):
     write_rates(tmp_path, unit, STRAIGHT[0] | {"gx": 0.02 * np.sin(T)})
@@ -227,7 +227,7 @@ CLOCKS: dict[str, tuple[Callable[[np.ndarray], object], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", some(CLOCKS))
+@pytest.mark.parametrize("name", some(CLOCKS, 4))
 def test_clocks(tmp_path: Path, name: str):
     clock, head = CLOCKS[name]
     write(tmp_path, clock=clock, head=head)
@@ -362,7 +362,7 @@ LANGUAGES = {
 }
 
 
-@pytest.mark.parametrize("language", LANGUAGES)
+@pytest.mark.parametrize("language", some(LANGUAGES))
 def test_names_of_other_languages_and_vendors(tmp_path: Path, language: str):
     time, acceleration, rate, lat, lon = LANGUAGES[language]
     names = [*map(acceleration.format, "xyz"), *map(rate.format, "xyz")]
@@ -576,7 +576,7 @@ FRACTIONS: dict[str, Callable[[float], str]] = {
 }
 
 
-@pytest.mark.parametrize("case", FRACTIONS)
+@pytest.mark.parametrize("case", some(FRACTIONS))
 def test_rows_are_counted_where_fractions_are_wrong(tmp_path: Path, case: str):
     pl.DataFrame({"t": [FRACTIONS[case](round(t, 3)) for t in T.tolist()], **IMU}).write_csv(
         tmp_path / "imu.csv"
@@ -619,7 +619,7 @@ COPIES: dict[str, Callable[[int], np.ndarray]] = {
 }
 
 
-@pytest.mark.parametrize("case", COPIES)
+@pytest.mark.parametrize("case", some(COPIES))
 def test_copies_of_rows_are_left_out(tmp_path: Path, case: str):
     write(tmp_path)
     for file in (tmp_path / "imu.csv", tmp_path / "gps.csv"):
@@ -805,7 +805,7 @@ def test_rates_that_no_turn_confirms_are_told_with_the_way(tmp_path: Path):
     assert not any("no turn of the path confirms it" in note for note in got.notes)
 
 
-@pytest.mark.parametrize(("ticks", "head"), [(1e5, "ticks"), (1e5, "t"), (1e5, "timestamp")])
+@pytest.mark.parametrize(("ticks", "head"), several([(1e5, "ticks"), (1e5, "t"), (1e5, "timestamp")]))
 def test_the_turns_of_the_fixes_show_the_unit_of_the_times(tmp_path: Path, ticks: float, head: str):
     """Ticks of 10 us look like us of an IMU at 200 Hz."""
     write(tmp_path, clock=lambda t: np.round((t + 3) * ticks).astype(int), head=head)
@@ -821,7 +821,9 @@ def test_turns_of_the_fixes_do_not_refuse_stated_units(tmp_path: Path):
         imported(tmp_path, maps=maps)
 
 
-@pytest.mark.parametrize(("per_g", "per_degree"), [(16384, 131), (8192, 65.5), (2048, 16.4), (4096, 32.8)])
+@pytest.mark.parametrize(
+    ("per_g", "per_degree"), several([(16384, 131), (8192, 65.5), (2048, 16.4), (4096, 32.8)])
+)
 def test_raw_counts_of_both_sensors_are_one_message(tmp_path: Path, per_g: float, per_degree: float):
     scales = {"a": per_g / 9.80665, "g": per_degree * 180 / np.pi}
     write(tmp_path, {n: np.round(c * scales[n[0]]).astype(int) for n, c in IMU.items()})
@@ -1007,7 +1009,7 @@ def of_a_monitor(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("write_log", "new"), [(of_values, "new.csv"), (of_sensors, "kinds"), (of_a_monitor, "new.csv")]
+    ("write_log", "new"), several([(of_values, "new.csv"), (of_sensors, "kinds"), (of_a_monitor, "new.csv")])
 )
 def test_rows_of_several_kinds_are_refused_and_the_command_helps(tmp_path: Path, write_log, new: str):
     write_log(tmp_path)
@@ -1044,7 +1046,7 @@ def test_rows_of_several_kinds_below_a_header_name_the_command(tmp_path: Path):
 
 @pytest.mark.parametrize(
     ("column", "scale", "lost"),
-    [("zaehler", 1 / HZ, "3"), ("uhr", 1.0, "3"), ("stufe", 1e-3, "3"), ("", 0.0, "")],
+    several([("zaehler", 1 / HZ, "3"), ("uhr", 1.0, "3"), ("stufe", 1e-3, "3"), ("", 0.0, "")]),
 )
 def test_a_gap_of_the_logger_in_times_from_row_numbers_is_named(
     tmp_path: Path, column: str, scale: float, lost: str
@@ -1152,13 +1154,15 @@ def test_missing_fixes_with_times_from_row_numbers_are_named(tmp_path: Path, beg
 
 @pytest.mark.parametrize(
     ("direction", "speed"),
-    [
-        ("Richtung", "Geschwindigkeit"),
-        ("rumbo", "velocidad"),
-        ("cap", "vitesse"),
-        ("direction", "speed"),
-        ("Kurs", ""),
-    ],
+    several(
+        [
+            ("Richtung", "Geschwindigkeit"),
+            ("rumbo", "velocidad"),
+            ("cap", "vitesse"),
+            ("direction", "speed"),
+            ("Kurs", ""),
+        ]
+    ),
 )
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_course_in_another_language_needs_no_unit(tmp_path: Path, direction: str, speed: str, turned: bool):
@@ -1272,7 +1276,7 @@ def test_smooth_fixes_at_a_high_rate_are_kept(tmp_path: Path):
         assert len(imported(tmp_path / "log.csv").drive.gps) == N
 
 
-@pytest.mark.parametrize("form", ["%Y/%m/%d", "%d.%m.%Y", "%Y-%m-%d"])
+@pytest.mark.parametrize("form", some(["%Y/%m/%d", "%d.%m.%Y", "%Y-%m-%d"]))
 def test_date_and_clock_in_columns_without_names_are_joined(tmp_path: Path, form: str):
     """Solutions of RTK receivers have no header; next to an IMU, --gps names their file."""
     clock = [datetime.datetime.fromtimestamp(EPOCH + t, datetime.UTC) for t in T[::EVERY]]

@@ -24,11 +24,11 @@ from sigmaswarm.importing.opening import Request
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import TableChoice
 from sigmaswarm.simulation.scenarios import simulate
-from support import diagonal, some
+from support import diagonal, several, some
 
 G = 9.80665
 ORIGIN = (46.0, 7.0, 500.0)
-DRIVE = simulate("urban", duration=60.0, imu_rate=50.0, run=2, gps="white-1m")
+DRIVE = simulate("urban", duration=40.0, imu_rate=50.0, run=2, gps="white-1m")
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 IMU: dict[str, Any] = {name: np.asarray(getattr(DRIVE.imu, name)) for name in AXES}
 TIME, FIXED = DRIVE.imu.time, DRIVE.gps.time
@@ -82,7 +82,7 @@ APART = {
 }
 
 
-@pytest.mark.parametrize("form", APART)
+@pytest.mark.parametrize("form", some(APART))
 def test_acceleration_without_gravity_and_gravity_are_added(tmp_path: Path, form: str):
     """Attitude angles are no rates, although a yaw has the name of one."""
     free, down, rate, letters, factor = APART[form]
@@ -106,7 +106,7 @@ CLOCKS = {
 }
 
 
-@pytest.mark.parametrize("clock", CLOCKS)
+@pytest.mark.parametrize("clock", some(CLOCKS))
 def test_the_time_of_fixes_is_filled_in_the_rows_of_fixes(tmp_path: Path, clock: str):
     both, of_imu, of_fixes = CLOCKS[clock]
     scale = 1e3 if both == "time_ms" else 1.0
@@ -146,7 +146,7 @@ NAMES = {
 PARTS = {"bus": (("Laengs", "Quer", "Vertikal"), ("Wank", "Nick", "Gier")), "elements": ("012", "012")}
 
 
-@pytest.mark.parametrize("form", NAMES)
+@pytest.mark.parametrize("form", some(NAMES, 3))
 def test_more_names_of_loggers(tmp_path: Path, form: str):
     time, force, rate, lat, lon = NAMES[form]
     scale = (1 / G, np.degrees(1)) if any(word in force for word in ("g]", "IMU", "GForce")) else (1.0, 1.0)
@@ -205,7 +205,7 @@ def run(command: str, folder: Path) -> None:
     subprocess.run(["bash", "-c", command], cwd=folder, check=True)
 
 
-@pytest.mark.parametrize("form", LINES)
+@pytest.mark.parametrize("form", some(LINES))
 def test_rows_of_several_kinds_are_separated_by_the_named_command(tmp_path: Path, form: str):
     imu, fix = LINES[form]
     lines = [(t, imu(t + 5, numbers(k))) for k, t in enumerate(TIME.tolist())]
@@ -266,7 +266,7 @@ def sentence(t: float, lat: float, lon: float) -> str:
     return f"${body}*{functools.reduce(operator.xor, body.encode()):02X}"
 
 
-@pytest.mark.parametrize("row", ["IMU,{:.3f},{}", "{:.3f};{}", "{:.3f} {}"])
+@pytest.mark.parametrize("row", some(["IMU,{:.3f},{}", "{:.3f};{}", "{:.3f} {}"]))
 def test_rows_between_sentences_are_separated_by_the_named_command(tmp_path: Path, row: str):
     lines = [(t, row.format(t, row[-3].join(numbers(k)))) for k, t in enumerate(TIME.tolist())]
     fixes = zip(FIXED.tolist(), LAT, LON, strict=True)
@@ -383,7 +383,7 @@ def test_tables_whose_usual_times_do_not_overlap_are_read_on_a_clock_of_both(tmp
     assert any("do not overlap" in note for note in got.notes)
 
 
-@pytest.mark.parametrize("factor", [1e-3 * np.pi / 180, np.pi / 180 / 131, 1e-3])
+@pytest.mark.parametrize("factor", some([1e-3 * np.pi / 180, np.pi / 180 / 131, 1e-3]))
 def test_biases_of_a_cheap_gyro_do_not_change_its_unit(tmp_path: Path, factor: float):
     """Of intervals with various durations, the angles of an axis with a bias of 15 deg/s resemble the durations."""
     drive = simulate("urban", run=3, duration=150.0, imu_rate=50.0, gps="white-1m", gps_rate=1.0)
@@ -465,7 +465,7 @@ BEFORE: dict[str, tuple[list[Any], str]] = {
 }
 
 
-@pytest.mark.parametrize("form", BEFORE)
+@pytest.mark.parametrize("form", some(BEFORE))
 def test_only_fractions_that_begin_again_with_each_second_belong_to_the_time(tmp_path: Path, form: str):
     columns, time = BEFORE[form]
     places = [np.interp(TIME, FIXED, values) for values in (LAT, LON)]
@@ -530,7 +530,9 @@ def test_headers_of_separate_tables_without_names_are_written_by_the_named_comma
     )
 
 
-@pytest.mark.parametrize("names", [("Time IMU (s)", "Time GPS (s)"), ("Time", "Time"), ("t_imu", "gps_time")])
+@pytest.mark.parametrize(
+    "names", some([("Time IMU (s)", "Time GPS (s)"), ("Time", "Time"), ("t_imu", "gps_time")])
+)
 def test_tables_that_were_pasted_side_by_side_have_a_time_each(tmp_path: Path, names: tuple[str, str]):
     rows = [",".join([names[0], *IMU, "", names[1], "lat", "lon"])]
     for k, t in enumerate(TIME.tolist()):
@@ -664,7 +666,7 @@ INCREMENTS = {
 }
 
 
-@pytest.mark.parametrize("form", INCREMENTS)
+@pytest.mark.parametrize("form", some(INCREMENTS))
 def test_increments_are_multiplied_by_the_rate(tmp_path: Path, form: str):
     velocity, angle, letters, *scale = INCREMENTS[form]
     columns: dict[str, Any] = {"time_s": TIME, "lat": sparse(LAT), "lon": sparse(LON)}
@@ -676,7 +678,7 @@ def test_increments_are_multiplied_by_the_rate(tmp_path: Path, form: str):
 
 
 @pytest.mark.parametrize(
-    ("name", "values"), [("I", (0, 1)), ("sensor", ("front", "rear")), ("id", (7, 5, 6))]
+    ("name", "values"), several([("I", (0, 1)), ("sensor", ("front", "rear")), ("id", (7, 5, 6))])
 )
 def test_of_alternating_imus_the_first_is_read(tmp_path: Path, name: str, values: tuple[Any, ...]):
     first = pl.DataFrame({"t": TIME, **IMU})
@@ -798,7 +800,7 @@ def test_accelerations_in_mg_that_were_mapped_by_hand_get_the_factor_of_mg(tmp_p
         imported(tmp_path / "log.csv", maps=maps)
 
 
-@pytest.mark.parametrize("between", ["\t", "; ", ", ", " | "])
+@pytest.mark.parametrize("between", some(["\t", "; ", " | ", ", "]))
 def test_numbers_with_names_are_separated_by_the_named_command(tmp_path: Path, between: str):
     cells = {"t": TIME, **IMU, "lat": np.interp(TIME, FIXED, LAT), "lon": np.interp(TIME, FIXED, LON)}
     rows = (
@@ -829,7 +831,7 @@ def test_sensors_in_separate_rows_of_a_table_are_joined(tmp_path: Path, both: in
         assert np.median(np.abs(getattr(drive.imu, name) - exact)) < 0.02 * np.std(IMU[name])
 
 
-@pytest.mark.parametrize("names", ["{}-axis", "{}_value", "Value {}"])
+@pytest.mark.parametrize("names", some(["{}-axis", "{}_value", "Value {}"], 3))
 def test_axes_of_tables_that_are_named_after_a_sensor(tmp_path: Path, names: str):
     """The dates of the accelerometer's table have an unknown format, so another column is the time."""
     for kind, word, unit in (("a", "Accelerometer", "g"), ("g", "Gyroscope", "deg/s")):
@@ -844,7 +846,7 @@ def test_axes_of_tables_that_are_named_after_a_sensor(tmp_path: Path, names: str
     require_same(as_proposed(tmp_path))
 
 
-@pytest.mark.parametrize("first", ['"sep=\t"', "sep=\t"])
+@pytest.mark.parametrize("first", some(['"sep=\t"', "sep=\t"]))
 def test_a_row_of_units_below_unknown_names(tmp_path: Path, first: str):
     names = [
         "Shimmer_9DA1_Timestamp_Unix_CAL",
@@ -858,7 +860,7 @@ def test_a_row_of_units_below_unknown_names(tmp_path: Path, first: str):
     require_same(as_proposed(tmp_path))
 
 
-@pytest.mark.parametrize("suffix", [".dat", ".asc"])
+@pytest.mark.parametrize("suffix", some([".dat", ".asc"]))
 def test_a_folder_of_tables_of_another_suffix(tmp_path: Path, suffix: str):
     tables = {"imu": {"t": TIME, **IMU}, "gps": {"t": FIXED, "lat": LAT, "lon": LON}}
     for name, columns in tables.items():
@@ -897,7 +899,7 @@ def test_fixes_in_the_rows_of_an_imu_have_its_time(tmp_path: Path):
     require_same(as_proposed(tmp_path / "vn.csv"))
 
 
-@pytest.mark.parametrize("name", ["gps_id", "I", "receiver"])
+@pytest.mark.parametrize("name", some(["gps_id", "I", "receiver"], 3))
 def test_of_alternating_receivers_the_first_is_read(tmp_path: Path, name: str):
     write(tmp_path / "imu.csv", {"t": TIME, **IMU})
     numbers = [np.full(len(FIXED), k) for k in (0, 1)]
@@ -988,7 +990,7 @@ NAMES_OF_AXES = {
 }
 
 
-@pytest.mark.parametrize("form", NAMES_OF_AXES)
+@pytest.mark.parametrize("form", some(NAMES_OF_AXES))
 def test_other_spellings_of_axes_and_places(tmp_path: Path, form: str):
     axes, place = (names.split() for names in NAMES_OF_AXES[form])
     cells = dict(zip([*axes, *place], [*IMU.values(), sparse(LAT), sparse(LON)], strict=True))

@@ -17,7 +17,7 @@ from custom_models import PARAMETERS, PENDULUM, SCALING, pendulum_log, point_log
 from filters.custom.test_run import exact_nll
 from processes import Process
 from sigmaswarm import InputError, Log, Tunable, run_model, tune
-from support import file_contents, make_drive, quickly
+from support import file_contents, make_drive, quickly, several, some
 from tuning.test_resume import generations_in, interrupted
 from tuning.test_tune import bits
 
@@ -149,7 +149,9 @@ FULL_RANGE = (1e-4, 1e2)
 
 @pytest.mark.parametrize(
     ("q", "r", "touched"),
-    [((1e-4, 1e-2), FULL_RANGE, "q"), ((20.0, 1e2), FULL_RANGE, "q"), (FULL_RANGE, (1e-4, 0.03), "r")],
+    several(
+        [((1e-4, 1e-2), FULL_RANGE, "q"), ((20.0, 1e2), FULL_RANGE, "q"), (FULL_RANGE, (1e-4, 0.03), "r")]
+    ),
 )
 def test_wider_bounds_remove_the_advice_to_widen_them(
     q: tuple[float, float], r: tuple[float, float], touched: str
@@ -167,7 +169,7 @@ def test_wider_bounds_remove_the_advice_to_widen_them(
     assert costs[1] < costs[0]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", some(range(3), 3))
 def test_more_generations_remove_the_advice_to_increase_them(seed: int):
     options: dict[str, Any] = {"objective": "innovation-nll", "particles": 4, "trials": 1, "seed": seed}
     few, many = (

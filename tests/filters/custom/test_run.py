@@ -21,7 +21,7 @@ from sigmaswarm.filters.custom import run as module
 from sigmaswarm.filters.custom.run import MAX_DIFFERENCE, Runner, _same, run_kernel
 from sigmaswarm.filters.models import planar5
 from sigmaswarm.filters.parameters import FilterParameters
-from support import make_drive, timeline_of
+from support import diagonal, make_drive, timeline_of
 
 POINT = point_model()
 POINT_LOG = point_log(n=250)
@@ -47,8 +47,9 @@ def exact_nll(log: Log, q: float, r: float) -> np.ndarray:
     return np.array(costs)
 
 
-@pytest.mark.parametrize(("q", "r"), [(0.5, 0.3), (20.0, 1e-3), (1e-3, 50.0)])
-@pytest.mark.parametrize("kind", ["ukf", "ekf"])
+@pytest.mark.parametrize(
+    ("q", "r", "kind"), diagonal([(0.5, 0.3), (20.0, 1e-3), (1e-3, 50.0)], ["ukf", "ekf"])
+)
 def test_the_likelihood_is_that_of_a_kalman_filter(q: float, r: float, kind: str):
     model = POINT if kind == "ukf" else point_model(kind="ekf")
     parameters = {"q": q, "r": r} | (SCALING if kind == "ukf" else {})
@@ -66,8 +67,8 @@ def both(model: Model, log: Log, parameters: dict, **options):
     ]
 
 
-@pytest.mark.parametrize("alpha", [0.3, 1.0])  # a small alpha amplifies rounding errors by 1 / alpha^2
-@pytest.mark.parametrize("case", ["pendulum", "over the top", "point"])
+# A small alpha amplifies rounding errors by 1 / alpha^2
+@pytest.mark.parametrize(("case", "alpha"), diagonal(["over the top", "pendulum", "point"], [0.3, 1.0]))
 def test_compiled_and_textbook_agree(case: str, alpha: float):
     model, log, parameters = {
         "pendulum": (PENDULUM, pendulum_log(duration=8.0), PARAMETERS),
