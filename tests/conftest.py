@@ -64,9 +64,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.nodeid.startswith(LONG_PAGES):
             item.add_marker(pytest.mark.long)
-        if item.nodeid.startswith(
-            "README.md"
-        ):  # hooks for single tests are not called outside of this folder
+        # Hooks for single tests are not called for files outside of this folder.
+        if item.nodeid.startswith("README.md"):
             item.runtest = partial(with_short_drives, item.runtest)
 
 

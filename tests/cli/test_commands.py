@@ -572,7 +572,7 @@ def test_split_in_time(sigmaswarm, drives: Path, here: Path):
 
 
 @pytest.mark.parametrize(
-    ("at", "short", "tuned"), [(11.0, "train", "test"), (25.0, "", "train"), (40.0, "", "train")]
+    ("at", "short", "tuned"), several([(11.0, "train", "test"), (25.0, "", "train"), (40.0, "", "train")])
 )
 def test_a_part_that_is_too_short_is_not_proposed(sigmaswarm, here: Path, at: float, short: str, tuned: str):
     """Less than 10 s follow the start."""
@@ -584,7 +584,7 @@ def test_a_part_that_is_too_short_is_not_proposed(sigmaswarm, here: Path, at: fl
     assert ("sigmaswarm evaluate" in said) is not bool(short)
 
 
-@pytest.mark.parametrize(("delay", "proposed"), [(0.0, True), (0.1, True), (0.6, False)])
+@pytest.mark.parametrize(("delay", "proposed"), several([(0.0, True), (0.1, True), (0.6, False)]))
 def test_an_unused_velocity_is_the_next_step(sigmaswarm, here: Path, delay: float, proposed: bool):
     """Unless the velocity is delayed, the doctor and tune propose a second tuning with --verbose."""
     for name, run in {"car": 1, "held": 2}.items():

@@ -25,8 +25,14 @@ pytestmark = pytest.mark.usefixtures("doctored")
 
 
 @pytest.fixture(scope="module")
-def good():
+def with_truth():
     return library.simulate("urban", duration=40.0, imu_rate=50.0, gps="white-1m")
+
+
+@pytest.fixture(scope="module")
+def good(with_truth):
+    """Return a drive without truth, whose diagnosis takes half the time."""
+    return replace(with_truth, truth=None)
 
 
 @pytest.fixture
@@ -224,12 +230,12 @@ def test_tune_names_a_gap_once(sigmaswarm, good, here: Path):
     assert remedy.startswith("if the car maneuvered during a gap, split the drive there; otherwise")
 
 
-def test_exchanged_fixes_with_truth_are_corrected_by_the_proposed_command(sigmaswarm, good, here: Path):
-    mirrored = replace(good.gps, x=good.gps.y, y=good.gps.x)
-    write_drive(replace(good, gps=mirrored), here / "mirrored")
+def test_exchanged_fixes_with_truth_are_corrected_by_the_proposed_command(sigmaswarm, with_truth, here: Path):
+    mirrored = replace(with_truth.gps, x=with_truth.gps.y, y=with_truth.gps.x)
+    write_drive(replace(with_truth, gps=mirrored), here / "mirrored")
     ended = sigmaswarm("doctor", "mirrored")
     assert "[mirrored-fixes]" in ended.out
-    name = good.name
+    name = with_truth.name
     command = f"import mirrored --out mended/{name} --map gps.x=y gps.y=x"
     assert f"\nnext: sigmaswarm {command}\nthen: sigmaswarm split mended/{name} --out parts\n" in ended.out
     assert sigmaswarm(*command.split()).code == 0
@@ -352,9 +358,11 @@ def test_warnings_of_reading_are_printed_once(sigmaswarm, good, here: Path):
     assert "gyro-unit" in ended.out
 
 
-def test_microseconds_in_both_files_end_with_1(sigmaswarm, good, here: Path):
-    tables = {n: replace(t, time=1e6 * t.time) for n, t in vars(good).items() if n in ("imu", "gps", "truth")}
-    write_drive(replace(good, **tables), here / "us")
+def test_microseconds_in_both_files_end_with_1(sigmaswarm, with_truth, here: Path):
+    tables = {
+        n: replace(t, time=1e6 * t.time) for n, t in vars(with_truth).items() if n in ("imu", "gps", "truth")
+    }
+    write_drive(replace(with_truth, **tables), here / "us")
     ended = sigmaswarm("doctor", "us")
     assert (ended.code, ended.err) == (1, "")
     assert "as if t were in us in both files" in " ".join(ended.out.split())

@@ -146,7 +146,7 @@ def test_a_lane_change_in_a_city_shows_no_factor_of_the_gyro(begin: float):
         ("kingston-1", 1836.19),  # a rotation that the leftward acceleration contradicts
         ("kingston-1", 1847.0),  # a rotation that only the forward acceleration shows
         ("kingston-1", 2102.79),  # an offset of 4.5 standard deviations
-        ("dresden", 8.0),  # an offset of 1.3 standard deviations
+        pytest.param("dresden", 8.0, marks=pytest.mark.long),  # an offset of 1.3 standard deviations
     ],
 )
 def test_a_part_of_a_good_recording_has_no_serious_finding(name: str, begin: float):
@@ -310,7 +310,7 @@ def test_a_wrong_scale_of_the_gyro_is_reported_with_its_factor_and_repaired(scal
     ("scale", "gps"),
     quickly(
         product((0.5, 1.25, 2.0, 57.3), ("white-1m", "ublox-m8")),
-        lambda *case: case in ((2.0, "white-1m"), (57.3, "ublox-m8")),
+        lambda *case: case == (2.0, "white-1m"),
     ),
 )
 def test_a_wrong_scale_of_gz_alone_is_repaired_in_gz_alone(scale: float, gps: str):

@@ -288,7 +288,7 @@ def test_a_recording_is_found_within_3_degrees(name: str):
 
 @pytest.mark.parametrize(
     ("run", "imu", "span"),
-    [(158, "gnss-ins-sim-mid", (0.0, 120.0)), (179, "adis16405", (20.0, 80.0))],
+    several([(158, "gnss-ins-sim-mid", (0.0, 120.0)), (179, "adis16405", (20.0, 80.0))]),
     ids=["at 8 m/s through a bend", "slopes of 7%"],
 )
 def test_a_rotation_of_the_imu_is_distinguished_from_hills(run: int, imu: str, span: tuple[float, float]):
@@ -304,11 +304,14 @@ def test_a_rotation_of_the_imu_is_distinguished_from_hills(run: int, imu: str, s
 
 @pytest.mark.parametrize(
     ("run", "imu", "gps", "terrain", "start"),
-    [
-        (743, "gnss-ins-sim-high", "f9p-rtk", "hilly", 53.0),
-        (744, "mpu-6050", "white-1m", "flat", 36.0),
-        (807, "gnss-ins-sim-high", "white-1m", "hilly", 35.0),
-    ],
+    several(
+        [
+            (743, "gnss-ins-sim-high", "f9p-rtk", "hilly", 53.0),
+            (744, "mpu-6050", "white-1m", "flat", 36.0),
+            (807, "gnss-ins-sim-high", "white-1m", "hilly", 35.0),
+        ],
+        3,
+    ),
     ids=["one bend uphill", "one maneuver", "hard braking on a slope"],
 )
 def test_a_minute_with_few_maneuvers_shows_no_moved_imu(

@@ -45,7 +45,7 @@ def write_log(folder: Path, drive: Drive = DRIVE, *, clockwise: float = -1.0, ri
     return folder
 
 
-@pytest.mark.parametrize("together", [True, False])
+@pytest.mark.parametrize("together", some([True, False]))
 def test_what_is_proposed_makes_the_drive_that_was_logged(tmp_path: Path, together: bool):
     folder = write_log(tmp_path / "log")
     asked = Request(folder) if together else Request(folder / "imu.csv", gps=folder / "fixes.csv")
@@ -130,7 +130,7 @@ VALUES_SHOW = ("az's unit", "unit of the rates")
 
 
 @pytest.mark.parametrize(
-    ("fault",), quickly(((name,) for name in MISNAMED), lambda fault: "exchanged" in fault or "rpm" in fault)
+    ("fault",), quickly(((name,) for name in MISNAMED), lambda fault: "exchanged" in fault)
 )
 def test_what_is_wrong_with_the_third_axes_is_corrected_too(tmp_path: Path, fault: str):
     """The doctor only warns of most of it: planar filters do not feel it."""
@@ -252,7 +252,7 @@ def test_a_shell_runs_nothing_of_a_log_s_header(tmp_path: Path):
 MAPS = ("ax=acc_fwd_g*g", "ay=-acc_right_g*g", "gz=-radians(yaw_rate_dps_cw)")
 
 
-@pytest.mark.parametrize("time", some(["stamp_us", "stamp_us*1e-3", "stamp_us/1000", "stamp_us*1e-9"], 3))
+@pytest.mark.parametrize("time", some(["stamp_us", "stamp_us*1e-3", "stamp_us/1000", "stamp_us*1e-9"], 4))
 def test_a_time_in_another_unit_names_the_unit_and_the_cure(tmp_path: Path, time: str):
     folder = write_log(tmp_path / "log")
     asked = Request(folder / "imu.csv", gps=folder / "fixes.csv", maps=MAPS, time=time)

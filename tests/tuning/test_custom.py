@@ -150,7 +150,7 @@ FULL_RANGE = (1e-4, 1e2)
 @pytest.mark.parametrize(
     ("q", "r", "touched"),
     several(
-        [((1e-4, 1e-2), FULL_RANGE, "q"), ((20.0, 1e2), FULL_RANGE, "q"), (FULL_RANGE, (1e-4, 0.03), "r")]
+        [((1e-4, 1e-2), FULL_RANGE, "q"), ((20.0, 1e2), FULL_RANGE, "q"), (FULL_RANGE, (1e-4, 0.03), "r")], 3
     ),
 )
 def test_wider_bounds_remove_the_advice_to_widen_them(

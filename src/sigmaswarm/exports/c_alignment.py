@@ -4,6 +4,7 @@
 
 import re
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, ClassVar
 
 from sigmaswarm.drives import alignment, alignment_fit, gyro_bias, tilt_evidence
@@ -69,6 +70,7 @@ class _OfMonitor(_OfFit):
     )
 
 
+@cache
 def alignment_of(*, biases: bool, tilted: bool) -> dict[str, str]:
     """Return C text by name: the fit, the update of a filter with evidence, and the rules of the divergence monitor."""
     fit = [alignment_fit.turn_path, alignment_fit.fit_path, alignment_fit.convert_to_start]
