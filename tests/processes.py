@@ -26,10 +26,14 @@ COMMAND = "from sigmaswarm.cli import main; main()"
 class Process:
     """A running process. Unless `communicate` reads its output, the output must fit into the buffer of a pipe."""
 
-    def __init__(self, program: str, arguments: Sequence[object], largest_file: int | None = None) -> None:
+    def __init__(
+        self, program: str, arguments: Sequence[object], largest_file: int | None = None, imports: str = ""
+    ) -> None:
+        """Start the process; the template imports the module ``imports`` first, once for all later processes."""
         pipes = [os.pipe(), os.pipe()]
         order = {
             "program": program,
+            "imports": imports,
             "arguments": [str(word) for word in arguments],
             "environment": dict(os.environ),
             "folder": str(Path.cwd()),
@@ -135,6 +139,8 @@ def _serve(channel: socket.socket) -> None:
             pid, status = os.waitpid(order["ended"], os.WNOHANG)
             reply = os.waitstatus_to_exitcode(status) if pid else None
         else:
+            if order["imports"]:
+                import_module(order["imports"])
             reply = os.fork()
             if reply == 0:
                 channel.close()

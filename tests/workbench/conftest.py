@@ -44,7 +44,8 @@ class Served:
         if not saved.exists():
             saved.write_text(json.dumps({"options": SMALL, **choices}))
         arguments = ["workbench", *logs, "--out", folder, "--no-browser"]
-        self.process = Process(SERVER.replace("PAUSE", str(pause)), arguments)
+        program = SERVER.replace("PAUSE", str(pause))
+        self.process = Process(program, arguments, imports="sigmaswarm.workbench.server")
         self.url = self.process.line().removeprefix("workbench: ").strip()
         self.port = int(self.url.split(":")[2].partition("/")[0])
 
