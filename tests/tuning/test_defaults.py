@@ -25,7 +25,7 @@ from sigmaswarm.tuning.diagnostics import scale_warnings
 from sigmaswarm.tuning.objectives import parse_objective
 from sigmaswarm.tuning.space import OPTIONS
 from sigmaswarm.tuning.tune import tune
-from support import DRIVES, make_drive, needs_shared
+from support import DRIVES, diagonal, make_drive, needs_shared
 
 WHOLE = make_drive(duration=25.0)
 PLAIN = replace(WHOLE, imu=replace(WHOLE.imu, az=None, gx=None, gy=None))
@@ -146,9 +146,11 @@ def test_the_objective_adds_forecasts_for_white_errors_and_the_likelihood_for_co
 
 
 @pytest.mark.parametrize(
-    ("gps", "white"), [("white-1m", True), ("gnss-ins-sim", True), ("ublox-m8", False), ("f9p-rtk", False)]
+    ("gps", "white", "stated"),
+    diagonal(
+        [("white-1m", True), ("gnss-ins-sim", True), ("ublox-m8", False), ("f9p-rtk", False)], [True, False]
+    ),
 )
-@pytest.mark.parametrize("stated", [True, False])
 def test_correlated_fix_errors_are_distinguished_from_white_ones(gps: str, white: bool, stated: bool):
     drive = simulate("urban", duration=100.0, gps=gps, seed=3)
     if not stated:
