@@ -359,9 +359,7 @@ def test_warnings_of_reading_are_printed_once(sigmaswarm, good, here: Path):
 
 
 def test_microseconds_in_both_files_end_with_1(sigmaswarm, with_truth, here: Path):
-    tables = {
-        n: replace(t, time=1e6 * t.time) for n, t in vars(with_truth).items() if n in ("imu", "gps", "truth")
-    }
+    tables = {n: replace(t := getattr(with_truth, n), time=1e6 * t.time) for n in ("imu", "gps", "truth")}
     write_drive(replace(with_truth, **tables), here / "us")
     ended = sigmaswarm("doctor", "us")
     assert (ended.code, ended.err) == (1, "")

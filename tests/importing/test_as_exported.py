@@ -227,7 +227,7 @@ CLOCKS: dict[str, tuple[Callable[[np.ndarray], object], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", some(CLOCKS, 4))
+@pytest.mark.parametrize("name", some(CLOCKS))
 def test_clocks(tmp_path: Path, name: str):
     clock, head = CLOCKS[name]
     write(tmp_path, clock=clock, head=head)
@@ -1046,7 +1046,7 @@ def test_rows_of_several_kinds_below_a_header_name_the_command(tmp_path: Path):
 
 @pytest.mark.parametrize(
     ("column", "scale", "lost"),
-    several([("zaehler", 1 / HZ, "3"), ("uhr", 1.0, "3"), ("stufe", 1e-3, "3"), ("", 0.0, "")]),
+    [("zaehler", 1 / HZ, "3"), ("uhr", 1.0, "3"), ("stufe", 1e-3, "3"), ("", 0.0, "")],
 )
 def test_a_gap_of_the_logger_in_times_from_row_numbers_is_named(
     tmp_path: Path, column: str, scale: float, lost: str

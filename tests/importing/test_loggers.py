@@ -24,7 +24,7 @@ from sigmaswarm.importing.opening import Request
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import TableChoice
 from sigmaswarm.simulation.scenarios import simulate
-from support import diagonal, several, some
+from support import diagonal, quickly, several, some
 
 G = 9.80665
 ORIGIN = (46.0, 7.0, 500.0)
@@ -146,7 +146,10 @@ NAMES = {
 PARTS = {"bus": (("Laengs", "Quer", "Vertikal"), ("Wank", "Nick", "Gier")), "elements": ("012", "012")}
 
 
-@pytest.mark.parametrize("form", some(NAMES, 3))
+QUICK = ("flight test", "bus", "elements", "only units, exchanged")
+
+
+@pytest.mark.parametrize(("form",), quickly(((name,) for name in NAMES), lambda form: form in QUICK))
 def test_more_names_of_loggers(tmp_path: Path, form: str):
     time, force, rate, lat, lon = NAMES[form]
     scale = (1 / G, np.degrees(1)) if any(word in force for word in ("g]", "IMU", "GForce")) else (1.0, 1.0)

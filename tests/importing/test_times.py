@@ -430,25 +430,18 @@ def test_a_date_is_that_of_its_time(tmp_path: Path, head: str, form: str):
 
 @pytest.mark.parametrize(
     ("cells", "first"),
-    several(
-        [
-            (
-                lambda t: (
-                    f"{'' if t < 4 else '1:00:'}{(56 + t) % 60:09.6f}" if t >= 4 else f"59:{56 + t:09.6f}"
-                ),
-                "59:56",
-            ),
-            (lambda t: f"{at(t, '%H:%M:%S')}:{round(t * 1e3) % 1000}", ":0'"),
-            (
-                lambda t: at(t, f"%m/%d/%Y %I:%M:%S.%f{' %p' if round(t * 100) % 7 else ''}"),
-                "11/14/2023 10:13:20",
-            ),
-            (
-                lambda t: at(t, "%d/%m/2023 %H:%M:%S" if t else "13/03/2023 %H:%M:%S", 1_717_459_200),
-                "may be two",
-            ),
-        ]
-    ),
+    [
+        (
+            lambda t: f"{'' if t < 4 else '1:00:'}{(56 + t) % 60:09.6f}" if t >= 4 else f"59:{56 + t:09.6f}",
+            "59:56",
+        ),
+        (lambda t: f"{at(t, '%H:%M:%S')}:{round(t * 1e3) % 1000}", ":0'"),
+        (
+            lambda t: at(t, f"%m/%d/%Y %I:%M:%S.%f{' %p' if round(t * 100) % 7 else ''}"),
+            "11/14/2023 10:13:20",
+        ),
+        (lambda t: at(t, "%d/%m/2023 %H:%M:%S" if t else "13/03/2023 %H:%M:%S", 1_717_459_200), "may be two"),
+    ],
 )
 def test_times_in_two_formats_are_refused(tmp_path: Path, cells: Cells, first: str):
     """Rows of another format than most were once left out without a question."""
