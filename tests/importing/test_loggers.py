@@ -803,7 +803,7 @@ def test_accelerations_in_mg_that_were_mapped_by_hand_get_the_factor_of_mg(tmp_p
         imported(tmp_path / "log.csv", maps=maps)
 
 
-@pytest.mark.parametrize("between", some(["\t", "; ", ", ", " | "]))
+@pytest.mark.parametrize("between", some(["\t", "; ", " | ", ", "]))
 def test_numbers_with_names_are_separated_by_the_named_command(tmp_path: Path, between: str):
     cells = {"t": TIME, **IMU, "lat": np.interp(TIME, FIXED, LAT), "lon": np.interp(TIME, FIXED, LON)}
     rows = (
