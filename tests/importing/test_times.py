@@ -485,7 +485,7 @@ def test_rows_that_all_have_one_time_are_refused_and_the_remedy_helps(tmp_path: 
     write(tmp_path, "t", lambda t: "1.70000E+09", "t", repr)
     with pytest.raises(InputError, match="all 1201 rows have the same time") as caught:
         imported(tmp_path)
-    assert "all rows have the same time" in " ".join(inspect_request(Request(tmp_path)).notes)
+    assert "all 1201 rows have the same time" in " ".join(inspect_request(Request(tmp_path)).notes)
     remedy = re.search(r'--map "([^"]+)"', str(caught.value))[1]
     assert apart(tmp_path, maps=[remedy]) < 1e-9
 

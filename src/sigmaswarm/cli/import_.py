@@ -274,7 +274,7 @@ def _with_columns(diagnosis: "Diagnosis", imported: "ImportResult") -> "Diagnosi
 
     def named(text: str) -> str:
         if omitted:
-            text = text.replace("leave the column out", f"leave it out: import with --map {omitted}")
+            text = text.replace("omit the column", f"omit it: import with --map {omitted}")
         return re.sub(r"COLUMN_OF_([A-Z]+)", lambda m: texts.get(m[1].lower(), m[0]), text)
 
     findings = tuple(replace(finding, remedy=named(finding.remedy)) for finding in diagnosis.findings)

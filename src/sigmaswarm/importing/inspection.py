@@ -32,12 +32,12 @@ from sigmaswarm.importing.proposal_check import check_proposal, reversed_forces
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Fault, ImportProgress, Log, Part
 from sigmaswarm.importing.table_columns import column_numbers
-from sigmaswarm.importing.timeline import same_time
 from sigmaswarm.importing.times import EVER, sample_rate, span_of_table
 
 PREVIEW_ROWS = 5000  # number of first rows of a table from which ranges are computed
 # Largest number of rows that are read if the rows of tables alternate; tables that begin later are shown without values
 MAX_SCANNED_ROWS = 25_000
+MAX_CHECKED_BYTES = 300_000_000  # largest size of a log that is imported as a check
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,8 @@ class Inspection:
 def inspect_request(request: Request, progress: ImportProgress = lambda done: None) -> Inspection:
     """Read the beginning of each log. Faults become notes, and nothing is written.
 
-    A proposal is checked on the whole log. ``progress`` then receives the fraction that has been read, 0 to 1.
+    A proposal is checked on the whole log. Without a proposal, logs of up to `MAX_CHECKED_BYTES` are imported as a
+    check. ``progress`` then receives the fraction that has been read, 0 to 1.
     """
     with opened(request) as plan:
         try:
@@ -119,6 +120,11 @@ def inspect_request(request: Request, progress: ImportProgress = lambda done: No
         down, proposal = False, replace(others, columns={**turned.columns, **others.columns})
         notes = [note for note in notes if f"--mount {Z_DOWN}" not in note]
     evidence = ""
+    if works and not proposal and _size(plan) < MAX_CHECKED_BYTES:
+        try:
+            import_drive(request, "checked", progress)
+        except InputError as error:
+            notes, works = [*notes, str(error)], False
     if proposal:
         proposal, evidence, works = check_proposal(proposal, make)
         if not works and not proposal.maps:
@@ -140,6 +146,12 @@ def inspect_request(request: Request, progress: ImportProgress = lambda done: No
         proposal.settings if proposal else {},
         mount or (Z_DOWN if down else ""),
     )
+
+
+def _size(plan: Plan) -> int:
+    """Return the number of bytes of the logs."""
+    files = (file for path in plan.logs for file in ([path] if path.is_file() else path.rglob("*")))
+    return sum(file.stat().st_size for file in files if file.is_file())
 
 
 def _previews(plan: Plan, first: Beginnings) -> Iterator[TablePreview]:
@@ -164,13 +176,11 @@ def _obstacles(plan: Plan, first: Beginnings) -> list[str]:
     faults = with_rate_of_rows(faults, plan)
     log, of_log = plan.log("imu"), f"{plan.request.log}: "
     parts = [part for part in whole.parts("imu") if "t" in part.columns]
-    spans = [time_span(p.columns["t"], first[log.path][p.table]) or EVER for p in parts]
-    # The first rows may end before the other table begins, or share one time.
-    if without_overlap("imu", parts, spans) or any(start == end for start, end in spans):
+    spans = [time_span(p.columns["t"], first[log.path][p.table]) or EVER for p in parts[1:] and parts]
+    if without_overlap("imu", parts, spans):  # the first rows may end before the other table begins
         spans = [span_of_table(log, part.table, part.columns["t"]) for part in parts]
     if apart := without_overlap("imu", parts, spans):
         faults.append(f"{of_log}{apart}")
-    faults += [f"{of_log}{same_time('imu', '')}" for start, end in spans if start == end]
     return faults or [f"{of_log}{message}" for message in missing_columns(plan.recipe)]
 
 

@@ -226,14 +226,6 @@ def in_burst(time: Nanoseconds, role: Role) -> NDArray[np.bool_]:
     return (steps >= 0) & (steps < min(small, MAX_BURST_INTERVAL * MAX_STEP[role] * SECOND))
 
 
-def same_time(role: Role, rows: str) -> str:
-    """Describe a table whose rows all have one time, and the remedy; ``rows``: number of rows and a space, or ""."""
-    return (
-        f"all {rows}rows have the same time; specify a finer time with --map {role}.t=..., or, if the rate is known, "
-        f'compute it from the row number: --map "{role}.t=row/100" for 100 Hz (replace 100 by the rate of this log)'
-    )
-
-
 def spread_stamps(
     time: Nanoseconds, role: Role, where: str, *, arrival: bool = True
 ) -> tuple[Nanoseconds, str]:
@@ -250,7 +242,11 @@ def spread_stamps(
     step = max(int(np.sum(steps)) / len(steps), 1.0)
     shared, ahead = float(np.mean(steps == 0)), steps[steps > 0]
     if not len(ahead):
-        raise InputError(f"{where}: {same_time(role, f'{len(time)} ')}")
+        raise InputError(
+            f"{where}: all {len(time)} rows have the same time; specify a finer time with --map {role}.t=..., or, if "
+            f'the rate is known, compute it from the row number: --map "{role}.t=row/100" for 100 Hz (replace 100 by '
+            "the rate of this log)"
+        )
     if (rounding := _rounding_of_days(time, int(ahead.min()))) > MIN_DAY_ROUNDING * step:
         seen = f"the times in days are rounded to {rounding / SECOND:.3g} s"
         if (even := _spread_days(time, rounding)) is not None:
