@@ -21,7 +21,7 @@ from sigmaswarm.files import free_path
 from sigmaswarm.wording import count_of, printable
 
 if TYPE_CHECKING:
-    from sigmaswarm.doctor.findings import Diagnosis
+    from sigmaswarm.doctor.findings import Diagnosis, Finding
     from sigmaswarm.drives.drive import Drive
     from sigmaswarm.importing.convert import ImportResult
     from sigmaswarm.importing.inspection import Inspection, TablePreview
@@ -33,6 +33,8 @@ AXES_NOTE = (
     "if this is wrong, add --mount auto, or the mounting, for example --mount 90"
 )
 NOT_READY_NOTE = "The log cannot be imported yet: follow the notes above, and repeat --show"
+DIRECTIONS = {"course-convention": ("course", "vx", "vy"), "heading-convention": ("heading",)}
+"""Columns of the fixes that the findings with these codes are about."""
 MAX_UNUSED_COLUMNS = 100  # unused columns that are named per table
 
 
@@ -270,15 +272,13 @@ def _with_columns(diagnosis: "Diagnosis", imported: "ImportResult") -> "Diagnosi
     parts = [part for role in ("imu", "gps") for part in imported.recipe.roles.get(role, ())]
     texts = {name: text for part in parts for name, text in part.columns.items()}
 
-    omitted = " ".join(f'"gps.{name}="' for name in ("course", "vx", "vy") if name in texts)
-
-    def named(text: str) -> str:
-        if omitted:
-            text = text.replace("omit the column", f"omit it: import with --map {omitted}")
+    def named(finding: "Finding") -> str:
+        omitted = [f'"gps.{name}="' for name in DIRECTIONS.get(finding.code, ()) if name in texts]
+        option = f"omit it: import with --map {' '.join(omitted)}"
+        text = finding.remedy.replace("omit the column", option) if omitted else finding.remedy
         return re.sub(r"COLUMN_OF_([A-Z]+)", lambda m: texts.get(m[1].lower(), m[0]), text)
 
-    findings = tuple(replace(finding, remedy=named(finding.remedy)) for finding in diagnosis.findings)
-    return replace(diagnosis, findings=findings)
+    return replace(diagnosis, findings=tuple(replace(f, remedy=named(f)) for f in diagnosis.findings))
 
 
 def _summary(imported: "ImportResult", out: Path) -> dict[str, Any]:
