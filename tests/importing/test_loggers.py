@@ -2,6 +2,7 @@
 
 import datetime
 import functools
+import json
 import operator
 import re
 import subprocess
@@ -1212,3 +1213,53 @@ def test_a_flag_is_no_axis_and_an_angle_no_rate_of_a_suggested_header(tmp_path: 
     assert "write headers" not in str(caught.value)
     seen = inspect_request(Request(tmp_path))
     assert "az=c5*9.80665" in seen.proposal and "unseen-yaw" in seen.evidence
+
+
+NAMED_LIKE_OTHERS: dict[str, Callable[[str], str]] = {
+    "not down": lambda axis: f"{'acc' if axis[0] == 'a' else 'gyro'}_{axis[1]}_downsampled",
+    "a topic of the earth": lambda axis: (
+        f"/world/imu/{'acceleration' if axis[0] == 'a' else 'gyro'}/{axis[1]}"
+    ),
+    "a device of the earth": lambda axis: f"global_imu.{'acc' if axis[0] == 'a' else 'gyro'}.{axis[1]}",
+}
+
+
+@pytest.mark.parametrize("form", NAMED_LIKE_OTHERS)
+def test_words_within_words_and_names_of_topics_do_not_change_axes(tmp_path: Path, form: str):
+    axes = {NAMED_LIKE_OTHERS[form](axis): values for axis, values in IMU.items()}
+    write(tmp_path / "log.csv", {"t": TIME, **axes, "lat": sparse(LAT), "lon": sparse(LON)})
+    require_same(as_proposed(tmp_path / "log.csv"))
+
+
+@pytest.mark.parametrize(
+    "about",
+    [
+        {"device": {"model": "x", "os": "y"}, "settings": {"rate": 50, "unit": "si"}},
+        {"acc_bias": [0.0, 0.0, 0.1], "gyro_bias": [0.0, 0.0, 0.2]},
+        {"x": functools.reduce(lambda inner, _: {"x": inner}, range(600), {"a": 1})},
+    ],
+    ids=["settings", "biases", "deep"],
+)
+def test_settings_next_to_tables_are_no_columns(tmp_path: Path, about: dict[str, Any]):
+    imu = pl.DataFrame({"t": TIME, **IMU}).to_dicts()
+    gps = pl.DataFrame({"t": FIXED, "lat": LAT, "lon": LON}).to_dicts()
+    (tmp_path / "log.json").write_text(json.dumps({**about, "imu": imu, "gps": gps}))
+    require_same(imported(tmp_path / "log.json").drive)
+
+
+def test_a_counter_of_milliseconds_is_no_fraction_of_a_second(tmp_path: Path):
+    whole = np.floor(TIME)
+    clock = {"ms": np.round(TIME * 1000), "hour": 9 + 0 * TIME, "minute": whole // 60, "second": whole % 60}
+    write(tmp_path / "log.csv", {**clock, **IMU, "lat": sparse(LAT), "lon": sparse(LON)})
+    got = imported(tmp_path / "log.csv").drive.imu.time
+    np.testing.assert_allclose(np.diff(got), np.diff(TIME), atol=1e-6)
+
+
+def test_names_in_a_comment_are_known_to_maps(tmp_path: Path):
+    rows = np.column_stack([TIME, *IMU.values()])
+    np.savetxt(tmp_path / "imu.csv", rows, header="tick a0 a1 a2 w0 w1 w2")
+    write(tmp_path / "gps.csv", {"t": FIXED, "lat": LAT, "lon": LON})
+    names = ("tick", "a0", "a1", "a2", "w0", "w1", "w2")
+    maps = [f"imu.{column}={name}" for column, name in zip(("t", *AXES), names, strict=True)]
+    request = Request(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", maps=maps)
+    np.testing.assert_allclose(import_drive(request, "log").drive.imu.ay, IMU["ay"])

@@ -8,6 +8,7 @@ import pytest
 from filter_cases import OPTIONS, equipped, parameters, rough, two_receivers
 from scoring.variants import VARIANTS
 from sigmaswarm.drives.drive import Drive, Odometer
+from sigmaswarm.drives.events import HIDDEN
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.compiled import run
 from sigmaswarm.filters.compiled.layout import LANES, N_KEPT, N_ROWS, R
@@ -101,6 +102,16 @@ def test_branches_change_no_bit_of_the_other_scores(name: str, p: str):
         np.testing.assert_array_equal(getattr(branched, score), getattr(plain, score), err_msg=score)
     for score in others:
         assert 0.5 < getattr(branched, score)[0, 0] / getattr(plain, score)[0, 0] < 2.0
+
+
+@pytest.mark.parametrize("seed", [0, 4])
+def test_windows_in_one_gap_of_the_imu_are_scored_once(seed: int):
+    drive = equipped(120.0)
+    gap = (drive.imu.time > 50.0) & (drive.imu.time < 65.0)
+    columns = {name: values[~gap] for name, values in vars(drive.imu).items() if values is not None}
+    tracking, outages, forecasts = passes_of(replace(drive, imu=replace(drive.imu, **columns)), seed=seed)
+    flags = replace(tracking, branches=(outages, forecasts)).arrays(frozenset())[3]
+    assert np.sum((flags & HIDDEN) != 0) == forecasts.n_hidden + outages.n_hidden
 
 
 def test_a_pass_with_branches_has_fewer_steps_than_three_passes():

@@ -337,9 +337,10 @@ def _slip(tilt: Array) -> float:
     if third < 2:
         return 0.0
     change = np.median(tilt[-third:], axis=0) - np.median(tilt[:third], axis=0)
-    trend = np.corrcoef(rankdata(tilt @ change), np.arange(len(tilt)))[0, 1]
     size = float(np.hypot(*change))
-    return size if size > MIN_SLIP and trend > MIN_TREND else 0.0
+    if size < MIN_SLIP:
+        return 0.0
+    return size if np.corrcoef(rankdata(tilt @ change), np.arange(len(tilt)))[0, 1] > MIN_TREND else 0.0
 
 
 def _axis_of_turning(drive: Drive) -> tuple[Array, Array]:

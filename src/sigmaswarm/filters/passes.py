@@ -1,6 +1,6 @@
 """Run any number of filters over drives, and return the sums from which scores and costs are computed."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import cycle
@@ -83,8 +83,8 @@ class FilterPass:
     targets: Targets
     windows: Array = field(default_factory=lambda: np.empty((0, 2)))
     branches: "tuple[FilterPass, ...]" = ()
-    _arrays: dict[frozenset[str], run.DriveArrays] = field(default_factory=dict)
-    readable: set[tuple[ModelName, bool, frozenset[str]]] = field(default_factory=set)
+    _arrays: dict[frozenset[str], run.DriveArrays] = field(default_factory=dict, init=False)
+    readable: set[tuple[ModelName, bool, frozenset[str]]] = field(default_factory=set, init=False)
 
     @cached_property
     def n_hidden(self) -> int:
@@ -144,16 +144,16 @@ class _Piece(NamedTuple):
     last: int
 
 
-def _windows_of(branch: FilterPass, line: Timeline) -> Iterator[tuple[int, int, int]]:
-    """Yield for each window the step of ``line`` before which the branch begins, and its own first and last step.
+def _windows_of(branch: FilterPass, line: Timeline) -> list[tuple[int, int, int]]:
+    """Return for each window the step of ``line`` before which the branch begins, and its own first and last step.
 
     A branch begins after the last IMU sample before the first hidden fix (or, without hidden fixes, before the end of
-    the window). It ends with the last hidden fix or target.
+    the window). It ends with the last hidden fix or target. Windows in one gap of the IMU have one branch.
     """
     own, time = branch.timeline, line.imu_time
     samples, own_samples = np.flatnonzero(line.sampled), np.flatnonzero(own.sampled)
     scored = np.flatnonzero(own.hides | (np.diff(branch.targets.end, prepend=0) > 0))
-    ends = own.end[scored]
+    ends, found = own.end[scored], list[tuple[int, int, int]]()
     for start, end in branch.windows:
         k = int(np.searchsorted(line.fix_time, start, side="left"))
         begin = line.fix_time[k] if k < len(line.fix_time) and line.fix_time[k] <= end else end
@@ -161,20 +161,27 @@ def _windows_of(branch: FilterPass, line: Timeline) -> Iterator[tuple[int, int, 
         until = time[min(int(np.searchsorted(time, end, side="left")), len(time) - 1)]
         last = int(np.searchsorted(ends, until, side="right"))
         at, first = (int(s[before - 1]) + 1 if before else 0 for s in (samples, own_samples))
-        if last and scored[last - 1] >= first:
-            yield at, first, int(scored[last - 1]) + 1
+        if not last or scored[last - 1] < first:
+            continue
+        stop = int(scored[last - 1]) + 1
+        if found and first < found[-1][2]:
+            at, first, earlier = found.pop()
+            stop = max(stop, earlier)
+        found.append((at, first, stop))
+    return found
 
 
 def _joined(parts: Sequence[run.DriveArrays], pieces: Sequence[_Piece]) -> run.DriveArrays:
     """Join the arrays of a pass and of its branches, piece by piece."""
     steps, samples, (driving, *_), flags, fixes, wheels, (lever, *_), targets, ends = zip(*parts, strict=True)
-    before = list[
-        list[NDArray[np.int64]]
-    ]()  # numbers of steps, fixes, wheel speeds and targets before each step
+    numbers = list[list[NDArray[np.int32]]]()  # of fixes, wheel speeds and targets before each step
     for bits, end in zip(flags, ends, strict=True):
-        counts = (np.cumsum(which != 0) for which in (bits & (FIX | HIDDEN), bits & ODOMETER))
-        before.append([np.append(0, count) for count in (np.arange(1, len(bits) + 1), *counts, end)])
-    rows = [[slice(int(n[first]), int(n[last])) for n in before[number]] for number, first, last in pieces]
+        counts = (np.cumsum(which != 0, dtype=np.int32) for which in (bits & (FIX | HIDDEN), bits & ODOMETER))
+        numbers.append([np.append(np.int32(0), count) for count in (*counts, end)])
+    rows = [
+        [slice(first, last), *(slice(int(n[first]), int(n[last])) for n in numbers[number])]
+        for number, first, last in pieces
+    ]
 
     def joined(arrays: Sequence[NDArray[Any]], kind: int) -> NDArray[Any]:
         return np.concatenate([arrays[p.number][at[kind]] for p, at in zip(pieces, rows, strict=True)])

@@ -34,6 +34,7 @@ FIX_RATES = (0.1, 0.2, 0.5, 1, 2, 4, 5, 8, 10, 12.5, 16, 18, 20, 25, 50)  # Hz, 
 MAX_TURN_ERROR, MAX_FORCE_ERROR = 0.08, 0.2
 # Largest logarithm of a ratio of turns, or of durations, that does not contradict a unit
 MAX_RATIO_ERROR = 0.2
+MIN_EPOCH = 1e8  # s, smallest time of a clock that counts from an epoch
 
 
 def on_common_clock(roles: Roles, samples: Mapping[str, pl.DataFrame]) -> tuple[Roles, list[str]]:
@@ -66,7 +67,9 @@ def on_common_clock(roles: Roles, samples: Mapping[str, pl.DataFrame]) -> tuple[
         rest = frame.drop(compile_expression(part.columns["t"], (*frame.columns, ROW)).columns, strict=False)
         other = find_time(rest, role)
         text = other.expression if other and not other.ticks else ""
-        if text and _overlap((frame, samples[fixed.table]), (text, fixed.columns["t"])):
+        # Clocks that begin at 0 may overlap by chance.
+        since_epoch = text and (span := time_span(text, frame)) and span[0] > MIN_EPOCH
+        if since_epoch and _overlap((frame, samples[fixed.table]), (text, fixed.columns["t"])):
             apart = f"{part.columns['t']} and {fixed.columns['t']} do not overlap"
             note = f"the time of {part.table} is {text}, since {apart}"
             return {**roles, role: (_at(part, text), *roles[role][1:])}, [note]

@@ -27,7 +27,7 @@ from sigmaswarm.importing.table_columns import column_numbers
 from sigmaswarm.importing.time_units import UNKNOWN_TICK
 from sigmaswarm.importing.times import of_one_table
 from sigmaswarm.importing.unnamed import header_by_values
-from sigmaswarm.importing.word_meanings import EARTH, FORCE
+from sigmaswarm.importing.word_meanings import FORCE, is_of_earth
 from sigmaswarm.wording import list_names, printable
 
 # Trial rates, Hz, of a counter of unknown rate. The first rate with which the import succeeds is then corrected by
@@ -184,8 +184,8 @@ def _without(role: Role, what: str, remedy: str, plan: Plan) -> str:
     if role == "imu":
         columns = {name.meaning for table in log.tables.values() for name in read_names(table.columns)}
         lacking = [IMU[n] for n in REQUIRED["imu"] if n not in columns]
-        words = [{*split_words(c)} for table in log.tables.values() for c in table.columns]
-        if lacking and any(of & EARTH and of & FORCE for of in words):
+        names = [c for table in log.tables.values() for c in table.columns]
+        if lacking and any(is_of_earth(name) and FORCE & {*split_words(name)} for name in names):
             why = (
                 "accelerations in the axes of the earth can't be used; log those of the sensor, such as Acc_X"
             )

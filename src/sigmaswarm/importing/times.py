@@ -158,6 +158,9 @@ def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[Conversion | 
         found = {_CALENDAR[word]: n for word, n in reversed(alike.items()) if word in _CALENDAR}
         rest = [(n, parts[word]) for word, n in alike.items() if word in parts]
         more = "".join(f" + {scaled(quoted_column(n.column), scale)}" for n, scale in rest)
+        most = sum(scale * float(column_numbers(frame[n.column]).max() or 0) for n, scale in rest)  # pyright: ignore
+        if most > 1:  # a counter, not a fraction of a second
+            continue
         if found.keys() == {*CALENDAR[3:]}:
             hour, minute, second = (quoted_column(found[part].column) for part in CALENDAR[3:])
             note = "the time is computed from the columns of hour, minute and second"
@@ -171,8 +174,7 @@ def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[Conversion | 
         year = "%Y" if median_of(column_numbers(frame[columns[0]])) > 99 else "%y"
         form = f"{year} %m %d %H %M %S%.f"
         dates = frame.select(parse_dates(as_text(columns), form).alias("date"))["date"]
-        most = sum(scale * float(column_numbers(frame[n.column]).max() or 0) for n, scale in rest)  # pyright: ignore
-        if dates.null_count() > 0.1 * len(dates) or most > 1:
+        if dates.null_count() > 0.1 * len(dates):
             continue
         text = f"utc({', '.join(map(quoted_column, columns))}, '{form}'){more}"
         note = "the time is computed from the columns of year, month, day, hour, minute and second"

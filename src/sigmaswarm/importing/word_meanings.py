@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from sigmaswarm.importing.names import plain_words, read_name, unit_of
+from sigmaswarm.importing.names import plain_words, read_name, split_words, unit_of
 from sigmaswarm.importing.positions import RADIUS_68
 from sigmaswarm.importing.quantities import gravity_columns
 from sigmaswarm.importing.source import Role
@@ -52,7 +52,7 @@ NO_PLACE = {
     *("v", "vertical", "altitude", "alt", "height", "speed", "vel", "velocity", "time"),
     *("heading", "bearing", "course", "roll", "pitch"),
 }
-_DOWN, _SIDE = re.compile("down", re.IGNORECASE), re.compile("left|right|port|starboard", re.IGNORECASE)
+_DOWN, _SIDE = {"down", "downward"}, {"left", "right", "port", "starboard"}
 _AXIS = r"\W*[xyzXYZ012]\W*(?:[(\[].*)?$"  # axis and unit at the end of a name
 
 
@@ -63,6 +63,12 @@ class Meaning:
     expression: str
     # True if a column of angles or of accelerations without gravity may have this name
     weak: bool = field(default=False, compare=False)
+
+
+def is_of_earth(name: str) -> bool:
+    """Return True if a name states the axes of the earth; names of topics or devices before the sensor do not."""
+    *_, sensor, axis = ["", *re.split(r"[/.]", name)]
+    return not EARTH.isdisjoint(split_words(f"{sensor} {axis}" if len(axis) < 2 else axis))
 
 
 def meaning_of(name: str) -> Meaning | None:
@@ -103,7 +109,7 @@ def meaning_of(name: str) -> Meaning | None:
         # phones report the radius of a 68% circle as accuracy; receivers report hAcc or eph, for both axes together
         return Meaning("gps", "std_x", f"{column_text}/{RADIUS_68 if 'accuracy' in rest else 'sqrt(2)'}")
     rates = RATE | ({"roll", "pitch"} if unit and unit.dimension == "rate" else set())
-    if rest & (ACCURACY | EARTH) or not rest & (rates | FORCE) or "gps" in rest:
+    if rest & ACCURACY or is_of_earth(name) or not rest & (rates | FORCE) or "gps" in rest:
         return None
     angle = not rest & (FORCE | RATE - {"yaw", "turn"})  # the name may be that of an angle
     dimensions = ("acceleration",) if rest & FORCE else ("rate",) if angle else ("rate", "angle")
@@ -132,10 +138,11 @@ def propose_columns(
         meant = [(stem, m) for stem, m in read if m and m.role == wanted and m.column not in known]
         if {read_name(name).plain for name in names} >= _ATTITUDE:  # three angles, not rates
             meant = [(stem, m) for stem, m in meant if not (m.weak and m.column in AXES[3:])]
-        down = {m.column[0] for _, m in meant if m.column[1:] == "z" and _DOWN.search(m.expression)}
+        down = {m.column[0] for _, m in meant if m.column[1:] == "z" and _DOWN & {*split_words(m.expression)}}
         # next to an axis down, a lateral axis without a stated side points to the right
         rightward = [
-            m.column[1:] == "y" and m.column[0] in down and not _SIDE.search(m.expression) for _, m in meant
+            m.column[1:] == "y" and m.column[0] in down and not _SIDE & {*split_words(m.expression)}
+            for _, m in meant
         ]
         meant = [
             (stem, replace(m, expression=f"-{m.expression}") if right else m)

@@ -90,7 +90,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     files, folder = [path], path.parent
     if path.is_dir():
         folder, found = path, _files(path)
-        files = [file for file in found if not _is_prose(_as_utf8(file, stack))]
+        files = [file for file in found if not _is_prose(_as_utf8(file, stack), file)]
         remarks += [f"{file.name}: is not a table and is not read" for file in found if file not in files]
         empty = sorted(f.name for f in path.iterdir() if f.suffix.lower() in SUFFIXES and is_empty(f))
         remarks += [f"{name} is empty; copy it again" for name in empty]
@@ -168,11 +168,11 @@ def log_of_names(
     return log_of_files(path, scans if guessed else _joined(scans, remarks), "CSV", guessed, remarks)
 
 
-def _is_prose(file: Path) -> bool:
+def _is_prose(file: Path, shown_as: Path) -> bool:
     """Return True for a .txt file without columns of numbers, such as notes about a log."""
     if file.suffix.lower() != ".txt" or first_bytes(file, 4) == b"PAR1":
         return False
-    dialect = dialect_of(file, file)
+    dialect = dialect_of(file, shown_as)
     return len(dialect.names) < 2 or not dialect.numeric
 
 

@@ -75,7 +75,11 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
         return Dialect(separator, tuple(names), skip, encoding, remarks=remarks)
     # a header below a table of properties, whose rows begin with words (LabVIEW)
     heads = [i for i in rows if i > first and not _is_data(cells[i], numeric) and _meanings(cells[i]) > 2]
-    begins = [cell for i in rows if heads and first <= i < heads[0] for cell in cells[i][numeric[0] :][:1]]
+    begins = [
+        next((cell for cell in cells[i][numeric[0] :] if cell.strip().lower() not in _EMPTY), "")
+        for i in rows
+        if heads and first <= i < heads[0]
+    ]
     if heads and not any(map(is_value, begins)):
         first = next((i for i in rows if i > heads[0] and _is_data(cells[i], numeric)), first)
     data = [cells[i] for i in rows if i >= first]
@@ -258,9 +262,11 @@ def _header(above: Sequence[str], separator: str, width: int, most: int, empty: 
     that are always empty.
     """
     fitting = [_fitting(line, separator, width, most, empty) for line in above]
-    # words in a comment are prose if no name is known
+    # words in a comment are prose if no name is known, and if they do not look like names
     prose = [
-        line.lstrip()[:1] in COMMENTS and _titles(line, BLANKS) == c and not _meanings(c)
+        line.lstrip()[:1] in COMMENTS
+        and _titles(line, BLANKS) == c
+        and not (_meanings(c) or re.search(r"[\t\d_]", line))
         for line, c in zip(above, fitting, strict=True)
     ]
     fitting = [[] if words else cells for words, cells in zip(prose, fitting, strict=True)]

@@ -5,6 +5,7 @@ A folder may contain several such files.
 
 import json
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -92,17 +93,28 @@ def _parsed(path: Path) -> Any:
         ) from None
 
 
-def _with_rows(content: dict[str, Any]) -> Any:
-    """Convert columns to rows: lists of equal length, or objects by row number, as pandas writes them."""
+def _with_rows(content: dict[str, Any], depth: int = 0) -> Any:
+    """Convert columns to rows: lists of equal length, or objects by row number, as pandas writes them.
+
+    Lists of another length than most are not columns. Next to lists of objects or other tables, there are no columns.
+    """
     plain: dict[str, list[Any]] = {}
     for name, cells in content.items():
         column = [*cast("dict[str, Any]", cells).values()] if isinstance(cells, dict) else cells
         nested = (dict, list) if isinstance(cells, dict) else (dict,)
         if isinstance(column, list) and column and not isinstance(column[0], nested):
             plain[name] = column
-    if len(plain) > 1 and len(set(map(len, plain.values()))) == 1 < len(next(iter(plain.values()))):
+    (length, columns), *_ = [*Counter(map(len, plain.values())).most_common(1), (0, 0)]
+    tables = any(isinstance(part, dict | list) for name, part in content.items() if name not in plain)
+    if length > 1 and columns > 1 and not tables:
+        plain = {name: column for name, column in plain.items() if len(column) == length}
         return [dict(zip(plain, row, strict=True)) for row in zip(*plain.values(), strict=True)]
-    return {name: _with_rows(part) if isinstance(part, dict) else part for name, part in content.items()}
+    if depth == MAX_DEPTH:
+        return content
+    return {
+        name: _with_rows(cast("dict[str, Any]", part), depth + 1) if isinstance(part, dict) else part
+        for name, part in content.items()
+    }
 
 
 def _by_kind(rows: list[Row]) -> dict[str, list[Row]]:

@@ -123,7 +123,7 @@ def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
             raise broken_table(shown_as, shown_as.name, error) from None
     missing = [pl.lit(None, pl.Float64).alias(c) for c in columns if c not in there]
     texts = [columns[k] for k in dialect.numeric if there.get(columns[k]) == pl.String]
-    frame = frame.with_columns(pl.col(texts).str.replace(MINUS, "-", literal=True))
+    frame = frame.with_columns(pl.col(texts).str.replace_all(MINUS, "-", literal=True))
     grouped = _grouped(frame, texts, shown_as)
     commas = {columns[k] for k in dialect.comma_columns if columns[k] in texts}
     commas = commas - grouped.keys() | {c for c, group in grouped.items() if group != ","}
