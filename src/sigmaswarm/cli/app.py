@@ -190,9 +190,11 @@ def _too_many(error: Exception) -> str | None:
     if not places:
         return f"{message} too many: `sigmaswarm {name}` takes only options"
     files = {"SOURCE", "LOG"} & {*places}
-    remedy = "to pass several files, name their folder" if files else "run the command once for each argument"
+    remedy = (
+        "to pass several files, specify their folder" if files else "run the command once for each argument"
+    )
     if "SOURCE" in files:
-        remedy += ", or name the other files with --gps, --truth or --odometer"
+        remedy += ", or specify the other files with --gps, --truth or --odometer"
     return f"{message} too many: `sigmaswarm {name}` takes one {' and one '.join(places)}; {remedy}"
 
 

@@ -113,7 +113,7 @@ def _with_names(command: str, folder: "Location") -> str:
 
 
 def affects_axes(diagnosis: "Diagnosis") -> bool:
-    """Return True if a finding about the axes or signs of the IMU is serious or a warning."""
+    """Return True if a finding above the severity "note" concerns the IMU's axes or signs."""
     from sigmaswarm.doctor.repairs import AXIS_ACTIONS
 
     faults = [finding for finding in diagnosis.findings if finding.severity != "note"]

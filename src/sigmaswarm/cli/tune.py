@@ -114,7 +114,8 @@ def tune(
     Parameters
     ----------
     out
-        Folder for tuning.toml, the convergence history and figures. It must not contain a tuning, except with --resume.
+        Folder for tuning.toml, convergence history and figures. Without --resume, the folder must not contain a
+        tuning.toml.
     """
     again = options.resume or not (out / "tuning.toml").exists()
     require_result_folder(

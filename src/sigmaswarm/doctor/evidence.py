@@ -121,7 +121,7 @@ class Evidence:
 
     @cached_property
     def truth_delay(self) -> float | None:
-        """Delay of the truth's clock relative to that of the fixes as recorded, s; None if it is unknown."""
+        """Delay of the truth's clock relative to the recorded times of the fixes, s. None if this delay is unknown."""
         truth, gps = self.drive.truth, self.drive.gps
         if truth is None:
             return None

@@ -140,7 +140,7 @@ def replay_events(
 
 
 def start_numbers(drive: Drive, model: ModelName, *, as_recorded: bool) -> list[float]:
-    """Return the numbers of a row ``start`` in the input of replay.c.
+    """Return the numbers that follow ``start`` in the first row of replay.csv, the input of replay.c.
 
     Raise `InputError` if the drive lacks an IMU axis that the model needs, and `AlignmentError` if it has no initial
     state.

@@ -100,7 +100,7 @@ def velocity(state: Array) -> Array:
 
 
 def lateral_arm(state: Array, rear_axle: float, tire_slip: float) -> float:
-    """Return the distance (m) from the point without lateral velocity forward to the IMU: rear_axle - tire_slip v^2.
+    """Return how far (m) the IMU is in front of the point without lateral velocity: rear_axle - tire_slip v^2.
 
     The rear tires slip by an angle of ``tire_slip`` (s2/m) times the lateral acceleration, v yaw_rate. The lateral
     velocity at the rear axle is therefore -tire_slip v^2 yaw_rate, where v is the predicted speed.

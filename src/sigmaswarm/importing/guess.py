@@ -249,7 +249,7 @@ def _names_receiver(name: Name) -> bool:
 def _truths_of_columns(
     samples: Mapping[str, pl.DataFrame], found: Mapping[str, Columns]
 ) -> tuple[dict[str, Columns], list[str]]:
-    """Find the columns in each table whose names mark them as truth (truth_x, gt_lat). Return these columns, and notes.
+    """Find columns with truth in each table by names such as truth_x and gt_lat. Return the columns, and notes.
 
     The truth of a moving vehicle changes; the position of a reference station does not.
     """

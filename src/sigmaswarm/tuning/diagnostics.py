@@ -213,9 +213,10 @@ def drifts_of(
     noise: MotionNoise | None = None,
     shown_std: float | None = None,
 ) -> tuple[float, ...]:
-    """Return the RMS drifts (m) of a filter, the baseline and, with ``noise``, fixes alone; NaN if no outage fits.
+    """Return the RMS drifts (m) of a filter and of the baseline. If ``noise`` is given, append that of `FixesAlone`.
 
-    Drifts are measured in the middle of the drive, over at most ``most`` sets of outages of ``length`` s.
+    Drifts are measured in the middle of the drive, over at most ``most`` sets of outages of ``length`` s. They are NaN
+    if the drive is too short for an outage.
     """
     filters = {"tuned": parameters, BASELINE: baseline(ready.drive, parameters, shown_std)}
     return _drifts(

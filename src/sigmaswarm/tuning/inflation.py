@@ -52,7 +52,7 @@ class Sensitivity:
     ----------
     name : str
     value : float
-        Value in the tuned filter; 1 for the factor on all noise variances.
+        Value in the tuned filter. For the common factor on all noise variances (`NOISE_SCALE`), this value is 1.
     lowest, highest : float or None
         Values at which the cost has increased by 1%; None if the cost at the bound is lower.
     lowest_rise : float

@@ -135,7 +135,7 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
             f"the log shows the mounting {mount} deg. {sure}. The mounting in drive.toml differs from it by "
         )
         what += f"{math.degrees(apart):.1f} deg. "
-        less = "A part of a drive determines the mounting less accurately than the whole drive"
+        less = "An estimate from a part of a drive is less accurate than one from the whole drive"
         what += f"{less}, so no repair is needed" if whole else "This difference needs no repair"
         remedy = (
             "keep the mounting in drive.toml if it was measured; otherwise import "
