@@ -101,7 +101,7 @@ def require_result_folder(
 
 
 def require_tuning(tuning: Path, remedy: str) -> None:
-    """Raise `InputError` with ``remedy`` if a drive was passed in place of a tuning."""
+    """Raise `InputError` with ``remedy`` if a drive was passed where the result of `tune` is needed."""
     from sigmaswarm.drives.reader import has_table
     from sigmaswarm.errors import InputError
     from sigmaswarm.tuning.record import FILE
@@ -152,7 +152,7 @@ def read_datasets(
 
 
 def parse_numbers(text: str | None, count: int, option: str, example: str) -> tuple[float, ...] | None:
-    """Parse ``count`` numbers that are separated by commas; return None if the option is not given."""
+    """Parse ``count`` numbers that are separated by commas. Return None if the option is not given."""
     from sigmaswarm.errors import InputError
 
     if text is None:

@@ -69,7 +69,7 @@ def _problem(finding: "Finding", folder: "Location | None", *, part: bool) -> Re
 def warn_of_serious(
     drives: "Dataset", places: "Sequence[Location]", printed: Collection[str] = ()
 ) -> list[Remedy]:
-    """Warn about faults, in one warning per drive; return the remedies for serious faults.
+    """Warn about faults, in one warning per drive. Return the remedies for serious faults.
 
     A warning lists the serious faults or, if there are none, the doctor's warnings that need an action. ``printed``
     contains the codes of faults that were printed before.
@@ -145,7 +145,7 @@ def repair_command(diagnosis: "Diagnosis", folder: "Location") -> Remedy:
 
 
 def diagnosis_of_whole(part: "Location") -> "tuple[Diagnosis, Path] | None":
-    """Diagnose the drive from which a part was split; return None if the folder of this drive is not found."""
+    """Diagnose the drive from which a part was split. Return None if the folder of this drive is not found."""
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.drives.split import find_whole
 
@@ -219,7 +219,7 @@ def repair_whole(diagnosis: "Diagnosis", part: "Location") -> "tuple[list[str], 
 
 
 def too_short_for_outages(drive: "Drive") -> str:
-    """Describe a drive that ends before its first outage would begin; return "" for a longer drive."""
+    """Describe a drive that ends before its first outage would begin. Return "" for a longer drive."""
     from sigmaswarm.drives.alignment import StartFailure, find_start
     from sigmaswarm.scoring.targets import OUTAGE_FIRST_AFTER as least
 

@@ -156,7 +156,7 @@ def degrees_as_meters(columns: Columns, role: Role) -> str:
 
 
 def from_ecef(columns: Columns) -> dict[str, Conversion]:
-    """Convert x, y, z from the center of the earth (ECEF, WGS84) to degrees (Bowring); return {} for other coordinates.
+    """Convert x, y, z from the center of the earth (ECEF, WGS84) to degrees (Bowring). Return {} for other coordinates.
 
     UTM coordinates near 57 degrees have the norm of ECEF coordinates, but their z is an altitude.
     """

@@ -327,7 +327,7 @@ def _candidates(
 def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[str, Conversion]]:
     """Yield the columns of a role as expressions.
 
-    ``rows_of`` is the role whose usual rate determines the unit of times.
+    The unit of times is chosen by the usual rate of the role ``rows_of``.
     """
     filled: dict[str, Role] = {"gz": "imu", "ax": "imu", "x": "gps", "lat": "gps"}
     keys: dict[Role, str] = {of: columns.names[what].column for what, of in filled.items() if what in columns}

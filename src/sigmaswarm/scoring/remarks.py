@@ -159,7 +159,7 @@ def estimate_position_errors(scores: ScoresRecord, data: Sequence[DriveRecord]) 
 
 
 def describe_first_track(track: FirstTrack) -> str:
-    """Return sentences on the position error on a training drive; return "" if unknown."""
+    """Return sentences on the position error on a training drive. Return "" if unknown."""
     name, rmse = track.picture.whole.name, track.position_rmse
     if np.isfinite(rmse["tuned"]):
         known = [m for m in (BASELINE, "raw_gps") if np.isfinite(rmse[m])]

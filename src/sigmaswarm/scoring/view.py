@@ -189,7 +189,7 @@ class EvaluationView:
         return f"On {drives}, the tuned filter failed, or there is no truth, so scores are missing."
 
     def _not_better(self) -> dict[str, str]:
-        """Return a message for each method whose drift or heading error is not larger than that of the tuned filter."""
+        """Return a message for each method with at most the drift or heading error of the tuned filter."""
         mean_of = self.scores.mean_of
         messages: dict[str, str] = {}
         for method in (m for m in (AGAINST, FIXES, BASELINE) if m in self.names):

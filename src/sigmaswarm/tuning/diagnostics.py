@@ -244,7 +244,7 @@ def _drifts(
 def confirmed_std(like: FilterParameters, std: float, scorer: AnyBatchScorer) -> StdCheck | None:
     """Run the baseline with ``std`` and with the assumed standard deviation of the fixes, and compare the drifts.
 
-    ``std`` is in m per axis. ``like`` determines the model and the options of the baseline. Return None if the drifts
+    ``std`` is in m per axis. The baseline has the model and the options of ``like``. Return None if the drifts
     are unknown. Also return None if the ratio of the drift with ``std`` to the drift with the assumed value is above
     `MAX_CONFIRMED_RATIO`. This ratio is a geometric mean over the lengths of the outages.
     """
@@ -275,7 +275,7 @@ def _mean_drifts(drifts_of_drives: Iterable[tuple[float, ...]]) -> list[float]:
 
 
 def scale_warnings(objective: Objective, parameters: FilterParameters, scorer: AnyBatchScorer) -> list[str]:
-    """Warn if the objective does not determine the scale of the covariance, and propose a factor if possible."""
+    """Warn if the cost does not depend on the scale of the covariance. Propose a factor if possible."""
     if not objective.scale_free:
         return []
     before, name = scorer.scores([parameters]), objective.name

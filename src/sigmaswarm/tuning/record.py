@@ -305,7 +305,7 @@ def _end(end: End | None) -> Cell:
 
 @dataclass(frozen=True, eq=False)
 class TunedFilter:
-    """A filter, the record of its tuning, and the landmarks by which copies of the training drives are recognized.
+    """A filter, the record of its tuning, and the landmarks of the training drives (see `drives.overlap`).
 
     Landmarks are positions and yaw rates of a drive (see `drives.overlap`).
     """

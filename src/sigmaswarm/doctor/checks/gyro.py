@@ -178,7 +178,7 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
 
 
 def is_upside_down(evidence: Evidence) -> bool:
-    """Return True if az, gx and gy show that the IMU is upside down, and the course does not determine the gyro."""
+    """Return True if az, gx and gy show that the IMU is upside down, and the course can't confirm this."""
     imu, mount = evidence.drive.imu, evidence.mount
     if imu.az is None or float(np.median(imu.az)) > 0 or evidence.yaw.known:
         return False

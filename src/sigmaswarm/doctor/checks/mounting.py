@@ -333,7 +333,7 @@ def _change(values: Values, step: int) -> Values:
 
 
 def _slope(y: Array, x: Array, step: int) -> tuple[float, float] | None:
-    """Fit changes y to changes x over ``step`` values; return the slope and its standard deviation, or None."""
+    """Fit changes y to changes x over ``step`` values. Return the slope and its standard deviation, or None."""
     power = float(x @ x)
     if power < 1.0:
         return None
