@@ -165,7 +165,7 @@ def _missing_out(error: Exception) -> str | None:
 
 
 def _other_name(error: Exception) -> str | None:
-    """Suggest the option of sigmaswarm if the user gave the name that another library uses for it."""
+    """Suggest sigmaswarm's option if the user gave another library's name for this option."""
     if not isinstance(error, UnknownOptionError):
         return None
     from sigmaswarm.tuning.config import SYNONYMS

@@ -233,7 +233,7 @@ def too_short_for_outages(drive: "Drive") -> str:
 
 
 def velocity_options(diagnosis: "Diagnosis") -> str:
-    """Return the options of `tune` that add the receiver's velocity, if it agrees with the positions; otherwise ""."""
+    """Return the options of `tune` that add the receiver's velocity. Return "" if velocity and positions disagree."""
     use = " ".join(finding.what for finding in diagnosis.findings if finding.code == "use")
     options = re.search(r"write (--use .*)$", use)
     return options[1] if options and "velocity" in options[1].split() else ""

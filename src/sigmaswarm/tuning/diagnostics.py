@@ -281,7 +281,7 @@ def scale_warnings(objective: Objective, parameters: FilterParameters, scorer: A
     before, name = scorer.scores([parameters]), objective.name
     nis = float(before.mean_nis.mean())
     state = f"the mean NIS is {nis:.2g}, but should be 2"
-    message = f"{name} does not determine the scale of the covariances ({state})"
+    message = f"{name} does not depend on the scale of the covariances ({state})"
     remedy = SCALE_REMEDY.format(objective=name, measure="nees" if objective.needs_truth else "nis")
     if parameters.model != "planar5" and nis > 0:
         after = scorer.scores([parameters.scaled(nis / 2)])

@@ -329,13 +329,13 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
         )
     if NOISE_SCALE in t.unidentified and not objective.scale_free:
         why = (
-            "the objective does not determine the common scale of all noise variances, so the covariances are "
+            "the objective does not depend on the common scale of all noise variances, so the covariances are "
             "not reliable"
         )
         yield to_do("add innovation-nll or nis to the objective", why)
     if car and not (car.lateral_noise or car.velocity_noise) and "truth-pose" not in objective.name:
         remedy = "for a car, use the lateral constraint (--use lateral), or tune with truth-pose"
-        why = "the fixes alone hardly determine the heading, which may be wrong by tens of degrees"
+        why = "the heading can hardly be estimated from fixes alone and may be wrong by tens of degrees"
         yield to_do(remedy, why)
     better = min(t.sensitivities, key=lambda s: s.lowest_rise, default=None)
     if better and better.lowest_rise < -MAX_INCREASE and factor == 1.0:
