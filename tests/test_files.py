@@ -93,9 +93,9 @@ def test_something_else_in_the_way_is_named(tmp_path: Path):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "file").touch()
     for path, said in (
-        (tmp_path, "is a folder; name a file"),
+        (tmp_path, "is a folder; specify a file"),
         (tmp_path / "pipe", "is not a regular file"),
-        (tmp_path / "file" / "x", "can't be written (Not a directory); name another folder"),
+        (tmp_path / "file" / "x", "can't be written (Not a directory); specify another folder"),
         (tmp_path / "none" / "x", "can't be written (No such file or directory)"),
     ):
         with pytest.raises(InputError) as caught:
@@ -136,7 +136,7 @@ def test_a_full_disk_leaves_the_good_file_and_is_told_with_its_name(tmp_path: Pa
     (tmp_path / "x.csv").write_text("good")
     done = limited(script, tmp_path)
     assert done.stderr.splitlines()[-1] == (
-        "sigmaswarm.errors.InputError: x.csv: can't be written (File too large); free some space, or name another "
+        "sigmaswarm.errors.InputError: x.csv: can't be written (File too large); free some space, or specify another "
         "folder"
     )
     assert (tmp_path / "x.csv").read_text() == "good"

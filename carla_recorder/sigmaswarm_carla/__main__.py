@@ -13,7 +13,7 @@ from .record import record
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the command line; return the exit code: 0 success, 2 error, 130 interrupted."""
+    """Run the command line. Return the exit code: 0 success, 2 error, 130 interrupted."""
 
     def end(*_: Any) -> None:
         raise KeyboardInterrupt

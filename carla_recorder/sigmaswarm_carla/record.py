@@ -64,7 +64,7 @@ class Progress:
 
 
 def record(options: Options) -> int:
-    """Record all missing drives; return the number of recorded drives.
+    """Record all missing drives. Return the number of recorded drives.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def _record(options: Options, journal: Journal, wanted: list[Condition], progres
 
 
 def _wait_for(options: Options) -> bool:
-    """Wait until the server accepts connections again; return False after `patience` s."""
+    """Wait until the server accepts connections again. Return False after `patience` s."""
     end = time.monotonic() + options.patience
     while time.monotonic() < end:
         if reachable(options.host, options.port, 1.0):
@@ -166,7 +166,7 @@ SWEEP_FRICTIONS = (3.5, 2.0, 1.0, 0.5, 0.25)
 
 
 def sweep_brakes(session: Session, say: Callable[[str], None]) -> list[list[float]]:
-    """Brake hard with each value of tire_friction; return pairs of this value and the measured friction."""
+    """Brake hard with each value of tire_friction. Return pairs of this value and the measured friction."""
     found: list[list[float]] = []
     guess = 0.4
     for tire_friction in SWEEP_FRICTIONS:
@@ -185,7 +185,7 @@ def sweep_brakes(session: Session, say: Callable[[str], None]) -> list[list[floa
 
 
 def _brake(session: Session, plan: Plan, tire_friction: float, rng: random.Random) -> float:
-    """Brake fully; return the friction: mean deceleration from 90% to 30% of the initial speed, divided by gravity."""
+    """Brake fully. Return the friction: mean deceleration from 90% to 30% of the initial speed, divided by gravity."""
     car = place_car(session, plan.path)
     settle(session, car)
     physics = edit_physics(session, car, tire_friction)

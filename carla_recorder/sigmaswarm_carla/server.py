@@ -209,7 +209,7 @@ class Session:
         self.actors.clear()
 
     def restore(self) -> str:
-        """Restore the world; return a message about failures, or an empty string if there are none."""
+        """Restore the world. Return a message about failures, or an empty string if there are none."""
         if not reachable(self.options.host, self.options.port, 2.0):
             _KEEP.extend([self, *self.actors])
             return "the server does not answer, so its settings and weather could not be restored"

@@ -116,9 +116,9 @@ def locked_folder(path: Path) -> Generator[Path]:
 def atomic_file(path: Path) -> Generator[BinaryIO]:
     """Open a binary file, which gets its final name when the block ends without an error."""
     if path.is_dir():
-        raise InputError(f"{path}: is a folder; name a file")
+        raise InputError(f"{path}: is a folder; specify a file")
     if path.exists() and not path.is_file():  # the user root could replace /dev/null
-        raise InputError(f"{path}: is not a regular file; name another file")
+        raise InputError(f"{path}: is not a regular file; specify another file")
     with _staging(path) as new:
         part = _Part(str(new), "xb")
         try:
@@ -286,7 +286,7 @@ def _unwritable(path: Path, error: OSError) -> InputError:
     if number in (EEXIST, ENOTEMPTY):
         return InputError(f"{path}: already exists; delete it, or choose another name")
     reason = os.strerror(number) if number else str(error)
-    remedy = "free some space, or " * (number in (ENOSPC, EDQUOT, EFBIG)) + "name another folder"
+    remedy = "free some space, or " * (number in (ENOSPC, EDQUOT, EFBIG)) + "specify another folder"
     return InputError(f"{path}: can't be written ({reason}); {remedy}")
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 WIDTH, HEIGHT, MARGIN = 360.0, 240.0, 10.0  # px
 MAX_POINTS = 400  # largest number of points of a path, since a notebook stores its pictures
 COLORS = {"truth": "#000000", "fixes": "#009e73", "estimate": "#0072b2"}
-"""Colors that color-blind readers can also distinguish."""
+"""Colors of the paths, by content. Color-blind readers can also distinguish them."""
 
 
 def number(value: float | None) -> str:

@@ -1,8 +1,8 @@
 """Compute truth with standard deviations: the fixes of a reference receiver, smoothed with the drive's IMU.
 
-The smoother's standard deviations are multiplied by a factor that is determined from the errors at hidden fixes. The
-variance of a fix is added, since errors of fixes are correlated: the mean of many fixes is no more accurate than one
-fix.
+Errors at hidden fixes show by which factor the smoother's standard deviations are wrong; the result is corrected by
+this factor. Errors of successive fixes are correlated, so averaging does not reduce them. Therefore, the variance of
+one fix is added.
 """
 
 import math

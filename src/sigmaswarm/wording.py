@@ -37,7 +37,7 @@ def count_of(n: int, noun: str) -> str:
 
 
 def describe_change(percent: float, less: str, more: str) -> str:
-    """Compare two numbers: "12% lower than" or "equal within 0.5% to". ``percent`` is positive for ``less``."""
+    """Describe a difference: "12% lower than" or "equal within 0.5% to". A positive ``percent`` gives ``less``."""
     if abs(percent) < 0.5:
         return "equal within 0.5% to"
     return f"{abs(percent):.0f}% {less if percent > 0 else more} than"

@@ -430,7 +430,7 @@ def test_copies_replace_earlier_ones_only_on_request_and_never_the_drive(
             ended = sigmaswarm(*command)
         assert (
             ended.code == 2
-            and "exists and is not empty; add --overwrite, or name another folder, for example copies-2\n"
+            and "exists and is not empty; add --overwrite, or specify another folder, for example copies-2\n"
             in ended.err
         )
         assert {file: file.read_bytes() for file in sorted((here / "copies").rglob("*.*"))} == before
@@ -439,7 +439,7 @@ def test_copies_replace_earlier_ones_only_on_request_and_never_the_drive(
     assert sigmaswarm("convert", sick, "--to", "csv", drive.parent).code == 0
     for command in (("doctor", drive, "--fix", drive.parent), ("convert", drive, drive.parent)):
         ended = sigmaswarm(*command, "--overwrite")
-        assert ended.code == 2 and "is a drive that this command reads; name another folder" in ended.err
+        assert ended.code == 2 and "is a drive that this command reads; specify another folder" in ended.err
 
 
 def test_a_fault_without_repair_leads_to_no_split(sigmaswarm, here: Path):

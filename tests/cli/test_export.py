@@ -181,7 +181,7 @@ def test_the_c_is_checked_on_drives(sigmaswarm: Command, tuned: Path, drives: Pa
     assert ended.code == 0, ended.err
     pattern = (
         r"^urban-clear-00: every state in C is within (\S+) of sigmaswarm run"
-        r".*in float the position differs by at most (\S+) mm and the heading by (\S+) degrees$"
+        r".*in single precision the position differs by at most (\S+) mm and the heading by (\S+) degrees$"
     )
     (found,) = re.findall(pattern, ended.out, re.MULTILINE)
     assert float(found[0]) < 1e-9 and float(found[1]) < 10.0 and float(found[2]) < 0.01

@@ -192,10 +192,10 @@ def test_options_reach_the_drive(sigmaswarm: Command, here: Path, bagged: bytes)
 @pytest.mark.parametrize(
     ("files", "said"),
     [
-        ({}, "log: is an empty folder; name a log file or the folder of a log"),
+        ({}, "log: is an empty folder; specify a log file or the folder of a log"),
         (
             {"notes.txt": "hello\n"},
-            "log: contains no log of a known format (it contains notes.txt); name a log",
+            "log: contains no log of a known format (it contains notes.txt); specify a log",
         ),
         (
             {"a.csv": "", "b.doc": "."},
@@ -233,7 +233,7 @@ def test_notes_next_to_a_log_are_not_read(sigmaswarm: Command, here: Path):
         (("log.mcap", "--out", "out", "--format", "rosbag"), "--format 'rosbag' is unknown; perhaps"),
         (("log.mcap", "--out", "out", "--format", "ros"), "log.mcap"),
         (("notes.md", "--out", "out"), "has an unknown format"),
-        ((".", "--out", "out", "--format", "px4"), ".: is a folder; name the px4 file in it"),
+        ((".", "--out", "out", "--format", "px4"), ".: is a folder; specify the px4 file in it"),
         (("log.mcap", "--out", "out", "--imu-topic", "/imu7"), "no topic '/imu7'"),
         (("log.mcap", "--out", "out", "--mount", "sideways"), "mount 'sideways'"),
         (("log.mcap", "--out", "out", "--origin", "1,2"), "--origin '1,2' is not 3 numbers"),
@@ -353,7 +353,7 @@ def test_show_lists_unused_columns(sigmaswarm: Command, here: Path):
         ("ax,ay,gz,lat,lon", [], "log.csv: no column is recognized as the time of the imu; if the rate is known"),
         ("ax,ay,gz,lat,lon", [], "for example --time row/100 for 100 Hz (replace 100 by the rate of this log)"),
         ("ax,ay,gz,lat,lon", ["--map", "imu.t=row/100"], "is recognized as the time of the gps; if the rate is known"),
-        ("t,ax,ay,q,lat,lon", [], "the IMU has no column for gz (the yaw rate); name a log"),
+        ("t,ax,ay,q,lat,lon", [], "the IMU has no column for gz (the yaw rate); specify a log"),
         ("t,ax,ay,q,lat,lon", ["--map", "imu.ax=ax", "imu.ay=ay"], "imu: no column contains gz; specify one with"),
         ("t,ax,ay,gz,lat,q", ["--map", "gps.lat=lat"], "gps: no column contains a position; map lat and lon"),
         ("t,ax,ay,gz,lat,lon", ["--imu-topic", "log.csv", "--map", "ax=bx"], "'bx'"),
@@ -498,7 +498,7 @@ def test_several_files_in_place_of_one_are_explained(sigmaswarm: Command, here: 
     for command, takes in (
         (
             ("import", "a.csv", "b.csv", "c.csv", "--out", "x"),
-            "takes one SOURCE; to pass several files, name their folder",
+            "takes one SOURCE; to pass several files, specify their folder",
         ),
         (("split", "a", "b", "c", "--out", "x"), "takes one DRIVE; run the command once for each argument"),
         (
@@ -527,7 +527,7 @@ def test_a_drive_is_not_written_into_a_drive(sigmaswarm: Command, here: Path):
     library.write_drive(library.simulate("urban", duration=40.0, imu_rate=50.0), here / "outer")
     for command in (("split", "outer", "--out", "outer"), ("doctor", "outer", "--fix", "outer/mended")):
         ended = sigmaswarm(*command)
-        assert ended.code == 2 and f"is inside the drive {here / 'outer'}; name a folder" in ended.err
+        assert ended.code == 2 and f"is inside the drive {here / 'outer'}; specify a folder" in ended.err
     assert len(list((here / "outer").iterdir())) == 4
 
 
@@ -585,7 +585,7 @@ def test_a_file_instead_of_a_drive_gives_its_folder(sigmaswarm: Command, here: P
     """The input is a file of a drive or of a log with several files; a table with both sensors is a complete log."""
     drive = library.simulate("urban", run=3, duration=40.0, imu_rate=50.0, gps="white-1m")
     library.write_drive(drive, "drive")
-    assert "; name the folder drive\n" in sigmaswarm("doctor", "drive/imu.csv").err
+    assert "; specify the folder drive\n" in sigmaswarm("doctor", "drive/imu.csv").err
     phone = {"time": drive.imu.time, **{i: getattr(drive.imu, f"a{i}") for i in "xy"}}
     place = {
         "time": drive.gps.time,

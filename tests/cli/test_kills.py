@@ -159,7 +159,7 @@ def test_a_full_disk_leaves_what_was_there(
     assert done.returncode == 2, done.stderr
     told = [line for line in done.stderr.splitlines() if line.startswith("sigmaswarm: ")]
     assert len(told) == 1
-    assert "can't be written (File too large); free some space, or name another folder" in told[0]
+    assert "can't be written (File too large); free some space, or specify another folder" in told[0]
     assert "out" in told[0]
     left = file_contents(Path("out"))
     assert set(old) <= set(left)
@@ -216,7 +216,7 @@ def test_a_full_file_system(sigmaswarm, arguments, monkeypatch: pytest.MonkeyPat
         ended = sigmaswarm(*words)
         assert ended.code == 2
         assert ended.err == (
-            "sigmaswarm: out/e.csv: can't be written (No space left on device); free some space, or name another "
+            "sigmaswarm: out/e.csv: can't be written (No space left on device); free some space, or specify another "
             "folder\n"
         )
         assert file_contents(Path("out")) == {"e.csv": b"good"}

@@ -254,7 +254,7 @@ def test_a_worker_with_another_version_is_refused(processes, folders):
         ("tcp://127.0.0.1:1", "no scheduler answers at this address"),
         ("tcp://127.0.0.1", "is not an address like tcp://host:8786"),
         ("tls://127.0.0.1:8786", "create a Client in Python"),
-        ("nowhere.json", "is not an existing scheduler file; name one, or write an address like"),
+        ("nowhere.json", "is not an existing scheduler file; specify one, or write an address like"),
         ("local:none", "specify the number of processes, for example local:4"),
     ],
 )

@@ -94,7 +94,7 @@ def as_wgs84(lat: str, lon: str) -> Edit:
 
 # id: (change of a good drive, parts of the message: file, row, column, value, fault, remedy)
 BAD: dict[str, tuple[Edit, list[str]]] = {
-    "no-such-folder": (shutil.rmtree, ["good", "does not exist", "name a folder"]),
+    "no-such-folder": (shutil.rmtree, ["good", "does not exist", "specify a folder"]),
     "path-is-a-file": (
         lambda f: (shutil.rmtree(f), f.write_text("")),
         ["good", "is a file, not a folder", "a drive is a folder"],

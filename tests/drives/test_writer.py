@@ -81,7 +81,7 @@ def test_does_not_overwrite_without_permission(tmp_path: Path):
     )
     folder = tmp_path / "deep" / "er" / "d"
     write_drive(first, folder)
-    with pytest.raises(DriveError, match="exists and is not empty; delete it, or name another folder"):
+    with pytest.raises(DriveError, match="exists and is not empty; delete it, or specify another folder"):
         write_drive(second, folder)
     assert_same(read_drive(folder), first)
     write_drive(second, folder, overwrite=True)
@@ -93,10 +93,10 @@ def test_never_replaces_a_folder_that_is_not_a_drive(tmp_path: Path):
     drive = make_drive(duration=10.0)
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(
-        DriveError, match=r"contains 'thesis.tex', which is not part of a drive; name another folder"
+        DriveError, match=r"contains 'thesis.tex', which is not part of a drive; specify another folder"
     ):
         write_drive(drive, tmp_path, overwrite=True)
-    with pytest.raises(DriveError, match="is a file; name another folder"):
+    with pytest.raises(DriveError, match="is a file; specify another folder"):
         write_drive(drive, tmp_path / "thesis.tex", overwrite=True)
     (tmp_path / "empty").mkdir()
     assert_same(read_drive(write_drive(drive, tmp_path / "empty")), drive)

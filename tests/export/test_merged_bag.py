@@ -82,7 +82,10 @@ def test_message_types_are_copied(tmp_path: Path):
         ("ros1", r"is a ROS 1 bag.*convert it first: rosbags-convert"),
         ("empty folder", "contains no bag"),
         ("broken", "is cut short or broken"),
-        ("another time", r"covers 17000000\d\d\.\d{3} to .*name the bag from which the drive was imported"),
+        (
+            "another time",
+            r"covers 17000000\d\d\.\d{3} to .*specify the bag from which the drive was imported",
+        ),
         ("itself", "already contains /sigmaswarm/odometry"),
     ],
 )

@@ -235,7 +235,7 @@ def test_a_bad_file_is_rejected_with_one_line(tmp_path: Path, case: str):
 
 
 def test_a_missing_file_and_a_folder_without_one(tmp_path: Path):
-    with pytest.raises(InputError, match=r"nowhere.toml: no such file; name a tuning.toml or the folder"):
+    with pytest.raises(InputError, match=r"nowhere.toml: no such file; specify a tuning.toml or the folder"):
         FilterParameters.load(tmp_path / "nowhere.toml")
     with pytest.raises(InputError, match=r"tuning.toml: no such file"):
         FilterParameters.load(tmp_path)

@@ -1321,7 +1321,7 @@ def test_the_table_that_is_missing_is_named(tmp_path: Path, names: tuple[str, ..
 def test_for_one_table_of_a_log_the_folder_is_named(tmp_path: Path, name: str):
     write_phone(tmp_path, ALL)
     (tmp_path / "notes.csv").write_text("a,b\n1,2\n")
-    with pytest.raises(InputError, match=re.escape(f"name the folder {tmp_path} as SOURCE")) as caught:
+    with pytest.raises(InputError, match=re.escape(f"specify the folder {tmp_path} as SOURCE")) as caught:
         imported(tmp_path / name)
     assert all((other in str(caught.value)) == (other != "notes.csv") for other in (*ALL, "notes.csv"))
     require_right(tmp_path)

@@ -458,7 +458,7 @@ def test_times_in_two_formats_are_refused(tmp_path: Path, cells: Cells, first: s
 @pytest.mark.parametrize(
     ("cells", "said", "time"),
     [
-        (lambda t: str(round(t * 2e4)), "steps of 200 have no likely unit", None),
+        (lambda t: str(round(t * 2e4)), "no unit of time fits steps of 200", None),
         (lambda t: repr(t / 60), "steps of 0.00017 are too short for seconds", "t*60"),
         (lambda t: f"{t:.2f} beats", "'0.00 beats' is not a date of a known format", None),
         (

@@ -370,7 +370,7 @@ def test_without_truth_the_page_contains_the_drift_and_no_empty_columns(
     (larger,) = (remark for remark in read_report(tmp_path / "e").remarks if "MORE" in remark)
     assert larger == (
         "On the training drives, the tuned filter drifts MORE than the baseline in outages of 30 s (7.13 m instead "
-        "of 6.36 m); this evaluation can't check it."
+        "of 6.36 m); this evaluation has no such outages."
     )
 
 

@@ -32,12 +32,12 @@ def recorded(nis: float, next_one: float) -> Consistency:
 @pytest.mark.parametrize(
     ("nis", "next_one", "said"),
     [
-        (2.0, 0.0, "about 0.5 m RMS, estimated by the filter, since there is no truth. The estimate does not contain"),
+        (2.0, 0.0, "about 0.5 m RMS, estimated by the filter, since there is no truth. The estimate does not account"),
         (2.0, 0.4, "0.5 m RMS or more, estimated by the filter"),
         (3.0, 0.0, "more than the 0.5 m RMS that the filter estimates. The fixes, with their own errors,"),
         (1.7, 0.0, "about 0.5 m RMS, estimated by the filter"),
-        (1.7, 0.4, "unknown, since there is no truth. It may be as large as 1.5 m RMS, the difference between"),
-        (0.2, 0.0, "unknown, since there is no truth. It may be as large as 1.5 m RMS, the difference between"),
+        (1.7, 0.4, "unknown, since there is no truth. The position error may be as large as the difference between"),
+        (0.2, 0.0, "unknown, since there is no truth. The position error may be as large as the difference between"),
     ],
 )  # fmt: skip
 def test_the_stated_position_error_without_truth_is_checked_with_the_fixes(
@@ -55,15 +55,18 @@ def test_correlated_fix_errors_lead_to_a_range(nis: float):
     )
     assert describe_position(recorded(nis, 0.0), 0.2).startswith("about 0.5 m RMS")
     unknown = describe_position(recorded(0.2, 0.4), 2.1)  # the covariance includes no error of 2.1 m per axis
-    assert "If successive fixes share errors of 2.1 m per axis, it is about 3 m RMS" in unknown
-    assert "an error that all fixes have in common" in describe_position(recorded(nis, 0.0))
+    assert (
+        "If successive fixes share errors of 2.1 m per axis, the position error is about 3 m RMS" in unknown
+    )
+    assert "errors that all fixes share" in describe_position(recorded(nis, 0.0))
 
 
 def test_a_log_that_does_not_show_the_error_gives_no_value():
     """The filter's sigma exceeds the expected innovations, so their difference is not an error."""
     said = describe_position(recorded(0.2, 0.4).model_copy(update={"own_sigma": 1.6}))
     assert said.startswith(
-        "unknown, since there is no truth. The filter's covariance corresponds to 1.6 m RMS, but it is not reliable"
+        "unknown, since there is no truth. The filter's covariance corresponds to 1.6 m RMS, but this "
+        "value is not reliable"
     )
 
 

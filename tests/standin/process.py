@@ -128,7 +128,7 @@ def python_with(version: str) -> str:
     except importlib.metadata.PackageNotFoundError:
         pass
     if version not in _others():
-        pytest.skip(f"no Python with carla=={version}; name one in {PYTHONS}")
+        pytest.skip(f"no Python with carla=={version}; specify one in {PYTHONS}")
     return _others()[version]
 
 

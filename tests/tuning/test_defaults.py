@@ -311,7 +311,7 @@ def test_the_recommended_factor_corrects_nis_and_keeps_the_position():
     replayer = BatchScorer.prepare([drive])
     before = replayer.scores([CAREFUL.scaled(2.0)])
     (said,) = scale_warnings(parse_objective("truth-pose"), CAREFUL.scaled(2.0), replayer)
-    assert "truth-pose does not determine the scale of the covariances (the mean NIS is" in said
+    assert "truth-pose does not depend on the scale of the covariances (the mean NIS is" in said
     factor = float(said.split("multiplied by ")[1].split(",")[0])
     after = replayer.scores([CAREFUL.scaled(2.0).scaled(factor)])
     assert after.mean_nis[0, 0] == pytest.approx(2.0, rel=0.2)
@@ -328,7 +328,7 @@ def test_no_factor_is_recommended_for_planar5_or_if_the_objective_determines_the
     assert after.position_rmse[0, 0] == pytest.approx(before.position_rmse[0, 0], rel=0.02)  # unchanged
     assert after.mean_nis[0, 0] == pytest.approx(2.0, rel=0.2)
     (said,) = scale_warnings(parse_objective("truth-rmse"), five, replayer)
-    assert "does not determine the scale" in said
+    assert "does not depend on the scale" in said
     assert "on all variances changes" not in said
     for objective, measure in {"2 truth-rmse": "nees", "outage-rmse": "nis"}.items():
         (said,) = scale_warnings(parse_objective(objective), five, replayer)

@@ -163,7 +163,10 @@ def test_tire_slip_is_searched_if_it_is_selected():
     blind = search_space("planar8", "log10", use=("lateral", "slip"))
     assert "tire_slip" not in blind.names
     assert blind.decode(blind.low[None])[0].tire_slip == TYPICAL_SLIP
-    with pytest.raises(InputError, match="also use lateral"):
+    with pytest.raises(
+        InputError,
+        match=r"the option slip \(tire slip of the rear axle\) needs the option lateral; add lateral",
+    ):
         search_space("planar8", "log10", use=("slip",))
 
 

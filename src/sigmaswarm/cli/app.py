@@ -165,7 +165,7 @@ def _missing_out(error: Exception) -> str | None:
 
 
 def _other_name(error: Exception) -> str | None:
-    """Suggest the option of sigmaswarm if the user gave the name that another library uses for it."""
+    """Suggest sigmaswarm's option if the user gave another library's name for this option."""
     if not isinstance(error, UnknownOptionError):
         return None
     from sigmaswarm.tuning.config import SYNONYMS
@@ -190,9 +190,11 @@ def _too_many(error: Exception) -> str | None:
     if not places:
         return f"{message} too many: `sigmaswarm {name}` takes only options"
     files = {"SOURCE", "LOG"} & {*places}
-    remedy = "to pass several files, name their folder" if files else "run the command once for each argument"
+    remedy = (
+        "to pass several files, specify their folder" if files else "run the command once for each argument"
+    )
     if "SOURCE" in files:
-        remedy += ", or name the other files with --gps, --truth or --odometer"
+        remedy += ", or specify the other files with --gps, --truth or --odometer"
     return f"{message} too many: `sigmaswarm {name}` takes one {' and one '.join(places)}; {remedy}"
 
 

@@ -37,14 +37,14 @@ def _warn_of_reading(warned: "Iterable[SigmaswarmWarning]", *, gaps: bool) -> No
 
 
 def read_drives(places: "Sequence[Location]") -> "list[Drive]":
-    """Read drives with `read_silently`. A place is a drive folder or a folder of drive folders."""
+    """Read drives with `read_silently`. ``places`` are drive folders, or folders that contain drive folders."""
     from sigmaswarm.drives.reader import all_drive_locations
 
     return [read_silently(place) for place in all_drive_locations(places)]
 
 
 def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *, overwrite: bool) -> None:
-    """Raise `InputError` if a folder is a source or contains files; with ``overwrite``, it may contain a drive."""
+    """Raise `InputError` if a folder is among ``sources`` or is not empty. ``overwrite`` permits folders of drives."""
     from sigmaswarm.drives.reader import all_drive_locations
     from sigmaswarm.drives.writer import require_replaceable
     from sigmaswarm.errors import InputError
@@ -53,9 +53,9 @@ def require_writable(folders: "Iterable[Path]", sources: "Sequence[Location]", *
     read = {Path(place).resolve() for place in all_drive_locations(sources)}
     for folder in folders:
         if overwrite and folder.resolve() in read:
-            raise InputError(f"{folder}: is a drive that this command reads; name another folder")
+            raise InputError(f"{folder}: is a drive that this command reads; specify another folder")
         other = free_path(folder.parent, folder.name).parent
-        remedy = f"add --overwrite, or name another folder, for example {quote(str(other))}"
+        remedy = f"add --overwrite, or specify another folder, for example {quote(str(other))}"
         require_replaceable(folder.resolve(), overwrite, remedy)
 
 
@@ -101,7 +101,7 @@ def require_result_folder(
 
 
 def require_tuning(tuning: Path, remedy: str) -> None:
-    """Raise `InputError` with ``remedy`` if a drive was passed in place of a tuning."""
+    """Raise `InputError` with ``remedy`` if a drive was passed where the result of `tune` is needed."""
     from sigmaswarm.drives.reader import has_table
     from sigmaswarm.errors import InputError
     from sigmaswarm.tuning.record import FILE
@@ -152,7 +152,7 @@ def read_datasets(
 
 
 def parse_numbers(text: str | None, count: int, option: str, example: str) -> tuple[float, ...] | None:
-    """Parse ``count`` numbers that are separated by commas; return None if the option is not given."""
+    """Parse ``count`` numbers that are separated by commas. Return None if the option is not given."""
     from sigmaswarm.errors import InputError
 
     if text is None:

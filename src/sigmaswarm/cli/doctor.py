@@ -103,7 +103,10 @@ def _repair(
     options: DoctorOptions,
     output: Output,
 ) -> "tuple[Diagnosis, dict[str, Any]]":
-    """Write a repaired copy of a drive; return the diagnosis of the copy, and the JSON value of "copy"."""
+    """Write a repaired copy of a drive.
+
+    Return the diagnosis of the copy, and the value of "copy" in the JSON output.
+    """
     copy = sigmaswarm.repair(drive, diagnosis)
     copy = arm.applied(copy) if arm else copy
     sigmaswarm.write_drive(copy, folder, overwrite=options.overwrite)

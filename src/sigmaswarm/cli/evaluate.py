@@ -202,7 +202,7 @@ def _next_steps(out: Path | None, remedies: Sequence[Remedy], export: Iterable[s
 
 
 def _better_filter(result: "Evaluation", options: EvaluateOptions) -> tuple[str, ...]:
-    """Return the next step if it is not the export, since another method is more accurate; otherwise ()."""
+    """Return the next step if another method is more accurate than the filter. Otherwise return ()."""
     from sigmaswarm.scoring.methods import AGAINST
     from sigmaswarm.scoring.remarks import worse_than_raw
 

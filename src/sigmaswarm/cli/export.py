@@ -174,8 +174,8 @@ def _describe(check: "ExportCheck", lanes: int) -> str:
     )
     single = check.single
     if single is None:
-        return f"{line}; in float (single precision) the filter fails"
+        return f"{line}; in single precision the filter fails"
     return (
-        f"{line}; in float the position differs by at most {1e3 * single.position:.2g} mm and the heading by "
-        f"{math.degrees(single.heading):.1g} degrees"
+        f"{line}; in single precision the position differs by at most {1e3 * single.position:.2g} mm and the heading "
+        f"by {math.degrees(single.heading):.1g} degrees"
     )

@@ -69,7 +69,7 @@ def _problem(finding: "Finding", folder: "Location | None", *, part: bool) -> Re
 def warn_of_serious(
     drives: "Dataset", places: "Sequence[Location]", printed: Collection[str] = ()
 ) -> list[Remedy]:
-    """Warn about faults, in one warning per drive; return the remedies for serious faults.
+    """Warn about faults, in one warning per drive. Return the remedies for serious faults.
 
     A warning lists the serious faults or, if there are none, the doctor's warnings that need an action. ``printed``
     contains the codes of faults that were printed before.
@@ -113,7 +113,7 @@ def _with_names(command: str, folder: "Location") -> str:
 
 
 def affects_axes(diagnosis: "Diagnosis") -> bool:
-    """Return True if a finding about the axes or signs of the IMU is serious or a warning."""
+    """Return True if a finding above the severity "note" concerns the IMU's axes or signs."""
     from sigmaswarm.doctor.repairs import AXIS_ACTIONS
 
     faults = [finding for finding in diagnosis.findings if finding.severity != "note"]
@@ -145,7 +145,7 @@ def repair_command(diagnosis: "Diagnosis", folder: "Location") -> Remedy:
 
 
 def diagnosis_of_whole(part: "Location") -> "tuple[Diagnosis, Path] | None":
-    """Diagnose the drive from which a part was split; return None if the folder of this drive is not found."""
+    """Diagnose the drive from which a part was split. Return None if the folder of this drive is not found."""
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.drives.split import find_whole
 
@@ -219,7 +219,7 @@ def repair_whole(diagnosis: "Diagnosis", part: "Location") -> "tuple[list[str], 
 
 
 def too_short_for_outages(drive: "Drive") -> str:
-    """Describe a drive that ends before its first outage would begin; return "" for a longer drive."""
+    """Describe a drive that ends before its first outage would begin. Return "" for a longer drive."""
     from sigmaswarm.drives.alignment import StartFailure, find_start
     from sigmaswarm.scoring.targets import OUTAGE_FIRST_AFTER as least
 
@@ -233,7 +233,7 @@ def too_short_for_outages(drive: "Drive") -> str:
 
 
 def velocity_options(diagnosis: "Diagnosis") -> str:
-    """Return the options of `tune` that add the receiver's velocity, if it agrees with the positions; otherwise ""."""
+    """Return the options of `tune` that add the receiver's velocity. Return "" if velocity and positions disagree."""
     use = " ".join(finding.what for finding in diagnosis.findings if finding.code == "use")
     options = re.search(r"write (--use .*)$", use)
     return options[1] if options and "velocity" in options[1].split() else ""

@@ -108,7 +108,7 @@ class ImportOptions:
     max_columns
         Maximum number of columns of all tables together; 100,000 by default.
     max_unpacked_mb
-        Maximum unpacked size, MB, of a bag's chunk, MATLAB variable, JSON file or zip; 500 by default.
+        Maximum size in MB after unpacking, for a bag's chunk, MATLAB variable, JSON file or zip; 500 by default.
     name
         Name of the drive; by default the name of the folder.
     """

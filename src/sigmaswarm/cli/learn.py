@@ -25,7 +25,7 @@ class LearnOptions:
     Attributes
     ----------
     out
-        Folder for learned.toml, weights.npz and the filter. It must not contain a network, except with --resume.
+        Folder for learned.toml, weights.npz and the filter. Without --resume, the folder must not contain a network.
     validation
         Drives for early stopping and calibration, not for training; by default a part of the training drives.
     search

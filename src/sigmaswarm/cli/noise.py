@@ -61,8 +61,8 @@ def noise(
 ) -> None:
     """Measure the noise of an IMU at rest, and convert it for other software.
 
-    The log needs no fixes. A log of an hour at rest determines white noise, bias instability and rate random walk. The
-    standstills of a drive usually determine only the white noise, since they are short.
+    The log needs no fixes. From an hour at rest, white noise, bias instability and rate random walk can be estimated.
+    The standstills of a drive are short, so usually only the white noise can be estimated.
 
     For example:
 

@@ -78,8 +78,7 @@ class Output:
     def next(self, *lines: object, place: object = "") -> None:
         """Name the hidden details, and print the next commands.
 
-        ``place`` is a file with the details, or a command that prints them. By default, it is the same command with
-        ``--verbose``.
+        ``place`` is the file or the command that shows the details. The default is the same command with ``--verbose``.
         """
         hidden = [
             name if name.startswith("the ") else count_of(n, name) for name, n in self._hidden.items() if n

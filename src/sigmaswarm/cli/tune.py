@@ -114,7 +114,8 @@ def tune(
     Parameters
     ----------
     out
-        Folder for tuning.toml, the convergence history and figures. It must not contain a tuning, except with --resume.
+        Folder for tuning.toml, convergence history and figures. Without --resume, the folder must not contain a
+        tuning.toml.
     """
     again = options.resume or not (out / "tuning.toml").exists()
     require_result_folder(
@@ -263,9 +264,10 @@ def _velocity_agrees(drive: "Drive") -> bool:
 def _with_velocity(
     given: Places, config: TuneConfig, read: "Dataset", stated: Mapping[str, Any]
 ) -> list[str]:
-    """Suggest a second tuning with the receiver's velocity if the first does not use it, but model and logs permit it.
+    """Suggest a second tuning with the receiver's velocity, which the first tuning did not use.
 
-    ``stated`` contains the options that the user gave for the first tuning. The second tuning has the same options.
+    Model and logs must permit the velocity. ``stated`` contains the user's options for the first tuning. The second
+    tuning has the same options.
     """
     from sigmaswarm.filters.models import MODELS  # imports NumPy, which would slow down the help
 
@@ -313,9 +315,10 @@ def _evaluate(out: Path, drive: Path | None = None) -> str:
 
 
 def _next(out: Path, given: str, name: str, *, part: bool) -> tuple[str, list[str]]:
-    """Return the command that evaluates a filter tuned on one drive, and, for a whole drive, lines on how to split it.
+    """Return the command that evaluates a filter tuned on one drive.
 
-    ``given`` is the path of the drive and ``name`` is its name. ``part`` is True for a part of a split drive.
+    For a whole drive, also return lines that state how to split this drive. ``given`` is the path of the drive and
+    ``name`` is its name. ``part`` is True for a part of a split drive.
     """
     from sigmaswarm.drives.reader import drive_folders
     from sigmaswarm.drives.split import name_of_other

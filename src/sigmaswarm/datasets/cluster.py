@@ -146,7 +146,7 @@ def _scheduler(address: str) -> str:
         return address
     if not Path(address).is_file():
         raise InputError(
-            f"--cluster {address}: is not an existing scheduler file; name one, or write an address like "
+            f"--cluster {address}: is not an existing scheduler file; specify one, or write an address like "
             "tcp://host:8786, or local:N for N processes"
         )
     try:

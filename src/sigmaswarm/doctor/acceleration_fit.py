@@ -4,9 +4,9 @@ In windows of several seconds, the IMU determines the path, integrated from an u
 
     p(t) = p0 + v0 t + double integral of e^(i theta) (M u + b),   u = (ax, ay) as recorded
 
-Vectors (2,) are also complex numbers, x + i y. The fixes show this path with a delay of ``delay`` s. Course and gyro
-determine the heading theta. M (2, 2) and ``delay`` are common to all windows; p0, v0 and b (tilt, slope, bias) differ
-between windows. The mean of b is also fitted. For a log without faults, M is the identity.
+Vectors (2,) are also complex numbers, x + i y. The fixes show this path with a delay of ``delay`` s. The heading theta
+is estimated from course and gyro. M (2, 2) and ``delay`` are common to all windows; p0, v0 and b (tilt, slope, bias)
+differ between windows. The mean of b is also fitted. For a log without faults, M is the identity.
 """
 
 import math

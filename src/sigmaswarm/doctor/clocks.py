@@ -130,7 +130,7 @@ def clock_of(
 
 
 def leveled_delay(drive: Drive, course: Course, delay: float) -> tuple[float, float] | None:
-    """Return the delay of the fixes and its standard deviation, s, or None if the drive does not determine them.
+    """Estimate the delay of the fixes and its standard deviation, s. Return None if the drive has too little motion.
 
     The acceleration, east + i north, is
 

@@ -121,7 +121,7 @@ class Evidence:
 
     @cached_property
     def truth_delay(self) -> float | None:
-        """Delay of the truth's clock relative to that of the fixes as recorded, s; None if it is unknown."""
+        """Delay of the truth's clock relative to the recorded times of the fixes, s. None if this delay is unknown."""
         truth, gps = self.drive.truth, self.drive.gps
         if truth is None:
             return None
@@ -159,7 +159,7 @@ def gather(drive: Drive) -> Evidence:
 def _clock_of_truth(evidence: Evidence) -> ClockOffset | None:
     """Estimate the delay of the fixes from the truth, on the clock of the fixes; None if impossible or not needed.
 
-    The truth determines the delay more accurately, since its errors are far smaller than those of the fixes.
+    An estimate from the truth is more accurate, since its errors are far smaller than those of the fixes.
     """
     clock = evidence.clock
     if evidence.moved or not MIN_OFFSET < clock.least < math.inf or (fit := evidence.truth_fit) is None:

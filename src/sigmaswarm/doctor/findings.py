@@ -66,7 +66,7 @@ CONSEQUENCES = {
     "unseen-motion": "a fault of axes, units or clocks, which would make the filter useless, cannot be seen",
     "unseen-yaw": "a wrong sign or unit, which would make the filter useless, cannot be seen",
 }
-"""Consequences of faults, by code; codes of notes have none."""
+"""Consequences of faults, by the code of the finding. Codes that are always notes have no consequence."""
 
 
 @dataclass(frozen=True)

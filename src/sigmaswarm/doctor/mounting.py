@@ -316,7 +316,7 @@ def _misfits(fit: AccelerationFit, side: float) -> Array:
 
 
 def _tilt(drive: Drive, fit: AccelerationFit, yaw: float) -> tuple[Array, Array, float]:
-    """Return the tilt after a rotation by ``yaw``: slopes (2,) of the vertical, their standard deviations and spread.
+    """Estimate the tilt that remains after a rotation by ``yaw``.
 
     The slopes are the weighted mean (by inverse variance) of two estimates: from gravity, which is the part of the
     accelerations that the motion does not explain, and from the axis of turning.

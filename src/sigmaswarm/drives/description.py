@@ -47,7 +47,7 @@ def read_description(path: Path) -> dict[str, Any]:
     try:
         about = tomllib.loads(read_toml_text(path))
     except OSError as error:
-        raise DriveError(f"{path} can't be read ({error.strerror}); name another file") from None
+        raise DriveError(f"{path} can't be read ({error.strerror}); specify another file") from None
     except (ValueError, RecursionError) as error:  # the latter: lists nested 3000 deep
         coded = isinstance(error, UnicodeError)
         remedy = "write it as UTF-8" if coded else "correct that line (text needs quotes)"

@@ -1,7 +1,7 @@
 """Determine the events at the ends of a filter's steps. These events depend on the data alone.
 
-`sample_events` is the rule for an IMU sample. `events_of` applies this rule to a timeline for `run_filter`,
-`compiled.live` applies it to each new sample, and `exports.c_rules` translates it to C.
+`sample_events` determines the events of one IMU sample. `events_of` applies this function to a timeline for
+`run_filter`, and `compiled.live` to each new sample. `exports.c_rules` translates the function to C.
 """
 
 from collections.abc import Set

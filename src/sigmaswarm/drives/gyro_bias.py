@@ -1,9 +1,9 @@
 """Estimate of the gyro bias from the last few seconds before a start, and its use by filters.
 
 A cheap gyro may start with a bias of 20 deg/s. With this bias, the path computed from the gyro is curved differently
-from the path of the fixes, and the integrated roll and pitch drift. These effects determine the bias with an accuracy
-of about 1 deg/s, which is far better than the prior of a cheap gyro. The prior of a good gyro is narrower (``bias_std``
-below 1 deg/s), so the evidence hardly changes the estimate.
+from the path of the fixes, and the integrated roll and pitch drift. With these effects, the bias can be estimated with
+an accuracy of about 1 deg/s. The prior of a cheap gyro is far less accurate. The prior of a good gyro is narrower
+(``bias_std`` below 1 deg/s), so the evidence hardly changes the estimate.
 """
 
 from collections.abc import Sequence

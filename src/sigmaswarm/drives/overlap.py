@@ -1,9 +1,9 @@
 """Find the part of a drive that other drives contain, even if they are renamed, cut or repaired copies.
 
-Landmarks are positions and yaw rates of a drive. Because of the sensors' noise, landmarks are equal in copies of a
-drive, and rarely equal in other drives. Each pair of equal landmarks votes for an offset between the clocks of two
-drives (as in Wang, "An Industrial-Strength Audio Search Algorithm", ISMIR 2003). A copy keeps the yaw rates if fixes
-are left out, shifted or replaced, and the fixes if the IMU is rotated or interpolated.
+Landmarks are sampled positions and yaw rates of a drive, with their times. Copies of a drive have equal landmarks.
+Other drives rarely do, because of the sensors' noise. Each pair of equal landmarks votes for an offset between the
+clocks of two drives (as in Wang, "An Industrial-Strength Audio Search Algorithm", ISMIR 2003). A copy keeps the yaw
+rates if fixes are left out, shifted or replaced, and the fixes if the IMU is rotated or interpolated.
 """
 
 import math
@@ -45,7 +45,7 @@ MIN_MATCH_SHARE = 0.5  # smallest fraction of the landmarks in the common time t
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """The landmarks of a drive. In a file, landmarks need a thousandth of the drive's size.
+    """Sampled positions and yaw rates of a drive. A file of landmarks has a thousandth of the drive's size.
 
     ``sha256`` is the `fingerprint` of the drive. ``span`` contains start and end of the IMU samples, s. ``fixes`` (n,
     3) contains time (us), then latitude and longitude (1e-7 deg) if ``geographic``, otherwise y and x (cm). ``rates``

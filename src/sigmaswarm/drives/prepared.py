@@ -49,10 +49,10 @@ class PreparedDrive:
         return self.kinds >= STALE
 
     def timeline(self, hidden: NDArray[np.bool_] | None = None, *, removed: bool = False) -> Timeline:
-        """Return the cached timeline without updates by the fixes that the mask ``hidden`` (number of fixes,) marks.
+        """Return the timeline without updates by hidden fixes. ``hidden`` is a mask, (number of fixes,).
 
-        If ``removed`` is True, no step ends at a hidden fix. Otherwise, filters can predict hidden fixes, and the
-        timeline shares its arrays with the timeline of all fixes.
+        The timeline is cached. If ``removed`` is True, no step ends at a hidden fix. Otherwise, filters can predict
+        hidden fixes, and the timeline shares its arrays with the timeline of all fixes.
         """
         if hidden is None or not hidden.any():
             hidden, removed = np.zeros(len(self.drive.gps), dtype=np.bool_), False

@@ -135,15 +135,17 @@ def _read_folder(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
     if not folder.is_dir():
         if folder.is_file():
             place = folder.parent
-            remedy = f"name the folder {place}" if (place / "drive.toml").exists() else import_remedy(folder)
+            remedy = (
+                f"specify the folder {place}" if (place / "drive.toml").exists() else import_remedy(folder)
+            )
             raise DriveError(f"{folder} is a file, not a folder; {A_DRIVE}; {remedy}")
         raise DriveError(
-            f"{folder} does not exist; name a folder that contains imu.csv, gps.csv and drive.toml"
+            f"{folder} does not exist; specify a folder that contains imu.csv, gps.csv and drive.toml"
         )
     inside = _drives_in(folder)
     if inside and not has_table(folder, "imu"):
         raise DriveError(
-            f"{folder} is not a drive but contains {count_of(len(inside), 'drive')}; name one of them, for "
+            f"{folder} is not a drive but contains {count_of(len(inside), 'drive')}; specify one of them, for "
             f"example {min(inside)}"
         )
     about = read_description(folder / "drive.toml")

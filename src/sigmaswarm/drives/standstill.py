@@ -245,8 +245,9 @@ def _clear(block: Array) -> None:
 def matches_stop(stop: Array, passed: float, means: Array) -> bool:
     """Return True if the acceleration still agrees with that of the stop, within `DEPARTS`.
 
-    At the beginning of a constant acceleration the fixes can still seem constant. Therefore, a stop whose acceleration
-    differs by more than `MAX_AT_REST` from 0 and from that of the previous stop counts only after `CONFIRMED`.
+    At the beginning of a constant acceleration the fixes can still seem constant. Therefore, some stops count only
+    after `CONFIRMED`: their acceleration differs from 0, and from the acceleration of the previous stop, by more than
+    `MAX_AT_REST`.
 
     ``stop`` (3,) contains ax, ay of the stop, and the time (s) until it counts. This acceleration follows slow changes,
     and is replaced after `FORGETS`. ``passed`` (s) is the time since the last call. ``means`` (4,) are the means of ax,

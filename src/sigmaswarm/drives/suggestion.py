@@ -25,8 +25,8 @@ def suggest_filter(drives: Sequence[Drive | LogProperties]) -> SuggestedFilter:
 
     - **tilted12** if every IMU has six axes, with gravity in az. This model estimates roll and pitch, so gravity on
       hills and during braking is not mistaken for acceleration. Otherwise **planar8**.
-    - **lateral** and **standstill** always. These constraints determine the heading, which position fixes alone do not
-      determine.
+    - **lateral** and **standstill** always. These constraints make the heading observable, which position fixes alone
+      do not.
     - **odometer** if every log has one.
     - **accuracy** if every receiver states standard deviations, and these vary.
     - **robust** always. This option hardly changes results without outliers, and is needed with outliers.

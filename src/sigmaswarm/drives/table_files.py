@@ -216,7 +216,7 @@ def _parquet(path: Path) -> pl.DataFrame:
 
 
 def _plain_numbers(path: Path) -> pl.DataFrame | None:
-    """Read a CSV file of finite numbers with unquoted names; return None for other files."""
+    """Read a CSV file of finite numbers with unquoted names. Return None for other files."""
     if _has_lone_quote(path):
         return None
     try:

@@ -90,7 +90,8 @@ def _errors_in_one_line(url: str) -> Generator[None]:
         raise
     except FileNotFoundError:
         raise DriveError(
-            f"{without_secrets(url)} does not exist, or is not accessible from this machine; name the folder of a drive"
+            f"{without_secrets(url)} does not exist, or is not accessible from this machine; specify the folder "
+            "of a drive"
         ) from None
     except Exception as error:  # each protocol's library has its own errors
         why = printable(without_secrets(f"{type(error).__name__}: {error}"), 200)

@@ -50,7 +50,7 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
     folder = Path(path).resolve()  # "." has no name to rename
     require_replaceable(folder, overwrite)
     contents = _contents(drive, folder, form)
-    make_folder(folder.parent, "name another folder")
+    make_folder(folder.parent, "specify another folder")
     with atomic_folder(folder, replace=overwrite) as new:
         new.mkdir()
         for file, content in contents.items():
@@ -64,22 +64,22 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
 
 
 def require_replaceable(
-    folder: Path, overwrite: bool, remedy: str = "delete it, or name another folder"
+    folder: Path, overwrite: bool, remedy: str = "delete it, or specify another folder"
 ) -> None:
     """Raise an error if the folder exists, unless it is empty or, with ``overwrite``, contains only a drive.
 
     A folder inside a drive is also refused, since the drive could no longer be replaced or copied.
     """
     if around := drive_around(folder.parent):
-        raise DriveError(f"{folder} is inside the drive {around}; name a folder outside of it")
+        raise DriveError(f"{folder} is inside the drive {around}; specify a folder outside of it")
     if not folder.exists():
         return
     if not folder.is_dir():
-        raise DriveError(f"{folder} is a file; name another folder to write the drive to")
+        raise DriveError(f"{folder} is a file; specify another folder to write the drive to")
     entries = {entry.name for entry in folder.iterdir()}
     if foreign := entries - FILES:
         raise DriveError(
-            f"{folder} contains {min(foreign)!r}, which is not part of a drive; name another folder"
+            f"{folder} contains {min(foreign)!r}, which is not part of a drive; specify another folder"
         )
     if entries and not overwrite:
         raise DriveError(f"{folder} exists and is not empty; {remedy}")

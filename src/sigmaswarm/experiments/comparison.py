@@ -208,7 +208,7 @@ class Comparison:
         return pl.concat(frames)
 
     def write(self, folder: Path) -> list[Path]:
-        """Write comparison.csv, runs.csv and curves.csv; return their paths."""
+        """Write comparison.csv, runs.csv and curves.csv. Return their paths."""
         frames = {"comparison.csv": self.frame, "runs.csv": self.runs_frame, "curves.csv": self.curves}
         for name, frame in frames.items():
             write_atomically(folder / name, frame.write_csv())

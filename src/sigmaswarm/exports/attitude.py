@@ -13,7 +13,7 @@ def tilt_indices(n: int) -> tuple[int, ...]:
 
 
 def quaternions(mean: Array) -> Array:
-    """Return the quaternions (..., 4) of means (..., n), in the order x, y, z, w that files have."""
+    """Return the quaternions (..., 4) of means (..., n), in the order of the exported files: x, y, z, w."""
     if tilt_indices(mean.shape[-1]):
         return np.roll(tilted.quaternion_of(mean), -1, axis=-1)
     half = mean[..., THETA] / 2

@@ -123,7 +123,7 @@ def replay_events(
 ) -> list[tuple[str, list[float]]]:
     """Return the name and the numbers of each row in the input of replay.c: ``start``, then the data in order of time.
 
-    ``model`` determines the axes of the IMU and of the lever arm. If ``heading`` is True, headings of fixes are
+    The axes of the IMU and of the lever arm are those of ``model``. If ``heading`` is True, headings of fixes are
     included. Fixes and readings after the last IMU sample are left out. For errors see `start_numbers`.
     """
     rows = [("start", start_numbers(drive, model, as_recorded=as_recorded))]
@@ -140,7 +140,7 @@ def replay_events(
 
 
 def start_numbers(drive: Drive, model: ModelName, *, as_recorded: bool) -> list[float]:
-    """Return the numbers of a row ``start`` in the input of replay.c.
+    """Return the numbers that follow ``start`` in the first row of replay.csv, the input of replay.c.
 
     Raise `InputError` if the drive lacks an IMU axis that the model needs, and `AlignmentError` if it has no initial
     state.

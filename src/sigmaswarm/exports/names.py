@@ -58,7 +58,7 @@ DESCRIPTIONS: dict[Target, Description] = {
     ),
     "robot_localization": Description(
         title="ROS robot_localization",
-        needs="Needs ROS 2 and robot_localization. For a planar filter the values are only a first configuration.",
+        needs="Needs ROS 2 and robot_localization. Values from a planar filter are only a first configuration.",
         commands={
             "ekf.launch.py": "ros2 launch {}/ekf.launch.py",
             "robot_localization.yaml": (

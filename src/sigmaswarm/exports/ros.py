@@ -92,11 +92,11 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
     """Open a ROS 2 bag (folder, .db3 or .mcap file) that overlaps the time from ``first`` to ``last``, s."""
     highlevel, typesys = import_library("rosbags.highlevel", "ros"), import_library("rosbags.typesys", "ros")
     if not path.exists():
-        raise InputError(f"{path}: no such bag; name the bag from which the drive was imported")
+        raise InputError(f"{path}: no such bag; specify the bag from which the drive was imported")
     paths = bag_paths(path)
     if not paths:
         raise InputError(
-            f"{path}: contains no bag; name the folder with metadata.yaml, or a .db3 or .mcap file"
+            f"{path}: contains no bag; specify the folder with metadata.yaml, or a .db3 or .mcap file"
         )
     if paths[0].suffix == ".bag":
         raise InputError(
@@ -118,10 +118,10 @@ def _reader(path: Path, first: float, last: float) -> Generator[Any]:
         if round(last * 1e9) < begin or round(first * 1e9) > end:
             raise InputError(
                 f"{path}: covers {begin / 1e9:.3f} to {end / 1e9:.3f} s, but the estimate covers {first:.3f} to "
-                f"{last:.3f} s; name the bag from which the drive was imported"
+                f"{last:.3f} s; specify the bag from which the drive was imported"
             )
         if TOPIC in reader.topics:
-            raise InputError(f"{path}: already contains {TOPIC}; name the original bag")
+            raise InputError(f"{path}: already contains {TOPIC}; specify the original bag")
         yield reader
     finally:
         reader.close()
@@ -180,7 +180,7 @@ def _serialized(
 
 @dataclass(frozen=True)
 class MessageFactory:
-    """Constructor of ROS messages. ``types`` contains classes by name. For ``time_origin`` see `write_pieces`."""
+    """Create ROS messages. ``types`` contains the message classes by name. For ``time_origin`` see `write_pieces`."""
 
     types: Any
     time_origin: float

@@ -145,7 +145,7 @@ def check_target(
     if path.suffix == BAG and path.exists() and not (replace and (path / LAYOUT_FILE).is_file()):
         raise InputError(f"{path}: already exists; delete it, or choose another name")
     if path.suffix != BAG and path.is_dir():
-        raise InputError(f"{path}: is a folder; name a file")
+        raise InputError(f"{path}: is a folder; specify a file")
     if not path.parent.is_dir():
         raise InputError(f"{path.parent}: no such folder; create it first")
     if path.suffix in MAPS and origin is None:

@@ -11,8 +11,8 @@ SLIP_GATE = 9.0
 """Largest accepted NIS of a wheel speed: three sigmas.
 
 The errors of slipping or locked wheels last for seconds, so even updates with small weights would add up. The number of
-consecutive rejections is not limited: during rejections the fixes determine the speed, and P grows until the true speed
-is plausible.
+consecutive rejections is not limited: during rejections the speed is estimated from the fixes, and P grows until the
+true speed is plausible.
 """
 HEADING_GATE = 9.0
 """Upper limit of the NIS of a heading.

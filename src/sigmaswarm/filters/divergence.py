@@ -1,8 +1,8 @@
 """Detection and reset of diverged filters.
 
-The fixes of the last few seconds determine position, speed and heading without a filter (`drives.alignment`). A filter
-has diverged if its heading differs from this alignment, or its position differs from the fixes, by far more than the
-covariances allow, for `DIVERGED_AFTER` seconds. It is then reset to the alignment.
+Position, speed and heading are estimated from the fixes of the last few seconds, without a filter (`drives.alignment`).
+A filter has diverged if its heading differs from this alignment, or its position differs from the fixes, by far more
+than the covariances allow, for `DIVERGED_AFTER` seconds. It is then reset to the alignment.
 
 The thresholds were chosen on nine recordings. Filters that had not diverged differed from the alignments by more than
 20 deg in heading for at most 8 s. They differed from the fixes by more than 20 m and 5 standard deviations for at most

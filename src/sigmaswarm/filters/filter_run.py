@@ -129,7 +129,7 @@ class FilterRun:
         return join_chunks(chunks)
 
     def finished(self) -> Self:
-        """Run to the end without computing estimates or detecting a failure; return the run."""
+        """Run to the end without computing estimates or detecting a failure. Return the run."""
         for _ in self._parts:
             pass
         return self

@@ -64,7 +64,10 @@ class ParameterTable(Sequence[FilterParameters]):
         return cls(parameter_sets[0], columns, len(parameter_sets))
 
     def field(self, name: str) -> Any:
-        """Return the values of a field, (n,) or (n, k), or the value that all sets share. None becomes inf or 0."""
+        """Return a field's values, (n,) or (n, k).
+
+        If all sets have the same value, return this value. None becomes inf or 0.
+        """
         if name in self.columns:
             return self.columns[name]
         value = getattr(self.like, name)

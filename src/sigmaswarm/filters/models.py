@@ -100,7 +100,7 @@ def velocity(state: Array) -> Array:
 
 
 def lateral_arm(state: Array, rear_axle: float, tire_slip: float) -> float:
-    """Return the distance (m) from the point without lateral velocity forward to the IMU: rear_axle - tire_slip v^2.
+    """Return how far (m) the IMU is in front of the point without lateral velocity: rear_axle - tire_slip v^2.
 
     The rear tires slip by an angle of ``tire_slip`` (s2/m) times the lateral acceleration, v yaw_rate. The lateral
     velocity at the rear axle is therefore -tire_slip v^2 yaw_rate, where v is the predicted speed.
@@ -144,7 +144,7 @@ SMALL_VARIANCE = (1e-12, 10.0)  # bounds of Q for position and velocity
 HEADING_VARIANCE = (1e-10, 1e-1)
 """Bounds of Q per second for the heading. The upper bound is a drift of 0.3 rad in 1 s, more than that of any gyro.
 
-With a larger Q, a filter would determine the heading from the fixes alone. Such a filter may have the highest
+With a larger Q, a filter would estimate the heading from the fixes alone. Such a filter may have the highest
 likelihood if the receiver smooths its fixes.
 """
 CITY_VARIANCE = (1e-5, 1e3)  # bounds of R: between tall buildings, fixes have errors of tens of meters

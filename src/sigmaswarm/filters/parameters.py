@@ -290,7 +290,7 @@ class FilterParameters:
     def from_content(cls, content: dict[str, Any], path: Path) -> "FilterParameters":
         """Validate the table ``[filter]`` in the content of the file ``path``."""
         if not isinstance(content.get("filter"), dict):
-            raise InputError(f"{path}: has no [filter] table; name a file written by `sigmaswarm tune`")
+            raise InputError(f"{path}: has no [filter] table; specify a file written by `sigmaswarm tune`")
         parameters = cls._validated(content["filter"], path)
         _warn_of_age(content, path)
         return parameters
@@ -351,7 +351,7 @@ def filter_file(path: Path) -> Path:
 def read_filter(path: Path) -> tuple[dict[str, Any], Path]:
     """Read a TOML file with a filter, or the tuning.toml of a folder. Return its content and its path."""
     file = filter_file(path)
-    remedy, missing = "name a readable TOML file", "name a tuning.toml or the folder that contains it"
+    remedy, missing = "specify a readable TOML file", "specify a tuning.toml or the folder that contains it"
     return read_content(file, remedy, missing=missing), file
 
 

@@ -85,7 +85,7 @@ def _chosen(content: Any, path: Path) -> Block:
     blocks = [*_blocks(content, set())]
     if not blocks:
         raise InputError(
-            f"{path}: has neither process_noise_covariance nor a setting like imu0_config; name the ekf.yaml of "
+            f"{path}: has neither process_noise_covariance nor a setting like imu0_config; specify the ekf.yaml of "
             "robot_localization"
         )
     return max(blocks, key=lambda block: any("gps" in str(v) for k, v in block.items() if k[-1:].isdigit()))

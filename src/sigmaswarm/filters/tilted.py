@@ -40,7 +40,7 @@ AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 
 
 def rotation(state: Array) -> Array:
-    """Return R, (..., 3, 3), of the roll, pitch and theta of states (..., 12)."""
+    """Return the rotation matrices R (..., 3, 3) from body to local frame for states (..., 12)."""
     angles = [state[..., i] for i in ATTITUDE]
     (cr, cp, ct), (sr, sp, st) = np.cos(angles), np.sin(angles)
     rows = [

@@ -104,7 +104,7 @@ def _unused_truth(plan: Plan, roles: Sequence[Role]) -> list[str]:
     if "truth" not in roles or "truth" in plan.recipe.roles:
         return []
     used = {part.table for parts in plan.recipe.roles.values() for part in parts}
-    what = "is not used as truth, since no columns are recognized as positions; name them with --map"
+    what = "is not used as truth, since no columns are recognized as positions; specify them with --map"
     named = (table for table in plan.log("imu").tables if "truth" in table.lower())
     return [f"{printable(table)} {what}" for table in named if table not in used]
 

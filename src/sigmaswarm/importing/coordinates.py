@@ -100,7 +100,7 @@ def _are_dms(lat: pl.Series, lon: pl.Series) -> bool:
 
 
 def _hemispheres(columns: Columns) -> dict[str, tuple[str, str]]:
-    """Return the conditions of rows in the southern and western hemispheres, and faults in the hemisphere letters.
+    """Find the hemispheres. Return, for lat and lon, the expression for southern or western rows, and the fault.
 
     The letters are in columns with names such as N/S, or in the columns that follow the coordinates. In the second case
     the columns must contain only these letters, and the coordinates must have no signs.
@@ -156,7 +156,7 @@ def degrees_as_meters(columns: Columns, role: Role) -> str:
 
 
 def from_ecef(columns: Columns) -> dict[str, Conversion]:
-    """Convert x, y, z from the center of the earth (ECEF, WGS84) to degrees (Bowring); return {} for other coordinates.
+    """Convert x, y, z from the center of the earth (ECEF, WGS84) to degrees (Bowring). Return {} for other coordinates.
 
     UTM coordinates near 57 degrees have the norm of ECEF coordinates, but their z is an altitude.
     """
@@ -214,7 +214,7 @@ def _place_form(columns: Columns, role: Role) -> Conversion:
         other = f"; if they are milliarcseconds, write {map_options(columns, role, both, '{}/3.6e6')}"
         note = "latitude and longitude are read as 1e-7 degrees"
         return Conversion("{}*1e-7", note + (other if low <= 90 * 3.6e6 and high <= 180 * 3.6e6 else ""))
-    fault = f"latitude and longitude of about {low:.6g} and {high:.6g} are not degrees"
+    fault = f"a latitude of about {low:.6g} and a longitude of about {high:.6g} are not in degrees"
     return refused(f"{fault}; {_with_other_units(columns, role)}")
 
 

@@ -43,7 +43,7 @@ IMU = dict.fromkeys(("az", "gx", "gy"), "") | {
 # Suffixes of receiver logs in a folder of tables; such a log is read only with --gps
 RECEIVER_LOGS = (".llh", ".pos", ".nmea", ".ubx")
 _SENSORS: tuple[tuple[Role, str, str], ...] = (
-    ("imu", "IMU samples", "name a log with IMU samples as SOURCE"),
+    ("imu", "IMU samples", "specify a log with IMU samples as SOURCE"),
     ("gps", "position fixes", "add a log with fixes: --gps LOG"),
 )
 MAX_KINDS = 20
@@ -171,16 +171,14 @@ def _without(role: Role, what: str, remedy: str, plan: Plan) -> str:
     log = plan.log(role)
     path, there = log.path, list_names(log.tables)
     if siblings := _siblings(path, role):
-        remedy = (
-            f"name the folder {quote(str(path.parent))} as SOURCE, which also contains {list_names(siblings)}"
-        )
+        remedy = f"specify the folder {quote(str(path.parent))} as SOURCE, which also contains {list_names(siblings)}"
     if example := _headers(log) or (role == "imu" and describe_kinds(log)):
         remedy = f"{example}; or {remedy}"
     reasons = "has no header", "can't be decoded", "is empty", "cells contain"
     texts = (*log.remarks, *plan.guess(role).notes)
     if why := next((text for text in texts if any(reason in text for reason in reasons)), ""):
         return f"{path}: no {what} found in {there or 'the part that can be decoded'}; {why}; or {remedy}"
-    remedy = f"{remedy}, or name the columns with --map"
+    remedy = f"{remedy}, or specify the columns with --map"
     if role == "imu":
         columns = {name.meaning for table in log.tables.values() for name in read_names(table.columns)}
         lacking = [IMU[n] for n in REQUIRED["imu"] if n not in columns]
@@ -198,7 +196,7 @@ def _without(role: Role, what: str, remedy: str, plan: Plan) -> str:
     more = next((f"; {name} is not read, since it is {kind}" for name, kind in kinds if kind), "")
     if receiver_log := next((f for f in around if f.suffix.lower() in RECEIVER_LOGS), None):
         remedy = (
-            f"add the log with the fixes: --gps {quote(str(receiver_log))}, or name the columns with --map"
+            f"add the log with the fixes: --gps {quote(str(receiver_log))}, or specify the columns with --map"
         )
     return f"{path}: no {what} found in {there or 'the log'}{more}; {remedy}"
 

@@ -50,7 +50,11 @@ def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
 
 
 def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.bool_]]:
-    """Return the times (n,), ns, the columns (n,), and a mask (n,) of fixes with integer ambiguities."""
+    """Read the fixes of a receiver's log.
+
+    Return times (n,), ns, columns (n,) by name, and a mask (n,). The mask marks fixes whose ambiguities are fixed to
+    integers.
+    """
     request = Request(source=path)
     with opened(request) as plan:
         log, guess = plan.log("gps"), plan.guess("gps")
@@ -58,8 +62,8 @@ def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.boo
         if not parts:
             there = list_names(log.tables)
             raise InputError(
-                f"{path}: no position fixes found in {there}; name the receiver's own log, or import its fixes as a "
-                f"drive (sigmaswarm import IMU_LOG --gps {quote(str(path))} --map ... --out ...) and name this drive"
+                f"{path}: no position fixes found in {there}; specify the receiver's own log, or import its fixes as a "
+                f"drive (sigmaswarm import IMU_LOG --gps {quote(str(path))} --map ... --out ...) and specify this drive"
             )
         parts = [whole for part in parts for whole in complete_parts(part, log, "gps")]
         fixed = [replace(parts[0], columns={**parts[0].columns, "keep": guess.fixed})] if guess.fixed else []

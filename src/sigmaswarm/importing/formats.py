@@ -105,7 +105,7 @@ def open_log(
     ``definitions`` are files or folders with .msg definitions of ROS messages, for bags.
     """
     if not path.exists():
-        raise InputError(f"{path} does not exist; name a log file or its folder")
+        raise InputError(f"{path} does not exist; specify a log file or its folder")
     if is_empty(path):
         raise InputError(f"{path} is empty; copy the log again")
     if path.is_dir() and not any(path.iterdir()):
@@ -113,7 +113,7 @@ def open_log(
     require_regular(path)
     form = form or format_of(path)
     if path.is_dir() and form in _SINGLE:
-        raise InputError(f"{path}: is a folder; name the {form} file in it")
+        raise InputError(f"{path}: is a folder; specify the {form} file in it")
     limits = limits or Limits()
     for text in _texts(path, form):
         _, lines = require_text(text)
@@ -150,9 +150,7 @@ def format_of(path: Path) -> str:
         folders = [*dict.fromkeys(file.parent for file in sorted(below))]
         there = list_names(folder.relative_to(path) for folder in folders)
         several = [folder for folder in folders if sum(file.parent == folder for file in below) > 1]
-        remedy = (
-            f"import one file, such as {min(below)}, and name the others with --gps, --truth and --odometer"
-        )
+        remedy = f"import one file, such as {min(below)}, and specify the others with --gps, --truth and --odometer"
         remedy = f"import each log, for example {quote(str(several[0]))}" if several else remedy
         raise InputError(f"{path}: contains no log, but folders with tables ({there}); {remedy}")
     if path.is_dir():

@@ -249,7 +249,7 @@ def _names_receiver(name: Name) -> bool:
 def _truths_of_columns(
     samples: Mapping[str, pl.DataFrame], found: Mapping[str, Columns]
 ) -> tuple[dict[str, Columns], list[str]]:
-    """Find the columns in each table whose names mark them as truth (truth_x, gt_lat). Return these columns, and notes.
+    """Find columns with truth in each table by names such as truth_x and gt_lat. Return the columns, and notes.
 
     The truth of a moving vehicle changes; the position of a reference station does not.
     """
@@ -327,7 +327,7 @@ def _candidates(
 def _expressions(columns: Columns, role: Role, rows_of: Role) -> Iterator[tuple[str, Conversion]]:
     """Yield the columns of a role as expressions.
 
-    ``rows_of`` is the role whose usual rate determines the unit of times.
+    The unit of times is chosen by the usual rate of the role ``rows_of``.
     """
     filled: dict[str, Role] = {"gz": "imu", "ax": "imu", "x": "gps", "lat": "gps"}
     keys: dict[Role, str] = {of: columns.names[what].column for what, of in filled.items() if what in columns}

@@ -161,7 +161,7 @@ def _maps(names: Iterable[str], unitless: Mapping[str, str], form: str) -> str:
 
 
 def _wrong_clock(ratio: float, columns: str, times: Mapping[Any, str]) -> str:
-    """Describe times whose unit is wrong by a power of ten; return "" for other ratios, or times with a date."""
+    """Describe times whose unit is wrong by a power of ten. Return "" for other ratios, or times with a date."""
     power = round(math.log10(ratio))
     plain = all(times.values()) and "(" not in "".join(times.values())
     if not plain or abs(math.log(ratio / 10.0**power)) > FACTOR_TOLERANCE:

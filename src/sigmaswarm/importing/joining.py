@@ -100,7 +100,10 @@ def join(
 
 
 def without_overlap(role: Role, parts: Sequence[Part], spans: Sequence[tuple[float, float]]) -> str:
-    """Describe a part whose span (begin and end, s) does not overlap that of the first part; otherwise return ""."""
+    """Describe a part that does not overlap the first part in time.
+
+    Return "" if it overlaps. Spans are begin and end, s.
+    """
     for part, (begin, end) in zip(parts[1:], spans[1:], strict=False):
         first = spans[0]
         if begin <= first[1] and first[0] <= end:

@@ -98,9 +98,10 @@ def _of_first_sensor(columns: Columns, role: Role) -> Conversion | None:
 
 
 def _with_fix(columns: Columns) -> Conversion | None:
-    """From a column of flags, return the condition of rows with a fix, or a note if it would exclude many likely fixes.
+    """Find a column that flags rows without a fix. Return the expression for rows with a fix, or only a note.
 
-    In some codes, 0 is a fix without fixed ambiguities.
+    The result is a note if the expression would exclude many likely fixes, since 0 is a fix without fixed ambiguities
+    in some codes.
     """
     both = ("lat", "lon") if columns.has("lat", "lon") else ("x", "y")
     text = _fix_stated(columns.frame) if columns.has(*both) else ""

@@ -82,7 +82,7 @@ def with_magnetometer(
     turned = _turned(reference[moving])
     if turned < MIN_HEADING_RANGE:
         raise InputError(
-            f"mag: the headings in motion cover {turned} of 360 deg, too little to determine the hard iron "
+            f"mag: the headings in motion cover {turned} of 360 deg, too little to estimate the hard iron "
             f"({MIN_HEADING_RANGE} deg are needed); import a drive with more turns, or omit the magnetometer"
         )
     calibration = calibrate(reference[moving], field[moving])

@@ -28,7 +28,7 @@ _AXES = "xyz"
 
 
 def find_mount(drive: Drive) -> tuple[Drive, str, str]:
-    """Estimate the mounting from the log and rotate the IMU; return the drive, the mounting as text, and a note."""
+    """Estimate the mounting from the log and rotate the IMU. Return the drive, the mounting as text, and a note."""
     evidence = gather(drive)
     mounting = evidence.mounting
     if evidence.mirrored:

@@ -391,7 +391,7 @@ def _after_unit(column: str, words: list[str]) -> Name | None:
 
 
 def _with_unit(column: str, words: list[str], axis: str = "") -> Name:
-    """Return a name and the unit in its last words before the axis, or no unit if these words state none."""
+    """Split a unit from the end of a column's words. Without a unit there, the name keeps all words."""
     for count in (3, 2, 1):
         unit = unit_of(words[-count:]) if len(words) > count else None
         rest = "_".join([*words[:-count], *axis])

@@ -146,7 +146,7 @@ def _with_chosen(guess: Guess, log: Log, role: Role, table: str) -> Guess:
     other = guess_roles({table: log.first_rows(table)}, {role: table})
     if len(columns := other.roles.get(role, (Part(table, {}),))[0].columns) < 2:
         raise InputError(
-            f"{log.path}: {table} has no columns with recognized names for --{role}-table; name them with --map"
+            f"{log.path}: {table} has no columns with recognized names for --{role}-table; specify them with --map"
         )
     return replace(
         guess, roles={**guess.roles, role: (Part(table, columns),)}, notes=guess.notes + other.notes

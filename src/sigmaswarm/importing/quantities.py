@@ -141,7 +141,7 @@ def _without_unit(columns: Columns, what: str, role: Role) -> Conversion:
 
 
 def _mg_or_gal(columns: Columns, what: str, role: Role, axes: Sequence[str], gravity: float) -> Conversion:
-    """Read accelerations as mg or cm/s2, whichever is nearer to ``gravity``. Values halfway between are refused."""
+    """Choose the unit mg or cm/s2 from ``gravity``, the value at rest. A value near the middle of both is refused."""
     forms = {"cm/s2": "{}*1e-2", "mg": "{}*0.00980665"}
     maps = {unit: map_options(columns, role, axes, form) for unit, form in forms.items()}
     seen = f"gravity has a value of about {gravity:.4g}"

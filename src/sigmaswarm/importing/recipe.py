@@ -62,7 +62,7 @@ class Recipe:
         try:
             text = read_toml_text(path)
         except OSError as error:
-            raise InputError(f"{path}: can't be read ({error.strerror}); name a recipe file") from None
+            raise InputError(f"{path}: can't be read ({error.strerror}); specify a recipe file") from None
         except UnicodeDecodeError as error:
             raise InputError(
                 f"{path} is not valid TOML: {printable(error, 160)}; write it as UTF-8"
@@ -105,7 +105,7 @@ class Recipe:
                 yield f"{role}{of}: {', '.join(f'{k}={v}' for k, v in part.columns.items())}"
 
     def save(self, path: Path) -> None:
-        make_folder(path.parent, "name another file")
+        make_folder(path.parent, "specify another file")
         write_atomically(path, "# How `sigmaswarm import` makes a drive from a log.\n" + self.to_toml())
 
 

@@ -23,7 +23,7 @@ MAX_TURN = 0.3  # rad, largest angle between the gap and the mean direction of t
 
 
 def gaps_by_clock(gathered: Mapping[Role, Sequence[PartColumns]]) -> list[str]:
-    """In tables whose times are row numbers, report rows that are missing according to another column."""
+    """Report missing rows in tables with row numbers as times. Another column shows which rows are missing."""
     notes: list[str] = []
     for role, columns in ((role, one) for role, parts in gathered.items() for one in parts if one.counted):
         table, text = columns.part.table, columns.part.columns["t"]

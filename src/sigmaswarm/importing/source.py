@@ -43,8 +43,8 @@ class Limits:
     def check_unpacked(self, count: int, path: Path) -> None:
         if count > self.unpacked_mb * 1_000_000:
             raise InputError(
-                f"{path}: at least {count / 1e6:.0f} MB would be in memory at once, more than {self.unpacked_mb} MB; "
-                "raise --max-unpacked-mb, divide the log, or unpack a zip yourself and import its folder"
+                f"{path}: needs at least {count / 1e6:.0f} MB in memory at once, but the limit is {self.unpacked_mb} "
+                "MB; raise --max-unpacked-mb, divide the log, or unpack a zip yourself and import its folder"
             )
 
     def first_columns(self, names: Iterator[str], path: Path) -> tuple[str, ...]:
@@ -279,7 +279,7 @@ def require_filled(file: Path, shown_as: Path) -> None:
 
 
 def no_log_error(folder: Path) -> InputError:
-    remedy = "name a log file or the folder of a log"
+    remedy = "specify a log file or the folder of a log"
     if not (files := sorted(entry.name for entry in folder.iterdir())):
         return InputError(f"{folder}: is an empty folder; {remedy}")
     return InputError(

@@ -61,7 +61,7 @@ _ORDER = re.compile(r"(?<![a-z])(?:(d)d?\W?mm?|(m)m?\W?dd?)\W?y{1,4}(?![a-z])", 
 # Smallest fraction of dates that must fit a format; the others are presumably damaged
 MIN_FITTING_SHARE = 0.99
 FORMAT_SAMPLE = 50  # number of evenly spaced texts; a format that reads none of them is excluded
-UNKNOWN_TICK = "have no likely unit"  # in the fault of a counter
+UNKNOWN_TICK = "no unit of time fits steps of"  # part of the message about a counter
 COUNTER_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 # Units of times, s; those of clock counters come first
 UNITS = {**COUNTER_UNITS, "days": 86400.0, "h": 3600.0, "min": 60.0}
@@ -205,7 +205,7 @@ def time_of_numbers(values: pl.Series, text: str, role: Role) -> Conversion:
             f'"{scaled(text, COUNTER_UNITS[u])}" for {1 / (step * COUNTER_UNITS[u]):.4g} Hz'
             for u in ("ms", "us")
         )
-        message = f"column {quoted(column)}: steps of {step:g} {UNKNOWN_TICK}"
+        message = f"column {quoted(column)}: {UNKNOWN_TICK} {step:g}"
         return refused(
             f'{message}; specify the unit with --time: {rates}, "{text}*1e-4" for ticks of 0.1 ms, or the '
             f'rate of the counter, for example "{text}/32768" for 32,768 ticks per s',

@@ -68,8 +68,8 @@ def time_of_rows(
 ) -> Conversion | None:
     """Find the time of a role in a table whose rows contain only some of the sensors.
 
-    ``keys`` is a column that is filled in the rows of each role. ``rows_of`` is the role whose usual rate determines
-    the unit. Header stamps have priority over a clock that is filled in the rows of all roles, if each role has one.
+    ``keys`` is a column that is filled in the rows of each role. The unit is chosen by the usual rate of the role
+    ``rows_of``. Header stamps have priority over a clock that is filled in the rows of all roles, if each role has one.
     Tables that were pasted side by side have different numbers of rows, so each has its own time.
     """
     known = frame.with_columns(pl.selectors.float().fill_nan(None))

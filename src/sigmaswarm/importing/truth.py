@@ -100,8 +100,8 @@ def require_same_axes(
     delay = truth_delay(seconds["gps"], places[0], seconds["truth"], places[1]) or 0.0
     if abs(delay) >= MIN_DELAY:
         message = (
-            f"truth: the times are about {abs(delay):.2f} s {'later' if delay > 0 else 'earlier'} than those of the "
-            f"fixes with the same velocity; write --truth-offset {-delay:.2f}"
+            f"truth: its velocities occur about {abs(delay):.2f} s {'later' if delay > 0 else 'earlier'} than those of "
+            f"the fixes; write --truth-offset {-delay:.2f}"
         )
         return f"{message}, or --gps-offset {delay:.2f} if the fixes have the wrong clock"
     inside, true = _true(seconds, truth)

@@ -135,7 +135,7 @@ class Unit:
 
 
 def parse_unit(text: str) -> Unit | None:
-    """Parse a unit. Return None if the text is no unit, and a `Unit` without dimension if it is not recognized."""
+    """Parse a unit. Return a `Unit` without dimension for an unknown unit, and None for text that is no unit."""
     plain = text.strip().lower().translate(_PLAIN)
     if plain in NOT_UNITS:
         return None

@@ -142,9 +142,10 @@ def _meters(values: dict[str, Array]) -> dict[str, str]:
 
 
 def _are_fractions(whole: Array, part: Array) -> bool:
-    """Return True if numbers in [0, 1) rise within a second, fall at the next second, and make the time steps even.
+    """Return True if ``part`` contains the fractions of the times whose whole seconds are ``whole``.
 
-    If a second has only one row, its fraction may also rise.
+    Fractions are in [0, 1), rise within a second, and fall at the next second. They may also rise if one of the two
+    seconds has only one row. The steps of ``whole + part`` must be more even than those of ``whole``.
     """
     if not np.all((part >= 0) & (part < 1)):
         return False

@@ -30,7 +30,10 @@ GATE = 13.8  # largest accepted NIS of a displacement: 99.9% quantile of chi-squ
 
 
 class DisplacementStart(NamedTuple):
-    """State of a filter at the start of a displacement: kernel rows (N_KEPT, columns), and cursor of the run (5,)."""
+    """State of a filter at the start of a displacement.
+
+    ``rows`` (N_KEPT, columns) is the kernel's state; ``cursor`` (5,) contains the next step, fix, target and speed.
+    """
 
     rows: Array
     cursor: Array

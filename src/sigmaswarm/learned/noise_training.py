@@ -1,4 +1,4 @@
-"""Train `noise-gru` with gradients of the whole filter: maximize the likelihood of the innovations.
+"""Train `noise-gru`: maximize the likelihood of the innovations with gradients through all steps of the filter.
 
 Each segment of a drive starts from the state of the filter without a network.
 """

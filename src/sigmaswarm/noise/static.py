@@ -79,7 +79,7 @@ def find_stretches(imu: Imu, gps: Gps | None = None) -> Stretches:
         what = f"log is {duration:.3g} s long" if duration < 2 * MIN_DURATION else "IMU moves"
         raise InputError(
             f"the {what}, and there is no standstill of {MIN_DURATION:g} s; record the IMU at rest for this "
-            "time, or for an hour to determine all noise terms"
+            "time, or for an hour to estimate all noise terms"
         )
     static = sum(part.stop - part.start for part in parts)
     return Stretches(tuple(parts), static / len(imu), len(begins) - 1)

@@ -60,7 +60,7 @@ def save_evaluation(
     save_network: Callable[[Path], list[Path]] | None = None,
     details: str = "",
 ) -> list[Path]:
-    """Write the records and pictures of an evaluation into a folder; return the paths of all files.
+    """Write the records and pictures of an evaluation into a folder. Return the paths of all files.
 
     ``tuning``: the evaluated tuning.toml or its folder; the tuning is also copied. ``save_network`` writes a copy of
     the evaluated network into a folder. ``details``: the content of details.txt; "" for no such file.
@@ -86,7 +86,7 @@ def save_evaluation(
 
 
 def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
-    """Copy tuning.toml, convergence.csv and seen.npz of a tuning into a folder; return the paths of the copies."""
+    """Copy tuning.toml, convergence.csv and seen.npz of a tuning into a folder. Return the paths of the copies."""
     file = filter_file(tuning)
     written: list[Path] = []
     for name in (FILE, HISTORY_FILE, TRAINING_DATA_FILE):
@@ -216,7 +216,7 @@ def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:
 
 
 def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
-    """Draw the position and heading errors over time with 3-sigma bounds; return None if there is no truth."""
+    """Draw the position and heading errors over time with 3-sigma bounds. Return None if there is no truth."""
     series = picture.whole.series
     if "position_error" not in series["tuned"]:
         return None

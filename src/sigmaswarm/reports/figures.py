@@ -200,6 +200,6 @@ def check_file(path: Path, suffix: str = ".png") -> None:
     if path.suffix != suffix:
         raise InputError(f"{path}: unknown format; choose a name that ends in {suffix}")
     if path.is_dir():
-        raise InputError(f"{path}: is a folder; name a file")
+        raise InputError(f"{path}: is a folder; specify a file")
     if not path.parent.is_dir():
         raise InputError(f"{path.parent}: no such folder; create it first")

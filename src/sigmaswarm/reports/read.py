@@ -22,7 +22,7 @@ def read_report(folder: Path) -> Report:
     """Read a folder of results. Raises `InputError` if there are no results, or a file is missing or damaged."""
     if not folder.is_dir():
         wrong = "is a file" if folder.exists() else "no such folder"
-        raise InputError(f"{folder}: {wrong}; name a folder that tune, evaluate or study wrote")
+        raise InputError(f"{folder}: {wrong}; specify a folder that tune, evaluate or study wrote")
     for file, report in REPORTS.items():
         if (folder / file).exists():
             return report(folder)
@@ -31,7 +31,7 @@ def read_report(folder: Path) -> Report:
             f"{folder}: the tuning is not finished; add --resume to its command, and run it again"
         )
     raise InputError(
-        f"{folder}: contains no results (none of {', '.join(REPORTS)}); name a folder that "
+        f"{folder}: contains no results (none of {', '.join(REPORTS)}); specify a folder that "
         "tune, evaluate or study wrote"
     )
 

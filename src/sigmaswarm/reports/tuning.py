@@ -80,7 +80,7 @@ def tuning_report(record: TuningRecord, history: pl.DataFrame | None = None) -> 
     """Return the page of a tuning. ``history`` is the table of convergence.csv."""
     result = record.result
     if result is None:
-        raise InputError("the tuning has no [result] table; name a folder that `sigmaswarm tune` wrote")
+        raise InputError("the tuning has no [result] table; specify a folder that `sigmaswarm tune` wrote")
     figures = [("cost", f"{result.cost:.4g}", f"{result.objective}, training drives")]
     if result.validation_cost is not None:
         figures.append(("cost on held-out drives", f"{result.validation_cost:.4g}", record.gap))

@@ -246,7 +246,7 @@ class BatchScorer:
         parameter_sets: Sequence[FilterParameters],
         executor: Executor | None = None,
     ) -> Array:
-        """Score the parameter sets; return the result of ``take``, shape (n_sets, n_drives)."""
+        """Score the parameter sets. Return the result of ``take``, shape (n_sets, n_drives)."""
         return np.asfortranarray(take(self.scores(parameter_sets, executor)))
 
     def map_prepared(

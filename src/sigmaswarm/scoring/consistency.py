@@ -9,10 +9,10 @@ include the variance of correlated fix errors, which do not average out. The tot
     sigma^2 = P + max(s^2 - w^2 - min(g s^2, P), 0)
 
 where P is the mean of the filter's variances of x and y, s is the standard deviation of the fixes (`receiver_std`), and
-w is the standard deviation of their white noise (`white_noise`). If the filter has states for correlated errors, P
-contains their variance g s^2, or a part of it if the errors last longer than the filter assumes. Otherwise, g = 0. A
-short training drive determines a covariance from few independent errors. Therefore, error / sigma is modeled by
-Student's t with `DOF` degrees of freedom. For a probability q,
+w is the standard deviation of their white noise (`white_noise`). g s^2 is the variance of the filter's states for
+correlated fix errors; g = 0 without these states. P includes g s^2, or a part of it if the errors last longer than the
+filter assumes. Errors on a short training drive are few independent values, so the tuned covariance is uncertain.
+Therefore, error / sigma is modeled by Student's t with `DOF` degrees of freedom. For a probability q,
 
     radius^2 = DOF ((1 - q)^(-2 / DOF) - 1) sigma^2
 

@@ -23,7 +23,7 @@ MIN_OUTAGES = 4  # fewest outages in a placement; with fewer, all placements hid
 
 
 class DriftRecord(BaseModel):
-    """Number of outages of one length in all placements, and RMS drift (m) per placement by method (None: failed)."""
+    """Drifts in outages of one length. ``outages`` is the number of outages in all placements together."""
 
     outages: int
     each: dict[str, list[float | None]]

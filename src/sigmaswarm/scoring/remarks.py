@@ -28,7 +28,7 @@ MAX_ERROR_RATIO = 0.9
 
 # Ratio of the error with correlated fix errors to the filter's estimate above which a range is stated
 MAX_LASTING_RATIO = 1.5
-COMMON_ERROR = "The estimate does not contain an error that all fixes have in common"
+COMMON_ERROR = "The estimate does not account for errors that all fixes share"
 
 # Properties of sensors: name, unit, factor. A drive has other sensors if a property is at least the largest value of
 # the training drives times the factor, or at most the smallest value divided by the factor.
@@ -159,7 +159,7 @@ def estimate_position_errors(scores: ScoresRecord, data: Sequence[DriveRecord]) 
 
 
 def describe_first_track(track: FirstTrack) -> str:
-    """Return sentences on the position error on a training drive; return "" if unknown."""
+    """Return sentences on the position error on a training drive. Return "" if unknown."""
     name, rmse = track.picture.whole.name, track.position_rmse
     if np.isfinite(rmse["tuned"]):
         known = [m for m in (BASELINE, "raw_gps") if np.isfinite(rmse[m])]
@@ -180,10 +180,10 @@ def _without_truth(drive: str, consistency: Consistency, radius: RadiusRecord | 
 def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
     """Describe a filter's position error on a drive without truth: an estimate, followed by the evidence.
 
-    The estimate is the RMS of the filter's position standard deviations. If the innovations are far smaller than
-    expected, or smaller and correlated, the error is unknown. In this case, the error may be as large as an innovation
-    that the filter expects, or as the errors that consecutive fixes have in common, which innovations do not show.
-    ``lasting`` is the RMS of these common errors (m per axis), which the covariance does not include.
+    The estimate is the RMS of the filter's position standard deviations. The error is unknown if the innovations are
+    far smaller than expected, or smaller than expected and correlated. An unknown error can be as large as the expected
+    innovations. It can also be as large as the errors that successive fixes share, since innovations do not show these
+    errors. ``lasting`` is the RMS of the shared errors, m per axis. The covariance does not include them.
     """
     own, missed = consistency.own_sigma or 0.0, consistency.missed or 0.0
     (low, high), nis = consistency.nis_band, f"mean NIS {consistency.mean_nis:.2g}, should be 2"
@@ -193,16 +193,19 @@ def describe_position(consistency: Consistency, lasting: float = 0.0) -> str:
     if consistency.mean_nis < low and (alike or consistency.mean_nis < MIN_INFORMATIVE_NIS):
         guess = ""
         if largest > max(expected, own):
-            guess = f". If successive fixes share errors of {lasting:.2g} m per axis, it is about {largest:.2g} m RMS"
+            guess = (
+                f". If successive fixes share errors of {lasting:.2g} m per axis, the position error is about "
+                f"{largest:.2g} m RMS"
+            )
         elif expected > own:
             guess = (
-                f". It may be as large as {expected:.2g} m RMS, the difference between prediction and fix that the "
-                "filter expects"
+                ". The position error may be as large as the difference between prediction and fix that the filter "
+                f"expects, {expected:.2g} m RMS"
             )
         return (
-            f"unknown, since there is no truth{guess}. The filter's covariance corresponds to {own:.2g} m RMS, but it "
-            f"is not reliable: the innovations are smaller than expected ({nis}). The receiver smooths its fixes, or "
-            "their errors are correlated"
+            f"unknown, since there is no truth{guess}. The filter's covariance corresponds to {own:.2g} m RMS, but "
+            f"this value is not reliable: the innovations are smaller than expected ({nis}). The receiver smooths its "
+            "fixes, or their errors are correlated"
         )
     size, source = f"{own:.2g} m RMS", "estimated by the filter, since there is no truth"
     included = f"The fixes, with their own errors, differ from the predictions by {missed:.2g} m RMS"

@@ -189,7 +189,7 @@ class EvaluationView:
         return f"On {drives}, the tuned filter failed, or there is no truth, so scores are missing."
 
     def _not_better(self) -> dict[str, str]:
-        """Return a message for each method whose drift or heading error is not larger than that of the tuned filter."""
+        """Return a message for each method with at most the drift or heading error of the tuned filter."""
         mean_of = self.scores.mean_of
         messages: dict[str, str] = {}
         for method in (m for m in (AGAINST, FIXES, BASELINE) if m in self.names):
@@ -388,7 +388,7 @@ def explained_radius() -> str:
         "of the stated standard deviation. If none is stated, the total is the variance of the white noise or, if this "
         "noise is small, the square of 2.1 m. The radii are "
         f"{factors[0]:.2f} and {factors[1]:.2f} standard deviations, from Student's t with {DOF:g} degrees of freedom, "
-        "since a training drive determines a covariance from few independent errors. Covariances in estimates and "
+        "since a covariance is tuned with few independent errors of a training drive. Covariances in estimates and "
         "exports are those of the filter, without correlated fix errors."
     )
 

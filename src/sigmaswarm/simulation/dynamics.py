@@ -327,7 +327,7 @@ def start_state(x: float, y: float, yaw: float, speed: float, car: Vehicle) -> A
 
 @compiled
 def run_open_loop(car: Vehicle, friction: float, start: Array, steer: Array, pedal: Array) -> Array:
-    """Drive from a `start_state` with one command per millisecond; return the record (n, 21).
+    """Drive from a `start_state` with one command per millisecond. Return the record (n, 21).
 
     ``steer`` (n,) is the desired angle of the road wheels, rad. ``pedal`` (n,) is -1 (full brake) to 1.
     """
@@ -389,7 +389,7 @@ def _press(s: Array, now: Array, soon: Array, gone: float, car: Vehicle) -> floa
 def run_closed_loop(
     car: Vehicle, friction: float, start: Array, path: Array, spacing: float, plan: Array
 ) -> Array:
-    """Let the driver follow a path and a plan from a `start_state`; return the record (10 k, 21), one row per ms.
+    """Let the driver follow a path and a plan from a `start_state`. Return the record (10 k, 21), one row per ms.
 
     ``path`` (p, 4) contains, every ``spacing`` m, east (m), north (m), heading (rad, not wrapped) and curvature (1/m).
 

@@ -33,7 +33,7 @@ class TouchedBound:
 
     @classmethod
     def read(cls, text: Any) -> "TouchedBound":
-        """Parse the text of a `TouchedBound`; return a `TouchedBound` unchanged."""
+        """Parse the text of a `TouchedBound`. Return a `TouchedBound` unchanged."""
         if isinstance(text, cls):
             return text
         match = re.fullmatch(r"(.+) at its (lower|upper) bound \((\S+)\)", str(text))

@@ -25,11 +25,11 @@ OBJECTIVES_OF_CARS = ("truth-pose + 0.2 nees", "innovation-t")
 CORRELATED_OBJECTIVE = "truth-pose + 0.2 nees + 0.1 innovation-t"
 """Objective with truth, without ``fix-error``, if the fix errors of most drives are correlated.
 
-The truth then hardly determines R, since a drive has few independent position errors. After tuning on the first half of
-comma2k19 with truth alone, the filter hardly uses the fixes (mean NIS 0.02), and the position RMSE on the second half
-is 0.81 m. With 0.1 innovation-t it is 0.50 m, and with 0.3 innovation-t 0.47 m. With the halves exchanged, the three
-values are 0.54, 0.52 and 1.63 m (12 seeds). If fix errors are white, the likelihood only adds noise: with RTK, the
-heading error of planar8 would rise by 20%.
+R can then hardly be estimated from the truth, since a drive has few independent position errors. After tuning on the
+first half of comma2k19 with truth alone, the filter hardly uses the fixes (mean NIS 0.02), and the position RMSE on the
+second half is 0.81 m. With 0.1 innovation-t it is 0.50 m, and with 0.3 innovation-t 0.47 m. With the halves exchanged,
+the three values are 0.54, 0.52 and 1.63 m (12 seeds). If fix errors are white, the likelihood only adds noise: with
+RTK, the heading error of planar8 would rise by 20%.
 """
 FORECAST_OBJECTIVES = ("truth-pose + 0.2 nees + 0.2 forecast-t", "0.5 innovation-t + 0.5 forecast-t")
 """Objectives with and without truth, for a model with roll and pitch, if the fix errors of most drives are white.

@@ -213,9 +213,10 @@ def drifts_of(
     noise: MotionNoise | None = None,
     shown_std: float | None = None,
 ) -> tuple[float, ...]:
-    """Return the RMS drifts (m) of a filter, the baseline and, with ``noise``, fixes alone; NaN if no outage fits.
+    """Return the RMS drifts (m) of a filter and of the baseline. If ``noise`` is given, append that of `FixesAlone`.
 
-    Drifts are measured in the middle of the drive, over at most ``most`` sets of outages of ``length`` s.
+    Drifts are measured in the middle of the drive, over at most ``most`` sets of outages of ``length`` s. They are NaN
+    if the drive is too short for an outage.
     """
     filters = {"tuned": parameters, BASELINE: baseline(ready.drive, parameters, shown_std)}
     return _drifts(
@@ -243,7 +244,7 @@ def _drifts(
 def confirmed_std(like: FilterParameters, std: float, scorer: AnyBatchScorer) -> StdCheck | None:
     """Run the baseline with ``std`` and with the assumed standard deviation of the fixes, and compare the drifts.
 
-    ``std`` is in m per axis. ``like`` determines the model and the options of the baseline. Return None if the drifts
+    ``std`` is in m per axis. The baseline has the model and the options of ``like``. Return None if the drifts
     are unknown. Also return None if the ratio of the drift with ``std`` to the drift with the assumed value is above
     `MAX_CONFIRMED_RATIO`. This ratio is a geometric mean over the lengths of the outages.
     """
@@ -274,13 +275,13 @@ def _mean_drifts(drifts_of_drives: Iterable[tuple[float, ...]]) -> list[float]:
 
 
 def scale_warnings(objective: Objective, parameters: FilterParameters, scorer: AnyBatchScorer) -> list[str]:
-    """Warn if the objective does not determine the scale of the covariance, and propose a factor if possible."""
+    """Warn if the cost does not depend on the scale of the covariance. Propose a factor if possible."""
     if not objective.scale_free:
         return []
     before, name = scorer.scores([parameters]), objective.name
     nis = float(before.mean_nis.mean())
     state = f"the mean NIS is {nis:.2g}, but should be 2"
-    message = f"{name} does not determine the scale of the covariances ({state})"
+    message = f"{name} does not depend on the scale of the covariances ({state})"
     remedy = SCALE_REMEDY.format(objective=name, measure="nees" if objective.needs_truth else "nis")
     if parameters.model != "planar5" and nis > 0:
         after = scorer.scores([parameters.scaled(nis / 2)])

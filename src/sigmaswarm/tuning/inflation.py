@@ -2,24 +2,24 @@
 
 The process noise is inflated so that the filter suits roads and IMUs that the tuning did not use. Inflation selects the
 largest noise whose cost is close to the lowest cost, similar to the one-standard-error rule (L. Breiman et al.,
-Classification and Regression Trees, 1984, section 3.4.3). A longer drive determines the noise better, so a smaller cost
-increase is allowed.
+Classification and Regression Trees, 1984, section 3.4.3). A longer drive allows a more accurate estimate of the noise,
+so a smaller cost increase is allowed.
 
 For a planar model, all process noise is inflated except the random walk of the gyro's bias. The noise of the velocity
-is included, since it represents the tilt of roads. One drive hardly determines the random walk: an inflation to 1e-7
-(rad/s)2/s raised the heading error on another car's drive by 29%. For a model with roll and pitch, the random walks of
-the biases are inflated by the factor, and the noise of position and velocity by the square root of the factor. If
-position and velocity had the whole factor, the position RMSE on another car's drive would be 0.86 instead of 0.65 times
-that of the fixes. If they were not inflated, the heading error with a cheap IMU would be 50% larger. The noises of
-heading and yaw rate in robot-localization are not inflated, since they do not depend on roads.
+is included, since it represents the tilt of roads. The random walk can hardly be estimated from one drive: an inflation
+to 1e-7 (rad/s)2/s raised the heading error on another car's drive by 29%. For a model with roll and pitch, the random
+walks of the biases are inflated by the factor, and the noise of position and velocity by the square root of the factor.
+If position and velocity had the whole factor, the position RMSE on another car's drive would be 0.86 instead of 0.65
+times that of the fixes. If they were not inflated, the heading error with a cheap IMU would be 50% larger. The noises
+of heading and yaw rate in robot-localization are not inflated, since they do not depend on roads.
 
-A factor hardly changes a noise near zero. In a filter with roll and pitch, the noise of these angles, the random
-walks of the gyro's x and y biases, and the standard deviations of the initial biases therefore have minima
+A factor hardly changes a noise near zero. In a filter with roll and pitch, the noise of these angles, the random walks
+of the gyro's x and y biases, and the standard deviations of the initial biases therefore have minima
 (`space.INFLATION_MINIMA`). With these minima, a filter that was tuned on one drive has a position RMSE of 0.8 m instead
-of 1.7 m on another car's drive. On drives of the same car, the minima change the RMSE by -5 to +2%. Three or more
-drives with truth determine the standard deviations of the initial biases. The minima for these parameters then do not
-apply, since they would increase the heading error by 10%. Instead, the standard deviation of the gyro's bias is at
-least the value that the biases on these drives predict for another drive.
+of 1.7 m on another car's drive. On drives of the same car, the minima change the RMSE by -5 to +2%. The standard
+deviations of the initial biases are estimated from three or more drives with truth. The minima for these parameters
+then do not apply, since they would increase the heading error by 10%. Instead, the standard deviation of the gyro's
+bias is at least the value that the biases on these drives predict for another drive.
 
 The standard deviation of the gyro's initial bias has another minimum if the starts of the training drives show biases.
 At its start, a filter subtracts a bias of many standard deviations (`GyroBiasEvidence.update`), so the cost hardly
@@ -52,7 +52,7 @@ class Sensitivity:
     ----------
     name : str
     value : float
-        Value in the tuned filter; 1 for the factor on all noise variances.
+        Value in the tuned filter. For the common factor on all noise variances (`NOISE_SCALE`), this value is 1.
     lowest, highest : float or None
         Values at which the cost has increased by 1%; None if the cost at the bound is lower.
     lowest_rise : float
@@ -125,7 +125,7 @@ INFLATION, TILTED_INFLATION, WITH_TRUTH = 0.05, 0.02, 0.01
 The limits are those of planar models without truth, of other models without truth, and of tilted12 with truth.
 """
 MIN_DRIVES_WITH_TRUTH = 3
-"""Smallest number of drives with truth that determines the standard deviations of the initial biases."""
+"""Smallest number of drives with truth for an estimate of the standard deviations of the initial biases."""
 REFERENCE_DURATION, TILTED_DURATION = 100.0, 150.0
 """Total driving times (s) up to which the whole cost increase is allowed.
 

@@ -87,7 +87,10 @@ class LeverArmEstimate:
 
     @property
     def observable(self) -> tuple[bool, bool]:
-        """Observability of forward and left: True if the turns determine the axis with the accuracy ``within``."""
+        """Observability of forward and left.
+
+        True if the axis can be estimated from the turns with the accuracy ``within``.
+        """
         forward, left = (1.96 * std <= self.within for std in self.std)
         return forward, left
 
@@ -134,8 +137,8 @@ def estimate_lever_arm(
     """Estimate the antenna's lever arm, forward and left, from drives of one vehicle.
 
     The prior has the mean ``gps_lever_arm_m`` and the standard deviation ``gps_lever_arm_std_m`` of drive.toml. Without
-    a stated lever arm, the mean is 0 and the default standard deviation is 2 m; otherwise this default is 1 m. The
-    delay of the fixes, whose effect is similar to that of ``forward``, has a prior standard deviation of 0.02 s.
+    a stated lever arm, the mean is 0 and the default standard deviation is 2 m; otherwise this default is 1 m. A delay
+    of the fixes has a similar effect as ``forward``, so the delay has a prior standard deviation of 0.02 s.
 
     Parameters
     ----------

@@ -88,7 +88,10 @@ class ResultRecord(BaseModel):
     filter_steps: int = 0
     filter_steps_without_racing: int = 0
     lower_cost_at: dict[str, float] = Field(default_factory=dict)
-    """Lowest relative change of the cost if only one parameter changes, by parameter. Contains only negative values."""
+    """Lowest relative change of the cost if only this parameter changes, by parameter.
+
+    Only decreases (< 0) are stored.
+    """
 
 
 class TuningRecord(BaseModel):
@@ -163,7 +166,7 @@ class TuningRecord(BaseModel):
     @property
     def _known(self) -> ResultRecord:
         if self.result is None:
-            raise InputError("the file has no [result] table; name a file written by `sigmaswarm tune`")
+            raise InputError("the file has no [result] table; specify a file written by `sigmaswarm tune`")
         return self.result
 
     @property
@@ -215,7 +218,7 @@ class TuningRecord(BaseModel):
         steps, full = self._known.filter_steps, self._known.filter_steps_without_racing
         if not self.config.get("racing") or not full:
             return ""
-        return f"racing: {steps} filter steps, {steps / full:.0%} of the number without racing"
+        return f"racing: {steps} filter steps, {steps / full:.0%} of those of a search without racing"
 
     @property
     def gap(self) -> str:
@@ -249,7 +252,8 @@ class TuningRecord(BaseModel):
         """Return a sentence for each larger drift on the training drives, in outages of other lengths (s)."""
         rest = [one for one in self.forecasts if one.length_s not in lengths]
         return [
-            f"on the training drives, {text}; this evaluation can't check it" for text in larger_drifts(rest)
+            f"on the training drives, {text}; this evaluation has no such outages"
+            for text in larger_drifts(rest)
         ]
 
     def parameters(self, caption: str = "") -> Table:
@@ -301,7 +305,7 @@ def _end(end: End | None) -> Cell:
 
 @dataclass(frozen=True, eq=False)
 class TunedFilter:
-    """A filter, the record of its tuning, and the landmarks by which copies of the training drives are recognized.
+    """A filter, the record of its tuning, and the landmarks of the training drives (see `drives.overlap`).
 
     Landmarks are positions and yaw rates of a drive (see `drives.overlap`).
     """

@@ -84,11 +84,11 @@ class Tuning(Generic[P]):
     evaluations, failures : int
         Number of evaluated parameter sets, and number of these that failed.
     steps, full_steps : int
-        Number of filter steps of the search, and number of filter steps of the same search without racing.
+        Number of filter steps of the search, and of the same search without racing.
     data : list of dict
         Name, duration, fingerprint and other properties of each training drive.
     seen : sequence of Landmarks
-        Landmarks by which `evaluate` recognizes training drives and parts of training drives.
+        Sampled values of each training drive. `evaluate` compares them with other drives to recognize training data.
     warnings : tuple of str
         Faults of the tuned filter that the objective does not show, found on the training drives.
     sensitivities : tuple of Sensitivity
@@ -262,7 +262,7 @@ class Tuning(Generic[P]):
         record = to_record(TuningRecord, content, file)
         result = record.result
         if result is None:
-            raise InputError(f"{file}: has no [result] table; name a file written by `sigmaswarm tune`")
+            raise InputError(f"{file}: has no [result] table; specify a file written by `sigmaswarm tune`")
         own = isinstance(record.config.get("model"), dict)
         config = validated_config(ModelTuneConfig if own else TuneConfig, record.config)
         parameters: Any = record.filter if own else FilterParameters.from_content(content, file)
@@ -329,13 +329,13 @@ def _remarks(t: Tuning[Any]) -> Iterator[str]:
         )
     if NOISE_SCALE in t.unidentified and not objective.scale_free:
         why = (
-            "the objective does not determine the common scale of all noise variances, so the covariances are "
+            "the objective does not depend on the common scale of all noise variances, so the covariances are "
             "not reliable"
         )
         yield to_do("add innovation-nll or nis to the objective", why)
     if car and not (car.lateral_noise or car.velocity_noise) and "truth-pose" not in objective.name:
         remedy = "for a car, use the lateral constraint (--use lateral), or tune with truth-pose"
-        why = "the fixes alone hardly determine the heading, which may be wrong by tens of degrees"
+        why = "the heading can hardly be estimated from fixes alone and may be wrong by tens of degrees"
         yield to_do(remedy, why)
     better = min(t.sensitivities, key=lambda s: s.lowest_rise, default=None)
     if better and better.lowest_rise < -MAX_INCREASE and factor == 1.0:

@@ -182,7 +182,7 @@ def search_space(
     if unknown:
         raise InputError(f"a filter can't use {unknown[0]!r}; choose from {', '.join(OPTIONS)}")
     if "slip" in use and "lateral" not in use:
-        raise InputError("slip is the tire slip of the lateral constraint; also use lateral")
+        raise InputError("the option slip (tire slip of the rear axle) needs the option lateral; add lateral")
     if reason := incompatibility(kind, use):
         raise InputError(reason)
     filter_types, options = (

@@ -28,7 +28,7 @@ class Workbench:
     def __init__(self, folder: Path, logs: Sequence[Path] = ()) -> None:
         for log in logs:
             if not log.exists():
-                raise InputError(f"{log} does not exist; name a log file or its folder")
+                raise InputError(f"{log} does not exist; specify a log file or its folder")
         self.folder = make_folder(folder).resolve()
         for kind in KINDS:
             make_folder(self.folder / kind)

@@ -100,7 +100,7 @@ class TunePage(Page):
                 select("Filter", MODELS, options.get("model", ""), partial(choose, "model"))
                 use, names = options.get("use") or [], list(get_args(Option))
                 more = select("Measurements (--use)", names, use, partial(choose, "use"), multiple=True)
-                more.props('hint="if empty, the sensors determine the choice"')
+                more.props('hint="if empty, chosen to suit the sensors"')
             with line():
                 for key in ("particles", "generations", "trials", "seed"):
                     value = options.setdefault(key, TuneConfig.model_fields[key].default)

@@ -161,8 +161,9 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
         signs = [axis[1] if axis else 1.0 for axis in follows]
         yield Finding(
             "gyro-tilt", "warning",
-            f"{names} {'have' if len(wrong) > 1 else 'has'} the wrong sign relative to the rotation of gravity. The "
-            "roll rate gx must be positive when the left side rises, and the pitch rate gy when the nose sinks",
+            f"{names} {'have' if len(wrong) > 1 else 'has'} the wrong sign: gravity in ax, ay, az rotates in the "
+            "opposite direction. The roll rate gx must be positive while the left side rises. The pitch rate gy must "
+            "be positive while the nose sinks",
             f"imu.csv, {', '.join(columns)}", span, confidence_of(min(axis[2] for axis in wrong) / 2),
             f"change the sign of {names}", Repair("tilt-rates", (signs[0], 0.0, 0.0, signs[1])),
         )  # fmt: skip
@@ -177,7 +178,7 @@ def check_tilt(evidence: Evidence) -> Iterator[Finding]:
 
 
 def is_upside_down(evidence: Evidence) -> bool:
-    """Return True if az, gx and gy show that the IMU is upside down, and the course does not determine the gyro."""
+    """Return True if az, gx and gy show that the IMU is upside down, and the course can't confirm this."""
     imu, mount = evidence.drive.imu, evidence.mount
     if imu.az is None or float(np.median(imu.az)) > 0 or evidence.yaw.known:
         return False

@@ -135,7 +135,7 @@ def _rotation(evidence: Evidence, mounting: Mounting) -> Iterator[Finding]:
             f"the log shows the mounting {mount} deg. {sure}. The mounting in drive.toml differs from it by "
         )
         what += f"{math.degrees(apart):.1f} deg. "
-        less = "A part of a drive determines the mounting less accurately than the whole drive"
+        less = "An estimate from a part of a drive is less accurate than one from the whole drive"
         what += f"{less}, so no repair is needed" if whole else "This difference needs no repair"
         remedy = (
             "keep the mounting in drive.toml if it was measured; otherwise import "
@@ -333,7 +333,7 @@ def _change(values: Values, step: int) -> Values:
 
 
 def _slope(y: Array, x: Array, step: int) -> tuple[float, float] | None:
-    """Fit changes y to changes x over ``step`` values; return the slope and its standard deviation, or None."""
+    """Fit changes y to changes x over ``step`` values. Return the slope and its standard deviation, or None."""
     power = float(x @ x)
     if power < 1.0:
         return None

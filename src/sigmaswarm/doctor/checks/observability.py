@@ -1,4 +1,4 @@
-"""Report quantities that the fixes of a drive do not determine, and measurements that a filter can use."""
+"""Report quantities that can't be estimated from the fixes, and measurements that a filter can use."""
 
 from collections.abc import Iterator
 
@@ -54,7 +54,7 @@ def check_observability(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _unseen_yaw(evidence: Evidence) -> tuple[str, str]:
-    """Return the reason why the course does not determine the gyro's sign and unit, and the remedy."""
+    """Return the reason why the gyro can't be checked with the course, and the remedy."""
     course, fit = evidence.course, evidence.yaw_fit
     assert course is not None
     moving = course.moving

@@ -234,7 +234,7 @@ def read_config(path: Path | None, **changes: Any) -> StudyConfig:
         from sigmaswarm.record_files import read_content
 
         missing = "omit --config for the paper's study"
-        options = read_content(path, "name a readable TOML file", missing=missing)
+        options = read_content(path, "specify a readable TOML file", missing=missing)
     try:
         return StudyConfig(**(options | changes))
     except ValidationError as error:

@@ -229,7 +229,7 @@ def make_design(
 
 
 def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[str, Design]:
-    """Read or simulate test drives with other sensors or another car; return designs by description."""
+    """Read or simulate test drives with other sensors or another car. Return designs by description."""
     c = home.config
     if not c.rivals or (c.drives and not c.elsewhere):
         return {}

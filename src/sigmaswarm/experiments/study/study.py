@@ -165,14 +165,14 @@ def _open_folder(out: Path, config: StudyConfig, resume: bool) -> None:
         return
     if not resume:
         raise InputError(
-            f"{out}: already contains a study; add --resume to continue it, or name another folder"
+            f"{out}: already contains a study; add --resume to continue it, or specify another folder"
         )
     saved = read_config(file)
     for name in StudyConfig.model_fields:
         if getattr(saved, name) != getattr(config, name):
             raise InputError(
                 f"{file}: the study was started with {name} = {getattr(saved, name)!r}, but this command has "
-                f"{getattr(config, name)!r}; repeat the first command, or name another folder"
+                f"{getattr(config, name)!r}; repeat the first command, or specify another folder"
             )
 
 

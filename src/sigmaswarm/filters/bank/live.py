@@ -336,7 +336,7 @@ class LiveFilterBank(LiveFilter):
     def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
         """Set the biases of reset filters to those of the mixture.
 
-        Filters with offsets for larger initial biases do not change. No filter changes if the alignment determined the
+        Filters with offsets for larger initial biases do not change. No filter changes if the alignment estimated the
         gyro bias more precisely than the mixture did, or if it used a gyro bias other than ``gyro_bias`` (rad/s).
         """
         gyro = start.gyro

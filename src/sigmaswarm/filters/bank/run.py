@@ -191,7 +191,7 @@ def run_bank(
     recover: bool = True,
     as_recorded: bool = False,
 ) -> Estimate:
-    """Run a `LiveFilterBank` over a drive; return its estimate at each IMU sample.
+    """Run a `LiveFilterBank` over a drive. Return its estimate at each IMU sample.
 
     Parameters
     ----------

@@ -62,7 +62,7 @@ class LoggedSteps:
     lever: Array
 
     def run(self, lanes: Array) -> Array:
-        """Run filters (N_KEPT, m) over all steps, in place; return each filter's loss over the scored fixes, (m,).
+        """Run filters (N_KEPT, m) over all steps, in place. Return each filter's loss over the scored fixes, (m,).
 
         The loss is the negative log-likelihood under Student's t, as in the objective ``innovation-t``.
         """
@@ -90,7 +90,10 @@ class LoggedSteps:
         return cursor
 
     def _run(self, lanes: Array, cursor: Array, stop: int, innovations: Array = NO_INNOVATIONS) -> None:
-        """Run the filters from ``cursor`` up to the step before ``stop``; ``lanes`` and ``cursor`` change in place."""
+        """Run the filters from step ``cursor`` up to the step before ``stop``.
+
+        ``lanes`` and ``cursor`` change in place.
+        """
         k = len(self.rows)
         flags, steps = self.rows[:, swarm.T_FLAGS].astype(np.uint16), self.rows[:, swarm.T_STEP]
         drive = (
@@ -167,7 +170,7 @@ def search(
     nominal_interval: float,
     seed: Sequence[int],
 ) -> SearchResult | None:
-    """Search for the best offsets over some steps; return None if too few fixes are scored or all filters fail.
+    """Search for the best offsets over some steps. Return None if too few fixes are scored or all filters fail.
 
     ``start`` (N_KEPT,) and ``known`` are the filter and its evidence before the steps. ``leader`` (d,) contains the
     offsets of the filter with the largest weight, which replace the last member of ``population`` (LANES, d).

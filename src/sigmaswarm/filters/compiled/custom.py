@@ -43,7 +43,7 @@ def build_kernel(
 
     @_inlined
     def predict(mean, covariance, root, drawn, moved, state, weights, dt, u, p, angles):
-        """Propagate the sigma points by f, and add Q; return False if P has no Cholesky factor."""
+        """Propagate the sigma points by f, and add Q. Return False if P has no Cholesky factor."""
         if not _draw(mean, covariance, weights.gamma, root, drawn):
             return False
         for k in range(drawn.shape[0]):
@@ -58,7 +58,7 @@ def build_kernel(
     def measure(
         mean, covariance, root, drawn, state, seen, predicted, nu, s, cross, weights, z, noise, p, angles
     ):
-        """Compute nu, S and C from new sigma points; return False if P has no Cholesky factor."""
+        """Compute nu, S and C from new sigma points. Return False if P has no Cholesky factor."""
         if not _draw(mean, covariance, weights.gamma, root, drawn):
             return False
         for k in range(drawn.shape[0]):
@@ -149,7 +149,7 @@ def _draw(mean, covariance, gamma, root, sigmas):
 
 @_kernel
 def _root(a, root):
-    """Write the Cholesky factor of ``a`` to the lower half of ``root``; return False if there is none."""
+    """Write the Cholesky factor of ``a`` to the lower half of ``root``. Return False if there is none."""
     for j in range(a.shape[0]):
         for i in range(j, a.shape[0]):
             s = a[i, j]
@@ -196,7 +196,7 @@ def _add_products(a, b, weights, out):
 
 @_kernel
 def _leave_out(z, nu, s, cross):
-    """Make the update ignore elements that are NaN; return the number of the other elements.
+    """Make the update ignore elements that are NaN. Return the number of the other elements.
 
     For the elements that are NaN, nu and C become 0, and S becomes the identity. The result then has the same bits as
     that of a filter without these rows of h and R.

@@ -236,7 +236,7 @@ def _number(m, k):
 
 @_plain
 def _drop_old(m, rows, count, age):
-    """Remove the rows that are more than ``age`` s older than the history; return False if there are none."""
+    """Remove the rows that are more than ``age`` s older than the history. Return False if there are none."""
     counts = m.counts
     oldest = _record(m, 0)[TIME] if counts[N_HISTORY] > 0 else m.filter_state[TIME]
     old = _until(rows, counts[count], oldest - age)

@@ -121,7 +121,7 @@ def add_forecast(w, l):
 
 @kernel
 def add_likelihood(w, l):
-    """Add the NIS and the likelihood of a fix to the sums, before the update; return the NIS.
+    """Add the NIS and the likelihood of a fix to the sums, before the update. Return the NIS.
 
     The kernel of `run` adds the logarithms of DET and TAIL to the sums.
     """

@@ -114,7 +114,7 @@ def _wrapped(angle):
 
 @kernel
 def _off_between(w, l, weight, true_x, true_y, true_theta, heading):
-    """Interpolate the estimate linearly between two IMU samples; return its errors in x, y and heading."""
+    """Interpolate the estimate linearly between two IMU samples. Return its errors in x, y and heading."""
     x = w.BEFORE_X + weight * (w.X - w.BEFORE_X) - true_x
     y = w.BEFORE_Y + weight * (w.Y - w.BEFORE_Y) - true_y
     turn = _wrapped(w[heading] - w.BEFORE_T)

@@ -32,7 +32,7 @@ from sigmaswarm.filters.compiled.step import step_of
 
 EVIDENCE_LASTS = 60.0  # s, time constant of the decay of evidence
 LARGEST_NIS = 200.0
-"""Upper limit of a fix's NIS in the evidence, so that no single fix determines the weights.
+"""Upper limit of a fix's NIS in the evidence, so that no single fix dominates the weights.
 
 Student's t would give too much weight to a lane with a small R, since fixes between tall buildings seem accurate until
 they jump.

@@ -160,7 +160,7 @@ def _sinc_cos_far(z):
 
 
 def _rotation_vector(scalar, vector, near):
-    """Return the rotation vector of a quaternion, by fdlibm's arcsine (e_asin.c), for a vector part below 1/2."""
+    """Return the rotation vector of a quaternion whose vector part has a norm below 1/2. Source: arcsine of fdlibm."""
     z = _square(vector)
     p = z * (1.66666666666666657415e-01 + z * (-3.25565818622400915405e-01 + z * 2.01212532134862925881e-01))
     z3 = z * z * z

@@ -213,7 +213,7 @@ class _Emitter:
     """Emit code without branches for one vector of lanes. Values are vectors, known numbers, or tuples of these."""
 
     def __init__(self, builder: ir.IRBuilder, vector: ir.VectorType, lanes: Any) -> None:
-        """``lanes`` points to the lanes of the vector in the first row."""
+        """``lanes`` points to the first row's lanes that form the vector."""
         self.builder, self.vector, self.lanes = builder, vector, lanes
         self.rows: dict[int, Any] = {}
 

@@ -19,7 +19,7 @@ TWO_PI = 2.0 * math.pi
 
 
 def update_scalar(w, *, n):
-    """Update with a scalar z: x += C nu / S, P -= C C^T / S, with S, nu and C in S11, N1 and C1."""
+    """Update x and P with a scalar measurement: x += C nu / S, P -= C C^T / S. S11, N1 and C1 contain S, nu and C."""
     for l in range(LANES):
         w.SIN_COS_VALID, w.SIN_COS_VALID_ALL = 0.0, 0.0
         g = 1.0 / w.S11
@@ -99,7 +99,7 @@ def take_velocity(w, zu, zv, *, n):
 
 
 def measure_along_planar(w, u, wheels, *, n, bias, lateral):
-    """Compute nu, S and C of a velocity R(theta)^T v in the body frame: lateral constraint or odometer.
+    """Compute nu, S and C for a measured velocity in the body frame: lateral constraint or odometer.
 
     Lateral: 0 = left - arm (yaw rate - w), with arm from `models.lateral_arm` and the gyro's bias w. Odometer: speed /
     scale = forward - delay (ax - b), with the accelerometer's bias b. R(theta)^T v has the closed form of planar8.py,

@@ -150,7 +150,7 @@ class Log:
         n = len(mean)
         if self.covariance.shape != (n, n):
             raise self.wrong(
-                f"covariance has shape {self.covariance.shape}; pass shape ({n}, {n}) for {n} states"
+                f"covariance has shape {self.covariance.shape}; pass a matrix of shape ({n}, {n}) for {n} states"
             )
         try:
             np.linalg.cholesky(self.covariance)

@@ -82,7 +82,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         if len(outer) > 1:
             raise InputError(
                 f"{path}: contains tables in several folders ({list_names(map(str, outer))}); unpack it, import one "
-                "folder or file, and name other files with --gps, --truth and --odometer"
+                "folder or file, and specify other files with --gps, --truth and --odometer"
             )
         names = [*dict.fromkeys(file.name for file in packed)]
         return log_of_names(path, names, limits, stack, None)
@@ -267,6 +267,6 @@ def _wanted(
     for name, member in wanted.items():
         if member.flag_bits & 1:
             raise InputError(
-                f"{path}: contains {name}, which is encrypted; unpack the zip, and name the folder"
+                f"{path}: contains {name}, which is encrypted; unpack the zip, and specify the folder"
             )
     return wanted

@@ -344,7 +344,7 @@ def _with_unit(name: str, unit: str) -> str:
 
 
 def uneven_row(file: Path, dialect: Dialect) -> tuple[int, int] | None:
-    """Find the first row with a filled cell beyond the last name; return its line number and number of cells."""
+    """Find the first row with a filled cell beyond the last name. Return its line number and number of cells."""
     most = len(dialect.names)
     with file.open(encoding="utf-8", errors="replace") as lines:
         for number, line in enumerate(lines, 1):

@@ -1,4 +1,4 @@
-"""Android's GnssLogger: one text file with several kinds of lines. Comments at the top name the columns of each kind.
+"""Android's GnssLogger: one text file with several kinds of lines. Comments at the top list the columns of each kind.
 
 LOGGING.md of the app describes the kinds: Fix (degrees, m/s, bearing from north; AccuracyMeters is the radius of a 68%
 circle), Accel or UncalAccel with gravity (m/s2), Gyro or UncalGyro (rad/s). All kinds have the clock

@@ -53,7 +53,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     folder = _oxts(path)
     if not recognizes(path):
         raise InputError(
-            f"{path}: is not a drive of KITTI raw; name the folder that contains oxts/timestamps.txt and oxts/data"
+            f"{path}: is not a drive of KITTI raw; specify the folder that contains oxts/timestamps.txt and oxts/data"
         )
     stamps = _stamps(folder / "timestamps.txt")
     files = sorted((folder / "data").glob("*.txt"))

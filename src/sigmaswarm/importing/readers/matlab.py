@@ -139,7 +139,7 @@ def _elements(file: IO[bytes], end: int, order: str) -> Iterator[tuple[int, int]
 
 
 def _require_array(file: IO[bytes], kind: int, size: int, order: str, depth: int) -> tuple[int, int]:
-    """Refuse elements that are not arrays, and arrays whose class, shape and content contradict each other.
+    """Refuse elements that are not arrays, and arrays with contradicting class, shape and content.
 
     Return the class and the number of elements.
     """

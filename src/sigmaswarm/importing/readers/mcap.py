@@ -39,7 +39,10 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
 
 
 def _unpacked(file: BinaryIO, offset: int, limits: Limits) -> int:
-    """Return the unpacked size of a chunk, bytes. Large LZ4 data that do not state their size are unpacked."""
+    """Return the size of a chunk after unpacking, bytes.
+
+    A large LZ4 chunk without a stated size is unpacked to count.
+    """
     file.seek(offset + 9 + 16)  # after the opcode, the record's length, and the first and last time
     size, _, length = struct.unpack("<QII", file.read(16))
     kind = file.read(min(length, 16))

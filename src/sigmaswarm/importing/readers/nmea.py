@@ -37,7 +37,7 @@ GUESS = Guess(
         )
     },
     (
-        "NMEA: times are UTC; altitudes are above the ellipsoid where GGA or GNS contains the geoid separation",
+        "NMEA: times are UTC; altitudes are above the ellipsoid if GGA or GNS messages contain the geoid separation",
     ),
     fixed="quality == 4",
 )

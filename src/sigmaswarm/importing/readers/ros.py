@@ -44,7 +44,7 @@ def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence
     paths = bag_paths(path)
     if not paths:
         raise InputError(
-            f"{path}: contains no bag; name the folder with metadata.yaml, or a .bag, .db3 or .mcap file"
+            f"{path}: contains no bag; specify the folder with metadata.yaml, or a .bag, .db3 or .mcap file"
         )
     with errors_as_damage(path):
         store = typesys.get_typestore(typesys.Stores.LATEST)
@@ -66,7 +66,9 @@ def _define(reader: Any, definitions: Sequence[Path], typesys: Any) -> None:
     for given in definitions:
         files = sorted(given.rglob("*.msg")) if given.is_dir() else [given]
         if not files or not files[0].is_file():
-            raise InputError(f"--msg {given}: there is no .msg file; name a file, or the folder of a package")
+            raise InputError(
+                f"--msg {given}: there is no .msg file; specify a file, or the folder of a package"
+            )
         for file in files:
             in_bag = [kind for kind in kinds if kind.rpartition("/")[2] == file.stem]
             package = file.resolve().parent.parent.name if file.resolve().parent.name == "msg" else "own"

@@ -218,7 +218,10 @@ def collect(
     table: str,
     read: Callable[[pl.LazyFrame], pl.DataFrame] = pl.LazyFrame.collect,
 ) -> pl.DataFrame:
-    """Return the rows that ``read`` selects, by default all. Errors of polars become one-line errors."""
+    """Read the rows that ``read`` selects, by default all.
+
+    An error of polars is raised again as a one-line `InputError`.
+    """
     try:
         return read(rows)
     except POLARS_ERRORS as error:

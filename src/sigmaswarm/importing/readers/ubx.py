@@ -153,7 +153,7 @@ def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple
         remarks.append(f"{path.name}: {broken} damaged messages are skipped")
     if not week:
         remarks.append(
-            f"{path.name}: no NAV-SOL, NAV-TIMEGPS or NAV-TIMEUTC message determines the GPS week, so times count from "
+            f"{path.name}: no NAV-SOL, NAV-TIMEGPS or NAV-TIMEUTC message contains the GPS week, so times count from "
             "the start of the week; --gps-offset adds seconds to them"
         )
 
