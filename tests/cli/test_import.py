@@ -199,7 +199,7 @@ def test_options_reach_the_drive(sigmaswarm: Command, here: Path, bagged: bytes)
         ),
         (
             {"a.csv": "", "b.doc": "."},
-            "log: contains no log of a known format (it contains a.csv, b.doc); name",
+            "log: contains no log of a known format (it contains a.csv, b.doc); specify a log file or",
         ),
     ],
 )

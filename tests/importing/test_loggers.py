@@ -1094,7 +1094,7 @@ def test_cells_with_an_object_are_split_by_the_named_command(tmp_path: Path, for
     write(tmp_path / "gps.csv", {"t": FIXED, "lat": LAT, "lon": LON})
     with pytest.raises(InputError, match="cells contain several numbers") as caught:
         imported(tmp_path)
-    run(str(caught.value).partition("for example with: ")[2].partition("; or name")[0], tmp_path)
+    run(str(caught.value).partition("for example with: ")[2].partition("; or specify")[0], tmp_path)
     require_same(imported(tmp_path / "new.csv", gps=tmp_path / "gps.csv").drive)
 
 

@@ -685,7 +685,12 @@ def test_rates_that_no_car_has_are_no_degrees(tmp_path: Path, scale: float):
 def test_places_that_may_be_two_things_are_refused_and_the_remedy_helps(tmp_path: Path, scale: float):
     (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
     write_fixes(tmp_path, (GPS.lat * scale).tolist(), (GPS.lon * scale).tolist())
-    with pytest.raises(InputError, match="latitude and longitude") as caught:
+    said = (
+        "latitude and longitude"
+        if scale < 1
+        else "a latitude of about .* and a longitude of about .* are not in degrees"
+    )
+    with pytest.raises(InputError, match=said) as caught:
         imported(tmp_path)
     maps = [m for m in maps_in(str(caught.value)) if scale < 1 or m.endswith(("/3600", "/1e6")[scale == 1e6])]
     assert_close(imported(tmp_path, maps=maps[:2]).drive.gps, GPS, "lat lon", 1e-9)

@@ -50,7 +50,7 @@ def with_value(column, at, value):
         ({"inputs": np.full(N, np.nan)}, "inputs[0] is nan"),
         ({"mean": [0.0, np.nan]}, "mean[1] is nan"),
         ({"mean": 3.0}, "mean has shape ()"),
-        ({"covariance": np.eye(3)}, "covariance has shape (3, 3); pass shape (2, 2) for 2 states"),
+        ({"covariance": np.eye(3)}, "covariance has shape (3, 3); pass a matrix of shape (2, 2) for 2 states"),
         ({"covariance": -np.eye(2)}, "covariance is not symmetric and positive definite"),
         ({"covariance": [[1.0, 0.5], [0.0, 1.0]]}, "covariance is not symmetric"),
         ({"truth": {"angle": [1.0]}}, "truth['angle'] has shape (1,), but time has 201 values"),

@@ -266,7 +266,7 @@ def _header(above: Sequence[str], separator: str, width: int, most: int, empty: 
     prose = [
         line.lstrip()[:1] in COMMENTS
         and _titles(line, BLANKS) == c
-        and not (_meanings(c) or re.search(r"[\t\d_]", line))
+        and not (_meanings(c) or re.search(r"\t|_|[A-Za-z]\d", line))
         for line, c in zip(above, fitting, strict=True)
     ]
     fitting = [[] if words else cells for words, cells in zip(prose, fitting, strict=True)]
