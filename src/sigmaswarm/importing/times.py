@@ -156,6 +156,8 @@ def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[Conversion | 
     for begin in dict.fromkeys(name.words[:-1] for name in names):
         alike = {n.words[-1]: n for n in names if n.words and n.words[:-1] == begin}
         found = {_CALENDAR[word]: n for word, n in reversed(alike.items()) if word in _CALENDAR}
+        if found.keys() not in ({*CALENDAR}, {*CALENDAR[3:]}):
+            continue
         rest = [(n, parts[word]) for word, n in alike.items() if word in parts]
         more = "".join(f" + {scaled(quoted_column(n.column), scale)}" for n, scale in rest)
         most = sum(scale * float(column_numbers(frame[n.column]).max() or 0) for n, scale in rest)  # pyright: ignore
@@ -168,8 +170,6 @@ def _calendar(names: Sequence[Name], frame: pl.DataFrame) -> tuple[Conversion | 
                 *found.values(),
                 *(n for n, _ in rest),
             ]
-        if found.keys() != {*CALENDAR}:
-            continue
         columns = [found[part].column for part in CALENDAR]
         year = "%Y" if median_of(column_numbers(frame[columns[0]])) > 99 else "%y"
         form = f"{year} %m %d %H %M %S%.f"

@@ -87,16 +87,16 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
         names = [*dict.fromkeys(file.name for file in packed)]
         return log_of_names(path, names, limits, stack, None)
     remarks: list[str] = []
-    files, folder = [path], path.parent
+    found, folder = (_files(path), path) if path.is_dir() else ([path], path.parent)
+    texts, files = {file: _as_utf8(file, stack) for file in found}, found
     if path.is_dir():
-        folder, found = path, _files(path)
-        files = [file for file in found if not _is_prose(_as_utf8(file, stack), file)]
+        files = [file for file in found if not _is_prose(texts[file], file)]
         remarks += [f"{file.name}: is not a table and is not read" for file in found if file not in files]
         empty = sorted(f.name for f in path.iterdir() if f.suffix.lower() in SUFFIXES and is_empty(f))
         remarks += [f"{name} is empty; copy it again" for name in empty]
         if not files:
             raise no_log_error(path)
-    scans = {f.relative_to(folder).as_posix(): scan(_as_utf8(f, stack), f, limits, remarks) for f in files}
+    scans = {f.relative_to(folder).as_posix(): scan(texts[f], f, limits, remarks) for f in files}
     return log_of_files(path, _joined(scans, remarks), FILES, None, remarks)
 
 
